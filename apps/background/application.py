@@ -1,9 +1,9 @@
 """The background application: from a source of frames to masks, tracks, pictures and a page."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, get_args
 
@@ -12,29 +12,30 @@ from numpy.typing import NDArray
 
 from ...chains.objects.object_trajectories import ObjectsOverTime
 from ...inference import Belief, MultiChain, RecursiveBP
+from ...inference.engine.recursive_bp import RunState
 from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
 from ..drawing.overlay import Draw, TracksOverlay
 from ..evaluation.predictions import FILE, write_predictions
 from ..evaluation.scoring import Scoring, scoring_of
-from ..evaluation.tracks import track_rows
 from ..events.report import Happened
-from ..events.watch import EVENTS, EventWriter, read_events
+from ..events.watch import EVENTS, EventLog, EventWriter, rounded, write_events
 from ..events.zones import Zones, read_zones
-from ..exports.track_table import TABLE, TrackTableWriter
+from ..exports.track_table import HEADER, TABLE, columns_of, mot_lines, table_lines
 from ..io.detections import Detections, given_boxes, with_boxes
 from ..io.files import write_image
 from ..io.masks import MaskWriter
-from ..io.mot import TrackedObject, TrackWriter, read_tracks
+from ..io.mot import LineWriter, TrackedObject
 from ..io.segments import segment_pattern
-from ..io.tables import digest
-from ..runs.film_run import FilmRun, Writer
+from ..io.sources.open_source import Source
 from ..runs.interruption import Interrupted, Outcome
+from ..runs.loop import Application, Columns, Engine, Filter, Output, Sink, Start, run_film
 from ..runs.memory import BACKGROUND
 from ..runs.region import inside, read_region
-from ..runs.saved_run import SavedRun
-from ..view.film import Film, Row
+from ..runs.row_log import RowLog
+from ..view.film import Film
 from ..view.page import Page
-from .job import WHOLE_FILM, BackgroundJob, Camera, Engine
+from .job import WHOLE_FILM, BackgroundJob, Camera
+from .job import Engine as EngineName
 from .moving_camera import MOVES, CameraWatch
 from .page import background_page, drawn_of
 from .parameters import (
@@ -43,13 +44,12 @@ from .parameters import (
     build_chain,
     other_chains,
     read_parameters,
-    with_defaults,
 )
 from .predictions import Predictions
 from .record import RunRecord
 from .whole_film import read_whole, warmed_up
 
-ENGINES: tuple[Engine, ...] = get_args(Engine)
+ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 
 CHANNELS = 3
 """Bytes of a pixel in a picture that is held."""
@@ -58,11 +58,11 @@ SAMPLE = 300
 """Bytes per pixel, of the pictures in which the empty scene is found."""
 
 EVIDENCE_EVERY = 25
-"""Frames between two values of log p(I) on the page: nothing else needs that pass over the pixels."""
+"""Frames between two values of log p(I): nothing else needs that pass over the pixels."""
 
 
 def build_model(
-    engine: Engine = "recursive-bp", parameters: Parameters | None = None, camera: Camera = "fixed"
+    engine: EngineName = "recursive-bp", parameters: Parameters | None = None, camera: Camera = "fixed"
 ) -> MultiChain:
     """Connect the background application's chains.
 
@@ -158,17 +158,16 @@ def found_in(belief: Belief, size: tuple[int, int], region: NDArray[np.uint8] | 
 
 
 def run_background(job: BackgroundJob) -> Outcome:
-    """Run the background application; see `FilmRun.carry_out`."""
-    return BackgroundRun(job).carry_out()
+    """Run the background application; see `run_film`."""
+    return run_film(Background(job))
 
 
-class BackgroundRun(FilmRun[BackgroundJob]):
-    """One run: masks, tracks, and the record for the page."""
+class Background(Application[BackgroundJob]):
+    """Masks, tracks and events of a film, measured by what is known of it."""
 
-    application = "background"
+    name = "background"
     blank_is_missing = False
-    kinds: ClassVar[dict[str, Any]] = {
-        "record": Any,
+    schema: ClassVar[dict[str, Any]] = {
         "scores": Any,
         "trajectories": ObjectsOverTime | None,
         "predictions": Any,
@@ -178,20 +177,14 @@ class BackgroundRun(FilmRun[BackgroundJob]):
     def __init__(self, job: BackgroundJob) -> None:
         super().__init__(job)
         parameters = read_parameters(job.config, job.chain)
-        self.settings |= with_defaults(parameters)
-        for name, file in (("detections", job.detections), ("zones", job.zones)):
-            if file is not None:
-                self.settings[name] = {"file": str(file.resolve()), "sha256": digest(file)}
-        self.engine = RecursiveBP(build_model(job.engine, parameters, job.camera))
-        self.record = RunRecord()
+        self._filter = RecursiveBP(build_model(job.engine, parameters, job.camera))
         self._region: NDArray[np.uint8] | None = None
         self._zones: Zones | None = None
-        self._events: EventWriter | None = None
+        self._events: EventLog | None = None
         self._scoring: Scoring | None = None
         self._trajectories: ObjectsOverTime | None = None
         self._detections: Detections | None = None
-        self._camera = CameraWatch(noticed=job.camera == "moving")
-        self._predictions = Predictions(self.engine.model) if self.predicts else None
+        self._predictions = Predictions(self._filter.model) if self.predicts else None
 
     @property
     def files(self) -> list[str]:
@@ -206,19 +199,6 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         return ["tracks.txt", TABLE, "background.png", *masks[self.job.masks], *more]
 
     @property
-    def chains(self) -> Mapping[str, Any]:
-        """Those of the engine."""
-        return self.engine.model.chains
-
-    @property
-    def bytes_needed(self) -> tuple[float, float]:
-        """Depends on the model of the background."""
-        per_pixel = BACKGROUND[self.settings["background"]["model"]]
-        if self.job.warm_up is not None:
-            per_pixel += CHANNELS * math.ceil(self.job.warm_up * self.source.rate / self.job.step)
-        return per_pixel + (SAMPLE if self.begins_settled else 0), 0.0
-
-    @property
     def begins_settled(self) -> bool:
         """Whether the empty scene is found before the first frame is answered."""
         return self.job.warm_up is not None or self.job.engine == WHOLE_FILM
@@ -228,169 +208,160 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         """Whether there are chains to compare, which have not heard of frames that they predict."""
         return self.job.engine != "stand-alone" and not self.begins_settled
 
-    def memory(self) -> dict[str, Any]:
-        """Record and scores, who was where in a film that was read as a whole, predictions, the camera."""
-        scores = None if self._scoring is None else self._scoring.saved()
-        return {
-            "record": self.record.saved(),
-            "scores": scores,
-            "trajectories": self._trajectories,
-            "predictions": None if self._predictions is None else self._predictions.saved(),
-            "camera": self._camera.saved(),
-        }
+    def bytes_needed(self, source: Source) -> tuple[float, float]:
+        """Depends on the model of the background."""
+        per_pixel = BACKGROUND[self.settings["background"]["model"]]
+        if self.job.warm_up is not None:
+            per_pixel += CHANNELS * math.ceil(self.job.warm_up * source.rate / self.job.step)
+        return per_pixel + (SAMPLE if self.begins_settled else 0), 0.0
 
-    def known(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        """What a detector has found in the frames."""
+    def title(self, source: Source) -> str:
+        """The source and how it was taken."""
+        return f"{Path(source.name).name}: {self.job.engine}"
+
+    def build(self, start: Start) -> Engine:
+        """Read what is known of the film beforehand; find the empty scene, where that is asked for."""
+        job, source, model = self.job, start.source, self._filter.model
+        self._start = start
+        self._detections = given_boxes(job.detections, job.class_names, source, job.start, job.stop, job.step)
+        start.frames = self._with_detections(start.frames)
+        self._region = read_region(job.roi, source.size) if job.roi else None
+        self._zones = read_zones(job.zones, source.size) if job.zones else None
+        self._scoring = scoring_of(job.ground_truth, source, job.start, job.step, self._region)
+        noticed = job.camera == "moving" or any(note.startswith(MOVES) for note in start.notes)
+        self._camera = CameraWatch(noticed=noticed)
+        self._engine = Filter(self._filter, self._begun(start, model))
+        return self._engine
+
+    def _begun(self, start: Start, model: MultiChain) -> RunState:
+        """The state before the first frame."""
         job = self.job
-        self._detections = given_boxes(
-            job.detections, job.class_names, self.source, job.start, job.stop, job.step
-        )
-        return self._with_detections(frames)
+        if start.resumed:
+            state, memory = start.state(model), start.memory(self.schema) or {}
+            self._trajectories = memory["trajectories"]
+            self._camera.restore(memory["camera"])
+            if self._scoring is not None:
+                self._scoring.restore(memory["scores"])
+            if self._predictions is not None:
+                self._predictions.restore(memory["predictions"], state)
+            return state
+        if job.engine == WHOLE_FILM:
+            state, self._trajectories = read_whole(
+                job, start.source, model, self._with_detections, start.interruption
+            )
+            return state
+        if job.warm_up is not None:
+            state, start.frames = warmed_up(job.warm_up, start.frames, model)
+            if start.interruption.signal is not None and not start.source.live:
+                # of fewer frames another scene is found than a run that is resumed would go on with
+                raise Interrupted(start.interruption.signal)
+            return state
+        return start.state(model)
 
     def _with_detections(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         return frames if self._detections is None else with_boxes(frames, self._detections)
 
-    def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        """Read region and ground truth; find the empty scene, where that is asked for."""
-        job, model = self.job, self.engine.model
-        self._read_masks()
-        if job.engine == WHOLE_FILM:
-            self.state, self._trajectories = read_whole(
-                job, self.source, model, self._with_detections, self.interruption
-            )
-        if job.warm_up is not None:
-            self.state, frames = warmed_up(job.warm_up, frames, model)
-            if self.interruption.signal is not None and not self.source.live:
-                # of fewer frames another scene is found than a run that is resumed would go on with
-                raise Interrupted(self.interruption.signal)
-        return frames
-
-    def _read_masks(self) -> None:
-        self._region = read_region(self.job.roi, self.source.size) if self.job.roi else None
-        self._zones = read_zones(self.job.zones, self.source.size) if self.job.zones else None
-        self._scoring = scoring_of(
-            self.job.ground_truth, self.source, self.job.start, self.job.step, self._region
-        )
-
-    def go_on(self, memory: Mapping[str, Any]) -> None:
-        """Take up record and scores."""
-        self._read_masks()
-        self._trajectories = memory["trajectories"]
-        self.record = RunRecord.restored(memory["record"])
-        said = any(note.startswith(MOVES) for note in self.notes)
-        self._camera = CameraWatch(noticed=said or self.job.camera == "moving")
-        self._camera.restore(memory["camera"])
-        if self._scoring is not None:
-            self._scoring.restore(memory["scores"])
-        if self._predictions is not None:
-            self._predictions.restore(memory["predictions"], self.state)
-
-    def learn_from(self, saved: SavedRun) -> None:
-        """The states are all there is to learn."""
-        self._read_masks()
-
-    def writers(self, rate: float, after: int) -> list[Writer]:
-        """Tracks, masks and events."""
-        out = self.job.out
-        self._tracks = TrackWriter(out / "tracks.txt", after)
-        self._table = TrackTableWriter(out / TABLE, after)
-        self._masks = MaskWriter(out, self.job.masks, rate, after)
-        growing: list[Writer] = [self._tracks, self._table, self._masks]
-        if self._zones is not None:
-            self._events = EventWriter(out / EVENTS, self._zones, out / TABLE, after)
-            growing.append(self._events)
-        return growing
-
-    def found(self, belief: Belief) -> Found:
-        """Mask and tracks."""
-        found = found_in(belief, self.source.size, self._region)
-        if self._trajectories is None:
-            return found
-        tracks = self._trajectories.at(len(self.record.numbers))
-        return Found(found.foreground, inside(self._region, tracks))
-
-    def take_in(self, belief: Belief, found: Found, seconds: float) -> None:
-        """Write mask and tracks, and note what the page wants."""
+    def columns(self, belief: Belief) -> Columns:
+        """Objects, the mask, and what has happened to zones."""
         frame = belief.frame
-        self._tracks.write(frame.number, found.tracks)
-        self._table.write(frame.number, frame.time, found.tracks)
-        if self._events is not None:
-            happened = self._events.write(frame.number, frame.time, found.tracks)
-            self.news = [event.in_words() for event in happened]
-        self._masks.write(found.foreground, frame.number, frame.time)
+        found = found_in(belief, self._start.source.size, self._region)
+        foreground, tracks = found.foreground, found.tracks
+        if self._trajectories is not None:
+            tracks = inside(self._region, self._trajectories.at(len(self._log)))
         if self._predictions is not None:
             self._predictions.take_in(belief)
-        if (said := self._camera.take_in(belief, found.foreground)) is not None:
-            self.notes.append(said)
+        if (moves := self._camera.take_in(belief, foreground)) is not None:
+            self._start.notes.append(moves)
         if self._scoring is not None:
-            self._scoring.add(frame.number, found.foreground)
-
-        due = len(self.record.numbers) % EVIDENCE_EVERY == 0
-        self.record.add(
-            frame,
-            found.tracks,
-            found.foreground,
-            belief.log_evidence if due else np.nan,
-            seconds,
+            self._scoring.add(frame.number, foreground)
+        objects = columns_of(tracks)
+        events = () if self._events is None else self._events.add(frame.number, frame.time, objects)
+        seen = frame.image is not None
+        due = seen and len(self._log) % EVIDENCE_EVERY == 0
+        return Columns(
+            {
+                "foreground": np.count_nonzero(foreground) / foreground.size if seen else np.nan,
+                "log_evidence": belief.log_evidence / foreground.size if due else np.nan,
+            },
+            objects,
+            pictures={"mask": foreground},
+            drawn=partial(drawn_of, foreground, tracks, frame.boxes),
+            live={"tracks": len(tracks)},
+            news=events,
         )
-
-    def facts(self) -> dict[str, Any]:
-        """Tracks, and measures against ground truth."""
-        metrics = None
-        if self._scoring is not None:
-            tracked = self.job.engine != "stand-alone"
-            rows = track_rows(read_tracks(self.job.out / "tracks.txt")) if tracked else None
-            metrics = self._scoring.measures(rows)
-        given = None
-        if self._detections is not None:
-            given = self._detections.counted(set(self.record.numbers) - set(self.record.missing))
-        happened = self._happened
-        events = None if happened is None else happened.counts()
-        return {
-            "tracks": len(self.record.tracks),
-            "detections": given,
-            "metrics": metrics,
-            "events": events,
-        }
-
-    @cached_property
-    def _happened(self) -> Happened | None:
-        """To zones, when all frames are done."""
-        if self._zones is None:
-            return None
-        times = self.record.times
-        span = (times[0], times[-1]) if times else (0.0, 0.0)
-        return Happened(self._zones, read_events(self.job.out / EVENTS), span)
-
-    def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write predictions and the empty scene."""
-        job = self.job
-        if self._predictions is not None:
-            write_predictions(job.out, self._predictions.records())
-        if self.state.states:
-            write_image(job.out / "background.png", self.state.states["background"].picture())
-
-    def drawn(self, belief: Belief, found: Found) -> Callable[[], Row]:
-        """Boxes and outlines."""
-        return partial(drawn_of, found.foreground, found.tracks, belief.frame.boxes)
 
     def drawing(self) -> Draw:
         """Foreground, boxes, trails and zones."""
         return TracksOverlay(self._zones)
 
-    def told(self, belief: Belief, found: Found) -> dict[str, object]:
-        """How many are there."""
-        return {"tracks": len(found.tracks)}
+    def sinks(self, output: Output) -> list[Sink]:
+        """Tracks, masks and events."""
+        folder, after, self._log = output.folder, output.resume_after, output.log
+        tracks = LineWriter(folder / "tracks.txt", resume_after=after)
+        table = LineWriter(folder / TABLE, HEADER, after)
+        masks = MaskWriter(folder, self.job.masks, output.rate, after)
+        sinks = [
+            Sink(lambda frame, columns: tracks.append(mot_lines(frame.number, columns.objects)), tracks),
+            Sink(
+                lambda frame, columns: table.append(table_lines(frame.number, frame.time, columns.objects)),
+                table,
+            ),
+            Sink(
+                lambda frame, columns: masks.write(columns.pictures["mask"], frame.number, frame.time), masks
+            ),
+        ]
+        if self._zones is not None:
+            self._events = EventLog(self._zones, output.log)
+            events = EventWriter(folder / EVENTS, self._events.events)
+            sinks.append(Sink(lambda _, columns: events.write(columns.news), events))
+        return sinks
 
-    @property
-    def title(self) -> str:
-        """The source and how it was taken."""
-        return f"{Path(self.source.name).name}: {self.job.engine}"
+    def state_dict(self) -> dict[str, Any]:
+        """Scores, who was where in a film that was read as a whole, predictions, the camera."""
+        return {
+            "scores": None if self._scoring is None else self._scoring.saved(),
+            "trajectories": self._trajectories,
+            "predictions": None if self._predictions is None else self._predictions.saved(),
+            "camera": self._camera.saved(),
+        }
 
-    def page(self, film: Film | None, summary: Mapping[str, Any]) -> Page:
+    def finish(self, log: RowLog) -> dict[str, Any]:
+        """Write predictions, the empty scene and all events; measures against ground truth."""
+        out, states = self.job.out, self._engine.state.states
+        if self._predictions is not None:
+            write_predictions(out, self._predictions.records())
+        if states:
+            write_image(out / "background.png", states["background"].picture())
+        if self._events is not None:
+            self._events.end(log)
+            write_events(out / EVENTS, self._events.events)
+        happened = self._happened(log)
+        metrics = given = None
+        if self._scoring is not None:
+            tracked = self.job.engine != "stand-alone"
+            metrics = self._scoring.measures(boxes_of(log) if tracked else None)
+        if self._detections is not None:
+            given = self._detections.counted(set(log["number"][~log["missing"]].tolist()))
+        return {
+            "tracks": len(np.unique(log.objects("id"))),
+            "detections": given,
+            "metrics": metrics,
+            "events": None if happened is None else happened.counts(),
+        }
+
+    def _happened(self, log: RowLog) -> Happened | None:
+        """What has happened to zones, as `events.csv` has it."""
+        if self._zones is None or self._events is None:
+            return None
+        span = (float(log["time"][0]), float(log["time"][-1])) if len(log) else (0.0, 0.0)
+        return Happened(self._zones, [rounded(event) for event in self._events.events], span)
+
+    def page(self, log: RowLog, film: Film | None, summary: Mapping[str, Any]) -> Page:
         """Tracks over the film, and what is to be said of them."""
-        background = self.state.states["background"].picture() if self.state.states else None
-        return background_page(self.title, self.record, summary, film, background, self._happened)
+        states = self._engine.state.states
+        background = states["background"].picture() if states else None
+        title, happened = self.title(self._start.source), self._happened(log)
+        return background_page(title, RunRecord(log), summary, film, background, happened)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """Tracks, and measures against ground truth."""
@@ -403,6 +374,14 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         if summary["truncated"]:
             words += ", the source ends before its announced end"
         return [words, *(f"{group}: {_listed(of)}" for group, of in (summary["metrics"] or {}).items())]
+
+
+def boxes_of(log: RowLog) -> NDArray[np.float64]:
+    """Frame, identity, x, y, width and height `(n, 6)` of all objects, as `tracks.txt` has them."""
+    places = [[round(float(value) + 1, 2) - 1 for value in log.objects(name)] for name in ("x", "y")]
+    sizes = [[round(float(value), 2) for value in log.objects(name)] for name in ("width", "height")]
+    frames = np.repeat(log["number"], log["objects"])
+    return np.column_stack([frames, log.objects("id"), *places, *sizes]).astype(np.float64)
 
 
 def _listed(measured: object) -> str:

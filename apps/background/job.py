@@ -98,7 +98,13 @@ class BackgroundJob(FilmJob):
         return [name.strip() for typed in self.classes for name in typed.split(",")]
 
     def settings(self) -> dict[str, Any]:
-        """What the results depend on, beside the source and the chains' parameters."""
+        """What the results depend on, beside the source; with every parameter of the chains."""
+        from ..io.tables import digest
+        from .parameters import read_parameters, with_defaults
+
+        def content(path: Path | None) -> dict[str, str] | None:
+            return None if path is None else {"file": str(path.resolve()), "sha256": digest(path)}
+
         return {
             **super().settings(),
             "engine": self.engine,
@@ -107,7 +113,8 @@ class BackgroundJob(FilmJob):
             "roi": self.roi,
             "masks": self.masks,
             "ground_truth": resolved(self.ground_truth),
-            "detections": resolved(self.detections),
+            "detections": content(self.detections),
             "classes": self.class_names,
-            "zones": resolved(self.zones),
+            "zones": content(self.zones),
+            **with_defaults(read_parameters(self.config, self.chain)),
         }

@@ -178,7 +178,7 @@ def _track_table(record: RunRecord) -> Any:
             history.first,
             history.last,
             history.n_frames,
-            f"{history.width / history.n_frames:.0f} × {history.height / history.n_frames:.0f}",
+            f"{history.width:.0f} × {history.height:.0f}",
         )
         for identity, history in sorted(longest)
     ]
@@ -200,7 +200,7 @@ def draw_paths(background: Image, tracks: Mapping[int, TrackHistory], zones: Zon
     ends = {}
     for identity, history in sorted(tracks.items()):
         colour = identity_colour(identity)
-        points = np.rint((np.array([*history.path.kept, history.foot]) + 0.5) * scale).astype(np.int32)
+        points = np.rint((history.path + 0.5) * scale).astype(np.int32)
         start, ends[identity] = ((int(x), int(y)) for x, y in (points[0], points[-1]))
         for ink, thickness in ((edge, 4), (colour, 2)):
             cv2.polylines(canvas, [points], False, ink, thickness, cv2.LINE_AA)

@@ -130,9 +130,7 @@ def summary_if_complete(application: str, job: Job) -> dict[str, Any] | None:
     path = job.out / STATE
     if not path.exists() or Path(job.source).suffix.lower() in TRACKS:  # which are read at once
         return None
-    module = import_module(f"..{application}.application", __package__)
-    settings = getattr(module, f"{application.capitalize()}Run")(job).settings
-    about = about_of(checkpoint.read(path), application, settings)
+    about = about_of(checkpoint.read(path), application, job.settings())
     summary: dict[str, Any] | None = about["finished"]
     if summary is None:
         return None

@@ -2,12 +2,12 @@
 
 import logging
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,219 +16,291 @@ from ...chains.body.articulated_pose import ArticulatedPose
 from ...chains.body.dynamics import BodyDynamics
 from ...chains.body.fixed_lag import BLOCK, FixedLag, TimedSamples, WaitingFrame
 from ...chains.body.flesh_tracker import FleshTracker
+from ...chains.body.samples import moments
 from ...inference import Belief, MultiChain, RecursiveBP
-from ...models.body.parts import CALIBRATION_FRAMES
-from ...models.body.upper_body import PARTS
+from ...inference.engine.recursive_bp import RunState
+from ...models.body.parts import CALIBRATION_FRAMES, BodyParts
+from ...models.body.upper_body import JOINTS, PARTS, UpperBody
 from ...models.core.frame import Frame
 from ..drawing.overlay import Draw
 from ..io.film import SeenFrames
-from ..io.keypoints import Keypoints, digest_of, given_keypoints, with_keypoints
-from ..io.segments import segment_pattern
-from ..io.sources.open_source import open_source
-from ..runs.film_run import FilmRun, Step, Writer
+from ..io.keypoints import Keypoints, given_keypoints, with_keypoints
+from ..io.sources.open_source import Source, open_source
 from ..runs.interruption import Interrupted, Outcome
+from ..runs.loop import Application, Columns, Engine, Start, run_film
 from ..runs.memory import BODY, KEPT_IMAGE, KEPT_SAMPLE, SAMPLE
-from ..runs.saved_run import SavedRun
-from ..view.film import Film, Row
+from ..runs.row_log import RowLog
+from ..view.film import Film
 from ..view.page import Page
+from .hypotheses import hypotheses
 from .job import LAG, BodyJob
 from .joint_files import ClickedJoints, read_joints
 from .keypoint_start import followed, shows_whom, start_from_keypoints, with_lengths
 from .page import body_page, drawing, drawn_of, with_final_names
-from .record import BodyRecord
+from .record import PART_JOINTS, BodyRecord
+from .relabelling import relabelled
 from .start import BodyStart, SavedPerson, read_head, start_from_faces, start_from_head
-from .writer import BodyWriter, lengths
 
 _log = logging.getLogger(__name__)
 
+Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+
+N_DRAWN = 40
+"""Samples that are drawn and kept, as in Figs. 4 to 6 of the paper."""
+
+ANGLE_NAMES = (
+    "root_x", "root_y", "torso_x", "torso_y", "torso_z", "neck_x", "neck_y", "neck_z",
+    "left_shoulder_x", "left_shoulder_y", "left_shoulder_z", "left_elbow",
+    "right_shoulder_x", "right_shoulder_y", "right_shoulder_z", "right_elbow",
+)  # fmt: skip
+"""Of `BodyPoses.angles`: px for the root; rotation vectors and flexions of the elbows, rad."""
+
+POSES = (
+    "joints_2d", "joints_2d_covariances", "joints_3d", "joints_3d_covariances", "angles", "angle_covariances",
+    "samples", "hypotheses", "hypothesis_joints", "seen", "stationary", "missing",
+)  # fmt: skip
+"""Columns of `poses.npz`, a row a frame, beside `frames` (their numbers) and `times` s: posterior means and
+covariances `joints_2d (8, 2)` px, `joints_2d_covariances (8, 2, 2)`, `joints_3d (8, 3)`,
+`joints_3d_covariances (8, 3, 3)`, `angles (16,)`, `angle_covariances (16, 16)`; `samples (40, 8, 3)` px,
+joints of poses drawn from the posterior; `hypotheses (4,)`, probabilities of answers that differ in where the
+hands are, the best one first, and `hypothesis_joints (4, 8, 3)` px, their means, NaN where there are fewer;
+`seen (3,)`, whether the image has shown head, left hand and right hand (a hand before face or neck does not
+count, since their skin may be all that was seen); `stationary`, whether nothing at all was detected;
+`missing`, whether there was no image. Of the whole film: `exchanged`, the probability that left and right
+hand have each other's name, and `relabelled`, whether names were exchanged at the end because of it.
+`joint_names (8,)`, `part_names (3,)` (of `seen`), `angle_names (16,)`, and the body's `length_names` and
+`lengths` px come once. x is to the right, y down, z away from the viewer, 0 at the root; left is the person's
+own."""
+
+FACE_AND_NECK = (0.45, 0.62)
+"""Of the head's height: half axes of the ellipse about its centre in which skin need not be a hand's."""
 
 SPREAD_OVER = 1000
 """Frames of a video over which those are spread in which faces are looked for: all of these are decoded."""
 
 
 def run_body(job: BodyJob) -> Outcome:
-    """Run the body application; see `FilmRun.carry_out`.
+    """Run the body application; see `run_film`.
 
     Frames that are missing, unreadable or blank (black, saturated) are predicted.
     """
-    return BodyRun(job, None if job.joints is None else read_joints(job.joints)).carry_out()
+    return run_film(Body(job, None if job.joints is None else read_joints(job.joints)))
 
 
-class BodyRun(FilmRun[BodyJob]):
-    """One run: who is tracked, the poses, and the record for the page."""
+class SmoothedBelief(Belief):
+    """What is known of a frame when later ones have spoken.
 
-    application = "body"
-    files = ("poses.npz", segment_pattern("poses.npz"))
-    kinds: ClassVar[dict[str, Any]] = {
+    Attributes
+    ----------
+    samples
+        poses, given later frames as well.
+    """
+
+    samples: TimedSamples
+
+    @classmethod
+    def of(cls, belief: Belief, samples: TimedSamples) -> Self:
+        """Put poses to a belief."""
+        smoothed = cls(belief.frame, belief.state, None)
+        smoothed.samples = samples
+        return smoothed
+
+
+class Smoother:
+    """Filters frame after frame, and answers for each when it has seen some later ones.
+
+    Parameters
+    ----------
+    engine
+        of the filter.
+    state
+        to go on from.
+    smoothing
+        of the filter's poses.
+    pose, parts
+        the chain whose poses these are, and the node by which it hears the image.
+    seed
+        of what smoothing draws.
+    """
+
+    def __init__(
+        self,
+        engine: RecursiveBP,
+        state: RunState,
+        smoothing: FixedLag,
+        pose: ArticulatedPose,
+        parts: BodyParts,
+        seed: int,
+    ) -> None:
+        self.model, self.state, self.smoothing = engine.model, state, smoothing
+        self._engine, self._newest, self._pose, self._parts, self._seed = engine, state, pose, parts, seed
+        self._waiting: deque[Belief] = deque()
+
+    def step(self, frame: Frame) -> list[Belief]:
+        """Take in a frame, and answer for those that have waited long enough."""
+        belief = self._engine.step(self._newest, frame)
+        self._newest = belief.state
+        # without what else is believed of the frame, which is large
+        self._waiting.append(Belief(belief.frame, belief.state, None))
+        self._begin_draws(frame.number)
+        image = belief.evidence(self._parts).image
+        return self._answered(self.smoothing.add(belief.frame, belief[self._pose], image))
+
+    def rest(self) -> list[Belief]:
+        """Of the last frames, fewer later ones are known."""
+        self._begin_draws(0)
+        return self._answered(self.smoothing.rest())
+
+    def _answered(self, poses: Sequence[TimedSamples]) -> list[Belief]:
+        answered: list[Belief] = [SmoothedBelief.of(self._waiting.popleft(), each) for each in poses]
+        if answered:
+            self.state = answered[-1].state
+        return answered
+
+    def _begin_draws(self, number: int) -> None:
+        """Let what is drawn depend on the frame alone: a run that is resumed takes in frames again."""
+        random = np.random.default_rng((self._seed, number))
+        self.smoothing.waiting = replace(self.smoothing.waiting, random=random)
+
+
+class Body(Application[BodyJob]):
+    """Who is tracked, the poses, and how sure they are."""
+
+    name = "body"
+    files = ("poses.npz",)
+    schema: ClassVar[dict[str, Any]] = {
         "person": SavedPerson,
-        "record": BodyRecord.kinds(),
         "draws": np.random.Generator,
         "answered": WaitingFrame | None,
     }
-    chains: ClassVar[dict[str, Any]] = {"flesh": FleshTracker, "pose": ArticulatedPose}
 
     def __init__(self, job: BodyJob, clicked: ClickedJoints | None) -> None:
         super().__init__(job)
-        if job.keypoints is not None:
-            self.settings["keypoints"] = {
-                "file": self.settings["keypoints"],
-                "sha256": digest_of(job.keypoints),
-            }
         self._keypoints: Keypoints | None = None
         self._head = None if job.head is None else read_head(job.head)
         self._clicked = clicked
         self._draws = np.random.default_rng(job.seed)  # of the poses that are shown
-        self.record = BodyRecord()
 
-    @property
-    def bytes_needed(self) -> tuple[float, float]:
+    def bytes_needed(self, source: Source) -> tuple[float, float]:
         """Depends on the number of samples, and on that of frames that wait with theirs."""
-        kept = self.lag + BLOCK if self.lag else 0
+        lag = self._lag(source)
+        kept = lag + BLOCK if lag else 0
         return BODY + KEPT_IMAGE * kept, self.job.samples * (SAMPLE + KEPT_SAMPLE * kept)
 
-    @property
-    def lag(self) -> int:
+    def _lag(self, source: Source) -> int:
         """Frames that are waited for before one is answered."""
         if self.job.lag is not None:
             return self.job.lag
-        return 0 if self.source.live else LAG
+        return 0 if source.live else LAG
 
-    def memory(self) -> dict[str, Any]:
-        """Who is tracked, and the record."""
-        return {
-            "person": SavedPerson.of(self._start),
-            "record": self.record.saved(),
-            "draws": self._draws,
-            "answered": self._hindsight.waiting.past,
-        }
+    def build(self, start: Start) -> Engine:
+        """Take the person who is known from another run, or find one in the film."""
+        job, source = self.job, start.source
+        if job.keypoints is not None:
+            self._keypoints = given_keypoints(job.keypoints, source, job.start, job.stop, job.step)
+            start.frames = with_keypoints(start.frames, self._keypoints)
+        memory = start.memory(self.schema)
+        if memory is None:
+            self._start = self._found(start)
+        elif start.resumed:
+            self._start, self._draws = memory["person"].start(job.detector), memory["draws"]
+        else:
+            self._start = memory["person"].elsewhere().start(job.detector)
+        body, parts = self._start.body, self._start.parts
+        self._flesh = FleshTracker(body)
+        self._pose = ArticulatedPose(body, job.samples, seed=job.seed)
+        engine = RecursiveBP(MultiChain().connect(self._flesh, parts).connect(self._pose, parts))
+        self._smoothing = FixedLag(BodyDynamics(body), self._lag(source), seed=job.seed)
+        if memory is not None and start.resumed:
+            self._smoothing.waiting = replace(self._smoothing.waiting, past=memory["answered"])
+        return Smoother(engine, start.state(engine.model), self._smoothing, self._pose, parts, job.seed)
 
-    def known(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        """What a detector has found in the frames."""
-        job = self.job
-        if job.keypoints is None:
-            return frames
-        self._keypoints = given_keypoints(job.keypoints, self.source, job.start, job.stop, job.step)
-        return with_keypoints(frames, self._keypoints)
-
-    def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        """Find the person in the first frame in which anything is to be seen, and in others."""
+    def _found(self, start: Start) -> BodyStart:
+        """The person in the first frame in which anything is to be seen, and in others."""
         job, images = self.job, None
-        if self._read_once:
-            beginning = list(islice(frames, CALIBRATION_FRAMES))
-            frames = chain(beginning, frames)
+        if start.source.kind in ("camera", "stream"):  # which cannot be read a second time
+            beginning = list(islice(start.frames, CALIBRATION_FRAMES))
+            start.frames = chain(beginning, start.frames)
             images = [frame.image for frame in beginning if frame.image is not None]
         by_keypoints = self._keypoints is not None and self._head is None and job.detector is None
-        for first in frames:
+        for first in start.frames:
             if first.image is not None and (not by_keypoints or shows_whom(first)):
                 break
-            self.before.append(first.number)
+            start.before.append(first.number)
         else:
             what = "a head or shoulders were found" if by_keypoints else "anything is to be seen"
-            raise self.no_frame(f"holds no frame in which {what}")
+            raise start.no_frame(f"holds no frame in which {what}")
         if images is None:
-            images = self._looked_at()
+            images = self._looked_at(start)
         images = images or [first.image]  # where nothing else is to be seen in what was looked at
-        start, found = self._started_from(first, images)
-        _log.info("start in frame %d, by %s: %s", first.number, found, start.origin)
-        self._begin_with(start)
-        return chain([first], frames)
+        person, found = self._started_from(start.source, first, images)
+        _log.info("start in frame %d, by %s: %s", first.number, found, person.origin)
+        start.frames = chain([first], start.frames)
+        return person
 
-    def _started_from(self, first: Frame, images: list[Image]) -> tuple[BodyStart, str]:
+    def _started_from(self, source: Source, first: Frame, images: list[Image]) -> tuple[BodyStart, str]:
         """Who is tracked, and how that was found out."""
         job, clicked, keypoints = self.job, self._clicked, self._keypoints
         if self._head is not None and job.detector is None:
-            start, found = start_from_head(first, self._head, images, clicked), "the head as marked"
+            person, found = start_from_head(first, self._head, images, clicked), "the head as marked"
         elif keypoints is not None and job.detector is None:
             return start_from_keypoints(first, keypoints, images, clicked), "keypoints"
         else:
             at_first = [first.image] if self._head is not None and first.image is not None else []
-            start = start_from_faces(
-                self.source.name, [*at_first, *images], job.detector, clicked, self._head
-            )
+            person = start_from_faces(source.name, [*at_first, *images], job.detector, clicked, self._head)
             found = str(job.detector or "OpenCV's cascades of faces")
         if keypoints is not None and clicked is None:
-            start = with_lengths(start, followed(keypoints, first.number, start.head_in(first)))
-        return start, found
+            person = with_lengths(person, followed(keypoints, first.number, person.head_in(first)))
+        return person, found
 
-    def go_on(self, memory: Mapping[str, Any]) -> None:
-        """Take up the person, and the record."""
-        self._draws = memory["draws"]
-        self.record = BodyRecord.restored(memory["record"])
-        self._begin_with(memory["person"].start(self.job.detector))
-        self._hindsight.waiting = replace(self._hindsight.waiting, past=memory["answered"])
-
-    def learn_from(self, saved: SavedRun) -> None:
-        """Take the person's lengths, colour and pose."""
-        self._begin_with(saved.memory["person"].elsewhere().start(self.job.detector))
-
-    def _begin_with(self, start: BodyStart) -> None:
-        self._start = start
-        self._flesh = FleshTracker(start.body)
-        self._pose = ArticulatedPose(start.body, self.job.samples, seed=self.job.seed)
-        model = MultiChain().connect(self._flesh, start.parts).connect(self._pose, start.parts)
-        self.engine = RecursiveBP(model)
-        self._hindsight = FixedLag(BodyDynamics(start.body), self.lag, seed=self.job.seed)
-
-    @property
-    def _read_once(self) -> bool:
-        """Whether the source cannot be read a second time."""
-        return self.source.kind in ("camera", "stream")
-
-    def _looked_at(self) -> list[Image]:
+    def _looked_at(self, start: Start) -> list[Image]:
         """Images from all over the source, which is read a second time for it."""
-        job, total = self.job, self.source.n_frames
-        if total is not None and self.source.kind == "video":
+        job, total = self.job, start.source.n_frames
+        if total is not None and start.source.kind == "video":
             total = min(total, SPREAD_OVER)
         stride = 1 if total is None else -(-total // CALIBRATION_FRAMES)
         with open_source(job.source, job.start, job.stop, job.step * stride) as source:
-            frames = islice(SeenFrames(self.interruption.items(source)), CALIBRATION_FRAMES)
+            frames = islice(SeenFrames(start.interruption.items(source)), CALIBRATION_FRAMES)
             images = [frame.image for frame in frames if frame.image is not None]
-        if self.interruption.signal is not None:
-            raise Interrupted(self.interruption.signal)
+        if start.interruption.signal is not None:
+            raise Interrupted(start.interruption.signal)
         return images
 
-    def writers(self, rate: float, after: int) -> list[Writer]:
-        """Poses."""
-        self._writer = BodyWriter(self.job.out, after, self._start.body, self._draws, self.record)
-        return [self._writer]
-
-    def found(self, belief: Belief) -> list[TimedSamples]:
-        """Poses of the frames of which enough later ones are known by now."""
-        self._begin_draws(belief.frame.number)
-        image = belief.evidence(self._start.parts).image
-        return self._hindsight.add(belief.frame, belief[self._pose], image)
-
-    def answered(self, steps: Iterator[Step]) -> Iterator[Step]:
-        """Frames with their poses in hindsight; of the last ones, fewer later frames are known."""
-        waiting: deque[Step] = deque()
-
-        def answer(poses: TimedSamples) -> Step:
-            return replace(waiting.popleft(), found=poses)
-
-        for step in steps:
-            belief = step.belief
-            # without what else is believed of the frame, which is large
-            waiting.append(replace(step, belief=Belief(belief.frame, belief.state, None)))
-            yield from map(answer, step.found)
-        self._begin_draws(0)
-        yield from map(answer, self._hindsight.rest())
-
-    def _begin_draws(self, number: int) -> None:
-        """Let what hindsight draws depend on the frame alone: a run that is resumed takes in frames again."""
-        random = np.random.default_rng((self.job.seed, number))
-        self._hindsight.waiting = replace(self._hindsight.waiting, random=random)
-
-    def take_in(self, belief: Belief, found: TimedSamples, seconds: float) -> None:
-        """Write the frame's poses."""
-        states = belief.states
+    def columns(self, belief: Belief) -> Columns:
+        """Joints and angles, their covariances, some poses of the posterior, and what the image has shown."""
+        assert isinstance(belief, SmoothedBelief)
+        frame, body, states = belief.frame, self._start.body, belief.states
         detected = states[self._flesh.name].unseen == 0
-        filtered = states[self._pose.name]
-        self._row = self._writer.add(belief.frame, filtered, found, detected, seconds)
-
-    def drawn(self, belief: Belief, found: TimedSamples) -> Callable[[], Row]:
-        """Joints and some samples."""
-        return partial(drawn_of, self._row)
+        filtered, samples = states[self._pose.name], belief.samples.samples
+        found = moments(body, samples)
+        drawn = body.joints(samples.drawn(N_DRAWN, self._draws))
+        seen = detected & ~_before_face(found.joints[PART_JOINTS, :2], body.head_height)
+        answers = hypotheses(body, samples, self._draws)
+        row = {
+            "joints_2d": found.joints[:, :2],
+            "joints_2d_covariances": found.joint_covariances[:, :2, :2],
+            "joints_3d": found.joints,
+            "joints_3d_covariances": found.joint_covariances,
+            "angles": found.angles,
+            "angle_covariances": found.angle_covariances,
+            "samples": drawn.astype(np.float32),
+            "hypotheses": answers.weights,
+            "hypothesis_joints": answers.joints,
+            "seen": seen,
+            "stationary": np.bool_(filtered.stationary),
+            "missing": np.bool_(frame.missing),
+        }
+        nothing = frame.missing or filtered.stationary
+        measures = {
+            "log_evidence": np.float64(np.nan if nothing else filtered.log_evidence),
+            "effective": np.float64(filtered.effective),
+            "unsure": np.concatenate([[0.0], answers.unsure]),
+            "exchange_log_odds": np.float64(belief.samples.evidence.log_odds),
+            "confusable": np.float64(belief.samples.evidence.confusable),
+        }
+        shown = ", ".join(name.replace("_", " ") for name, so in zip(PARTS, seen, strict=True) if so)
+        return Columns({**row, **measures}, drawn=partial(drawn_of, row), live={"seen": shown or "nothing"})
 
     def drawing(self) -> Draw:
         """Skeletons, from the front and from the side."""
@@ -237,50 +309,74 @@ class BodyRun(FilmRun[BodyJob]):
     @property
     def _arm(self) -> float:
         """Length of a stretched one, px."""
-        body = self._start.body
-        return body.upper_arm + body.forearm
+        return self._start.body.upper_arm + self._start.body.forearm
 
-    def told(self, belief: Belief, found: Any) -> dict[str, object]:
-        """What of the body the image shows."""
-        seen = [name.replace("_", " ") for name, so in zip(PARTS, self._row["seen"], strict=True) if so]
-        return {"seen": ", ".join(seen) or "nothing"}
-
-    @property
-    def title(self) -> str:
-        """The source, and what of it is followed."""
-        return f"{Path(self.source.name).name}: upper body"
-
-    def page(self, film: Film | None, summary: Mapping[str, Any]) -> Page:
-        """The body over the film and in space, and what is to be said of it."""
-        if film is not None and self.record.relabelled:
-            film = with_final_names(film, self.job.out)
-        return body_page(self.title, self.record, summary, film, self._arm)
-
-    def facts(self) -> dict[str, Any]:
-        """What was seen, and what is assumed of the person."""
-        start, given = self._start, None
-        if self._keypoints is not None:
-            given = self._keypoints.counted(set(self.record.numbers) - set(self.record.missing))
+    def state_dict(self) -> dict[str, Any]:
+        """Who is tracked, and how what is drawn at random goes on."""
         return {
-            "seen": self.record.shares_seen,
-            "stationary": self.record.stationary_periods,
-            "keypoints": given,
-            "doubts": self.record.doubts,
-            "relabelled": self.record.relabelled,
-            "flesh_colour": start.parts.skin is not None,
-            "body": {"origin": start.origin, "lengths": lengths(start.body)},
-            "notes": [*start.notes, *self.record.notes, *self._about_video()],
+            "person": SavedPerson.of(self._start),
+            "draws": self._draws,
+            "answered": self._smoothing.waiting.past,
         }
 
-    def _about_video(self) -> list[str]:
-        if not (self.job.video and self.record.relabelled):
-            return []
-        return [
-            "overlay.mp4 shows the names of the hands as they were before; rsmcm export --to video has the "
-            "new ones."
-        ]
+    def finish(self, log: RowLog) -> dict[str, Any]:
+        """Write the poses by the final names of the hands; what was seen, and what is assumed."""
+        start, given = self._start, None
+        self._record = record = BodyRecord(log)
+        self._poses = relabelled(start.body, {name: log[name] for name in POSES}, record.labels.exchanged)
+        known = lengths(start.body)
+        constants = {
+            "joint_names": np.array(JOINTS),
+            "part_names": np.array(PARTS),
+            "angle_names": np.array(ANGLE_NAMES),
+            "length_names": np.array(list(known)),
+            "lengths": np.array(list(known.values())),
+            "exchanged": record.exchanged,
+        }
+        columns = {"frames": log["number"], "times": log["time"], **self._poses}
+        log.write_arrays(self.job.out / "poses.npz", constants, columns)
+        if self._keypoints is not None:
+            given = self._keypoints.counted(set(record.numbers) - set(record.missing))
+        notes = [*start.notes, *record.notes]
+        if self.job.video and record.relabelled:
+            notes.append(
+                "overlay.mp4 shows the names of the hands as they were before; rsmcm export --to video has "
+                "the new ones."
+            )
+        return {
+            "seen": record.shares_seen,
+            "stationary": record.stationary_periods,
+            "keypoints": given,
+            "doubts": record.doubts,
+            "relabelled": record.relabelled,
+            "flesh_colour": start.parts.skin is not None,
+            "body": {"origin": start.origin, "lengths": known},
+            "notes": notes,
+        }
+
+    def title(self, source: Source) -> str:
+        """The source, and what of it is followed."""
+        return f"{Path(source.name).name}: upper body"
+
+    def page(self, log: RowLog, film: Film | None, summary: Mapping[str, Any]) -> Page:
+        """The body over the film and in space, and what is to be said of it."""
+        if film is not None and self._record.relabelled:
+            film = with_final_names(film, {**self._poses, "frames": log["number"]})
+        title = f"{Path(summary['source']).name}: upper body"
+        return body_page(title, self._record, summary, film, self._arm)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """How much was seen."""
         shares = ", ".join(f"{name.replace('_', ' ')} {100 * s:.0f} %" for name, s in summary["seen"].items())
         return [f"{summary['frames']} frames, {summary['frames_per_second']:.1f} a second, seen: {shares}"]
+
+
+def lengths(body: UpperBody) -> dict[str, float]:
+    """Lengths and widths of a body, px, by their names."""
+    return {field.name: float(getattr(body, field.name)) for field in fields(body)}
+
+
+def _before_face(places: Array, head_height: float) -> NDArray[np.bool_]:
+    """`(3,)`: which of the parts at `places` `(3, 2)` px are hands over the head."""
+    away = (places - places[0]) / (np.array(FACE_AND_NECK) * head_height)
+    return np.asarray((np.hypot(*away.T) < 1) & (np.arange(len(places)) > 0))

@@ -66,10 +66,15 @@ class BodyJob(FilmJob):
 
     def settings(self) -> dict[str, Any]:
         """What the results depend on, beside the source."""
+        from ..io.keypoints import digest_of
+
+        keypoints = None
+        if self.keypoints is not None:
+            keypoints = {"file": resolved(self.keypoints), "sha256": digest_of(self.keypoints)}
         return {
             "detector": resolved(self.detector),
             "joints": resolved(self.joints),
-            "keypoints": resolved(self.keypoints),
+            "keypoints": keypoints,
             "head": self.head,
             "samples": self.samples,
             "lag": self.lag,

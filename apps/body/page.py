@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,6 @@ from ..view.page import (
 )
 from .hypotheses import WORTH_SAYING
 from .record import PART_JOINTS, BodyRecord
-from .relabelling import ROWS
 
 Image = NDArray[np.uint8]
 
@@ -72,10 +70,8 @@ def _whole(places: NDArray[Any]) -> NDArray[np.int16]:
     return np.asarray(np.clip(scaled, limits.min, limits.max).astype(np.int16))
 
 
-def with_final_names(film: Film, folder: Path) -> Film:
-    """A film with rows of `drawn_of`, hands named as in `poses.npz` at the end of the run in `folder`."""
-    with np.load(folder / "poses.npz") as poses:
-        rows = {name: poses[name] for name in (*ROWS, "frames", "missing")}
+def with_final_names(film: Film, rows: Mapping[str, NDArray[Any]]) -> Film:
+    """A film with rows of `drawn_of`, hands named as in `rows` of `poses.npz`."""
     columns = {name: values.copy() for name, values in film.columns.items()}
     for index, place in enumerate(np.searchsorted(rows["frames"], film.numbers)):
         if rows["relabelled"][place]:

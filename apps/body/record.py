@@ -1,21 +1,17 @@
-"""What summary and page need of a body-tracking run, gathered frame by frame."""
+"""What summary and page need of a body-tracking run."""
 
-from array import array
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains.body.hand_labelling import ExchangeEvidence, HandLabels, hand_labels
-from ...chains.body.samples import BodyMoments, BodySamples
+from ...chains.body.hand_labelling import HandLabels, hand_labels
 from ...models.body.upper_body import JOINTS, PARTS
-from ...models.core.frame import Frame
-from ..runs.frame_lists import listed_periods, periods
-from ..runs.frame_record import FrameRecord
-from .hypotheses import WORTH_SAYING, Hypotheses
+from ..runs.frame_lists import listed_periods, notes_on_missing, periods
+from ..runs.row_log import RowLog
+from .hypotheses import WORTH_SAYING
 from .relabelling import EXCHANGED_PARTS
 
 Array = NDArray[np.float64]
@@ -76,12 +72,20 @@ def in_words(found: Mapping[str, Sequence[Doubt]]) -> list[str]:
     return sentences
 
 
-@dataclass(eq=False, kw_only=True)
-class BodyRecord(FrameRecord):
-    """What summary and page need of a run, gathered frame by frame: a few numbers each.
+class BodyRecord:
+    """What summary and page need of a run, a few numbers a frame.
 
     Parameters
     ----------
+    log
+        the rows of the run.
+
+    Attributes
+    ----------
+    numbers, times, seconds
+        of the frames, 1-based, s, and s that the tracker took.
+    missing, stationary
+        numbers of the frames without an image, and of those whose image has shown nothing of the body.
     log_evidence
         nats, up to a constant; NaN where nothing was to be seen.
     effective
@@ -97,50 +101,21 @@ class BodyRecord(FrameRecord):
     exchange_log_odds, confusable
         what each frame says of the names of the hands: log odds, nats, that they are exchanged, and the
         probability that they could be confused.
-    stationary
-        numbers of the frames whose image has shown nothing of the body.
     """
 
-    log_evidence: "array[float]" = field(default_factory=lambda: array("d"))
-    effective: "array[float]" = field(default_factory=lambda: array("d"))
-    places: list[Array] = field(default_factory=list)
-    spreads: list[Array] = field(default_factory=list)
-    seen: list[Mask] = field(default_factory=list)
-    second: "array[float]" = field(default_factory=lambda: array("d"))
-    unsure: list[Array] = field(default_factory=list)
-    exchange_log_odds: "array[float]" = field(default_factory=lambda: array("d"))
-    confusable: "array[float]" = field(default_factory=lambda: array("d"))
-    stationary: list[int] = field(default_factory=list)
-
-    def add(
-        self,
-        frame: Frame,
-        found: BodyMoments,
-        seen: Mask,
-        filtered: BodySamples,
-        answers: Hypotheses,
-        names: ExchangeEvidence,
-        seconds: float,
-    ) -> None:
-        """Take in a frame."""
-        nothing = frame.missing or filtered.stationary
-        self.numbers.append(frame.number)
-        self.times.append(frame.time)
-        self.log_evidence.append(np.nan if nothing else filtered.log_evidence)
-        self.effective.append(filtered.effective)
-        self.seconds.append(seconds)
-        self.places.append(found.joints[PART_JOINTS])
-        variances = np.diagonal(found.joint_covariances[PART_JOINTS], axis1=1, axis2=2)
-        self.spreads.append(np.sqrt(np.maximum(variances, 0)))
-        self.seen.append(seen)
-        self.second.append(float(answers.weights[1]))
-        self.unsure.append(np.concatenate([[0.0], answers.unsure]))
-        self.exchange_log_odds.append(names.log_odds)
-        self.confusable.append(names.confusable)
-        if frame.missing:
-            self.missing.append(frame.number)
-        elif filtered.stationary:
-            self.stationary.append(frame.number)
+    def __init__(self, log: RowLog) -> None:
+        self.numbers: list[int] = log["number"].tolist()
+        self.times: list[float] = log["time"].tolist()
+        self.seconds: list[float] = log["seconds"].tolist()
+        self.log_evidence, self.effective = log["log_evidence"], log["effective"]
+        missing, stationary = (log[name].astype(np.bool_) for name in ("missing", "stationary"))
+        self.missing: list[int] = log["number"][missing].tolist()
+        self.stationary: list[int] = log["number"][stationary & ~missing].tolist()
+        self.places = log["joints_3d"][:, PART_JOINTS]
+        covariances = log["joints_3d_covariances"][:, PART_JOINTS]
+        self.spreads = np.sqrt(np.maximum(np.diagonal(covariances, axis1=2, axis2=3), 0))
+        self.seen, self.unsure, self.second = log["seen"], log["unsure"], log["hypotheses"][:, 1]
+        self.exchange_log_odds, self.confusable = log["exchange_log_odds"], log["confusable"]
 
     @property
     def shares_seen(self) -> dict[str, float]:
@@ -158,7 +133,7 @@ class BodyRecord(FrameRecord):
     def labels(self) -> HandLabels:
         """Which hand is left, by the whole film; to be asked for when all frames are there."""
         numbers, times = np.array(self.numbers, np.int64), np.array(self.times)
-        return hand_labels(numbers, times, np.array(self.exchange_log_odds), np.array(self.confusable))
+        return hand_labels(numbers, times, self.exchange_log_odds, self.confusable)
 
     @property
     def exchanged(self) -> Array:
@@ -171,7 +146,7 @@ class BodyRecord(FrameRecord):
         """First and last frame of every period in which hands have changed their names at the end."""
         return periods(self.numbers, self.labels.numbers[self.labels.exchanged].tolist())
 
-    def of_parts(self, columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    def of_parts(self, columns: NDArray[Any]) -> NDArray[Any]:
         """Values `(n, 3, ...)` of head and hands by their final names, from those of every frame."""
         values = np.array(columns)
         chosen = self.labels.exchanged
@@ -189,7 +164,7 @@ class BodyRecord(FrameRecord):
     @property
     def notes(self) -> list[str]:
         """What is out of the ordinary, a sentence each."""
-        notes = [*super().notes, *in_words(self.doubts)]
+        notes = [*notes_on_missing(self.missing), *in_words(self.doubts)]
         if self.relabelled:
             notes.append(
                 "By the whole film, left and right hand have changed their names in "

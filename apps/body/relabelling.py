@@ -1,18 +1,15 @@
 """Results in which left and right hand have changed their names, as a whole film says that they should."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...chains.body.samples import weighted_moments
-from ...models.array_files import read_arrays
 from ...models.body.inverse_kinematics import arm_at, swivels
 from ...models.body.poses import ANGLES, shoulder_rotations
 from ...models.body.upper_body import JOINTS, UpperBody
-from ...models.files import write_atomically
 from ...models.numerics.rotations import logarithm
 
 Array = NDArray[np.float64]
@@ -63,30 +60,18 @@ def with_names_exchanged(body: UpperBody, row: Row) -> dict[str, NDArray[Any]]:
     }
 
 
-def relabel(path: Path, body: UpperBody, exchanged: NDArray[np.bool_]) -> None:
-    """Exchange the names in these rows of a `poses.npz`, but for those in which that has been done.
-
-    It is replaced whole or not at all.
-
-    Parameters
-    ----------
-    path
-        of the file.
-    exchanged
-        `(n,)`: in which rows.
-
-    Raises
-    ------
-    OSError
-        if it cannot be written.
-    """
-    arrays = read_arrays(path, "expected poses.npz of a body", most=path.stat().st_size)
-    for index in np.flatnonzero(arrays["relabelled"] != exchanged).tolist():
-        row = with_names_exchanged(body, {name: arrays[name][index] for name in ROWS})
+def relabelled(
+    body: UpperBody, poses: Mapping[str, NDArray[Any]], exchanged: NDArray[np.bool_]
+) -> dict[str, NDArray[Any]]:
+    """Columns of `poses.npz` with the names exchanged in these rows `(n,)`, and `relabelled`, which are."""
+    columns = {**poses, "relabelled": np.zeros(len(exchanged), np.bool_)}
+    if exchanged.any():
+        columns |= {name: columns[name].copy() for name in ROWS}
+    for index in np.flatnonzero(exchanged).tolist():
+        row = with_names_exchanged(body, {name: columns[name][index] for name in ROWS})
         for name in ROWS:
-            arrays[name][index] = row[name]
-    with write_atomically(path) as unfinished:
-        np.savez(unfinished, allow_pickle=False, **arrays)
+            columns[name][index] = row[name]
+    return columns
 
 
 def _exchanged(body: UpperBody, joints: Array) -> tuple[Array, Array]:

@@ -15,18 +15,19 @@ import csv
 import io
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ...models.files import naming
-from ..exports.track_table import read_tracks_table
-from ..io.mot import LineWriter, TrackedObject
+from ...models.files import naming, write_text
+from ..io.mot import LineWriter
+from ..runs.row_log import RowLog
 from .zones import Zones
 
 ERROR = 0.05
@@ -109,7 +110,7 @@ class Event:
     duration: float | None = None
     direction: str = ""
 
-    def in_words(self) -> str:
+    def __str__(self) -> str:
         """For instance "12.5 s: 4 left pavement after 9.3 s"."""
         words = [f"{self.moment.time:.1f} s: {self.identity}", self.kind, self.zone, self.direction]
         if self.duration is not None:
@@ -304,53 +305,80 @@ COLUMNS = ("time", "frame", "event", "zone", "id", "x", "y", "duration", "direct
 """s, from 1, kind, name of the zone or line, identity, foot in px, s or empty, direction or empty."""
 
 
+class EventLog:
+    """What happens to zones in a run, frame after frame.
+
+    Parameters
+    ----------
+    zones
+        to look after.
+    log
+        the rows until now of a run that goes on: what happened there is found again.
+
+    Attributes
+    ----------
+    events
+        so far.
+    """
+
+    def __init__(self, zones: Zones, log: RowLog) -> None:
+        self._watch = Watch(zones)
+        self.events: list[Event] = []
+        for row, objects in log.frames():
+            self.add(int(row["number"]), float(row["time"]), objects)
+
+    def add(self, number: int, time: float, objects: Mapping[str, NDArray[Any]]) -> list[Event]:
+        """Go on with the objects of a frame, with the columns of `tracks.csv`, and return what happens."""
+        names = ("id", "x", "y", "width", "height", "seen")
+        there = zip(*(objects[name].tolist() for name in names), strict=True) if objects else ()
+        found = self._watch.take_in(round(time, 6), number, [sighting(*each) for each in there])
+        self.events += found
+        return found
+
+    def end(self, log: RowLog) -> None:
+        """Go on with what ends with the last frame."""
+        self.events += self._watch.end(int(log["number"][-1]) if len(log) else 0)
+
+
 class EventWriter(LineWriter):
     """`events.csv`, with the columns of `COLUMNS`, in the order in which events are known.
-
-    Those of a run that goes on are found again from its table of tracks: nothing is saved.
 
     Parameters
     ----------
     path
         of the file.
-    zones
-        to look after.
-    tracks
-        `tracks.csv` of the same run.
-    resume_after
-        number of the frame after which this run goes on; 0 for a new one.
+    events
+        so far.
     """
 
-    def __init__(self, path: Path, zones: Zones, tracks: Path, resume_after: int = 0) -> None:
+    def __init__(self, path: Path, events: Sequence[Event] = ()) -> None:
         super().__init__(path, ",".join(COLUMNS))
-        self._watch = Watch(zones)
-        self._last = resume_after
-        if resume_after:
-            for time, number, sightings in sightings_of(read_tracks_table(tracks), resume_after):
-                self.append(map(line_of, self._watch.take_in(time, number, sightings)))
+        self.append(map(line_of, events))
 
-    def write(self, number: int, time: float, tracks: Sequence[TrackedObject]) -> list[Event]:
-        """Append what happens in a frame, which is returned; who reads along sees it at once."""
-        self._last = number
-        found = self._watch.take_in(round(time, 6), number, map(sighting, tracks))
-        if found:
-            self.append(map(line_of, found))
+    def write(self, events: Sequence[Event]) -> None:
+        """Append what happens in a frame; who reads along sees it at once."""
+        if events:
+            self.append(map(line_of, events))
             with naming(self._path):
                 self._file.flush()
-        return found
-
-    def close(self) -> None:
-        """Complete the file with what ends with the last frame; a run that goes on drops that again."""
-        try:
-            self.append(map(line_of, self._watch.end(self._last)))
-        finally:
-            super().close()
 
 
-def sighting(track: TrackedObject) -> Sighting:
+def write_events(path: Path, events: Sequence[Event]) -> None:
+    """Write `events.csv`, whole or not at all."""
+    write_text(path, "\n".join([",".join(COLUMNS), *map(line_of, events), ""]))
+
+
+def sighting(identity: int, x: float, y: float, width: float, height: float, seen: bool) -> Sighting:
     """Foot and height of an object, rounded as in `tracks.csv`, so that both give the same events."""
-    x, y, width, height = (round(float(value), 2) for value in track.box)
-    return Sighting(track.identity, x + width / 2, y + height, height, bool(track.seen))
+    x, y, width, height = (round(float(value), 2) for value in (x, y, width, height))
+    return Sighting(int(identity), x + width / 2, y + height, height, bool(seen))
+
+
+def rounded(event: Event) -> Event:
+    """An event as `read_events` gives it back."""
+    time, frame, x, y = event.moment
+    duration = None if event.duration is None else round(event.duration, 3)
+    return replace(event, moment=Moment(round(time, 3), frame, round(x, 2), round(y, 2)), duration=duration)
 
 
 def sightings_of(

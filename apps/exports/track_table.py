@@ -2,7 +2,8 @@
 
 import math
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.files import LAST_FRAME
-from ..io.mot import LineWriter, TrackedObject, box_columns, check_box
+from ..io.mot import LineWriter, TrackedObject, check_box
 from ..io.tables import Row, lines_of
 
 TABLE = "tracks.csv"
@@ -32,6 +33,9 @@ COLUMNS: dict[str, type] = {
 
 HEADER = ",".join(COLUMNS)
 
+OF_OBJECTS = tuple(COLUMNS)[2:]
+"""Columns that are an object's own."""
+
 
 class TrackTableWriter(LineWriter):
     """`tracks.csv`, with the columns of `COLUMNS`; seen is 1 or 0, a velocity that is not known is empty.
@@ -49,11 +53,35 @@ class TrackTableWriter(LineWriter):
 
     def write(self, number: int, time: float, tracks: Sequence[TrackedObject]) -> None:
         """Append the objects of frame `number` (from 1) at `time` (s)."""
-        self.append(
-            f"{number},{time:.6f},{track.identity},{box_columns(track)},{track.confidence:.4f},"
-            f"{_known(track.velocity[0])},{_known(track.velocity[1])},{track.seen:d}"
-            for track in tracks
-        )
+        self.append(table_lines(number, time, columns_of(tracks)))
+
+
+def columns_of(tracks: Sequence[TrackedObject]) -> dict[str, NDArray[Any]]:
+    """The columns of `COLUMNS` but frame and time, `(n,)` an object."""
+    rows = [(track.identity, *track.box, track.confidence, *track.velocity, track.seen) for track in tracks]
+    return {
+        name: np.array(values, COLUMNS[name])
+        for name, values in zip(OF_OBJECTS, zip(*rows, strict=True) if rows else repeat(()), strict=False)
+    }
+
+
+def table_lines(number: int, time: float, objects: Mapping[str, NDArray[Any]]) -> list[str]:
+    """Lines of `tracks.csv` of a frame, whose objects have these columns."""
+    rows = zip(*(objects[name].tolist() for name in OF_OBJECTS), strict=True)
+    return [
+        f"{number},{time:.6f},{identity},{x:.2f},{y:.2f},{width:.2f},{height:.2f},{confidence:.4f},"
+        f"{_known(vx)},{_known(vy)},{seen:d}"
+        for identity, x, y, width, height, confidence, vx, vy, seen in rows
+    ]
+
+
+def mot_lines(number: int, objects: Mapping[str, NDArray[Any]]) -> list[str]:
+    """Lines of `tracks.txt` (see `TrackWriter`) of a frame, whose objects have these columns."""
+    rows = zip(*(objects[name].tolist() for name in OF_OBJECTS[:6]), strict=True)
+    return [
+        f"{number},{identity},{x + 1:.2f},{y + 1:.2f},{width:.2f},{height:.2f},{confidence:.4f},-1,-1,-1"
+        for identity, x, y, width, height, confidence in rows
+    ]
 
 
 def _known(value: float) -> str:

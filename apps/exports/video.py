@@ -7,6 +7,7 @@ import av
 import cv2
 import numpy as np
 
+from ...models.array_files import read_arrays
 from ...models.core.frame import Frame
 from ...models.files import write_atomically
 from ..body.page import drawing, with_final_names
@@ -47,7 +48,8 @@ def to_video(run: str | Path, out: str | Path) -> str:
         raise ValueError(f"{finished.folder}: holds no film, expected {FILM} and {ROWS}")
     film = read_film(finished.folder)
     if finished.summary.get("relabelled"):
-        film = with_final_names(film, finished.folder)
+        poses = read_arrays(finished.folder / "poses.npz", "expected the poses of a body")
+        film = with_final_names(film, poses)
     draw = _DRAWINGS[finished.application](finished)
     span = film.times[-1] - film.times[0]
     rate = (len(film.times) - 1) / span if span > 0 else 25.0

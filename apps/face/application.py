@@ -1,7 +1,7 @@
 """The face application: from a film of a face to its pose, deformation and texture in every frame."""
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from functools import cached_property, partial
 from itertools import chain
 from pathlib import Path
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...chains.face.gflow import GFlow
 from ...chains.face.recovery import DetectedFace, Finder
-from ...inference import Belief, MultiChain, RecursiveBP
+from ...inference import Belief, MultiChain
 from ...models.core.frame import Frame
 from ...models.face.built_in_model import face_model
 from ...models.face.detectors import PartDetector, default_faces
@@ -21,13 +21,12 @@ from ...models.face.morphable_model import MorphableModel
 from ...models.pixels.pixel_labels import PixelLabels
 from ..drawing.overlay import Draw, draw_face
 from ..io.point_files import read_points
-from ..io.segments import segment_pattern
-from ..io.sources.open_source import open_source
-from ..runs.film_run import FilmRun, Writer
+from ..io.sources.open_source import Source, open_source
 from ..runs.interruption import Outcome
+from ..runs.loop import Application, Columns, Engine, Start, run_film
 from ..runs.memory import EXPERT, FACE, FACE_EXPERT
-from ..runs.saved_run import SavedRun
-from ..view.film import Film, Row
+from ..runs.row_log import RowLog
+from ..view.film import Film
 from ..view.page import Page
 from .job import FaceJob
 from .landmark_files import GivenLandmarks
@@ -35,7 +34,6 @@ from .page import FaceDrawing, face_page
 from .record import FaceRecord
 from .start import FaceStart, find_face, start_from_box, start_from_landmarks
 from .texture import vertices_on_texture, write_textures
-from .writer import FaceWriter
 
 _log = logging.getLogger(__name__)
 
@@ -43,19 +41,35 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 
+POSES = {
+    "frame_numbers": "number", "times": "time", **{name: name for name in (
+        "weights", "rotations", "translations", "morphs", "mean_rotation", "mean_translation", "mean_morphs",
+        "vertices_2d", "vertices_3d", "covariance", "landmarks", "log_evidence", "fit", "lost",
+        "reinitialised", "missing",
+    )}
+}  # fmt: skip
+"""Arrays of `poses.npz` with a row a frame, and the columns of the log that they are: `frame_numbers`,
+`times` s; of the experts `weights (n_experts,)`, `rotations (n_experts, 3, 3)`, `translations (n_experts, 2)`
+px, `morphs (n_experts, n_bases)` px; of their mean `mean_rotation`, `mean_translation`, `mean_morphs`;
+`vertices_2d (n_vertices, 2)` px, `vertices_3d (n_vertices, 3)` px with depth, and `covariance (n_vertices, 3,
+3)` px squared, how the experts differ; `landmarks (n_landmarks, 2)` px, NaN for those that were missing at
+the start; `log_evidence` nats and `fit`, the share of the picture under the face that the texture explains,
+NaN where there is none; `lost`, `reinitialised`, `missing`. `bases (n_bases, n_vertices, 3)` and `triangles
+(n_triangles, 3)` of the person's model come once."""
+
 SMALL_EVERY = 25
 """Frames without a face until small ones are looked for again, which takes long."""
 
 
 def run_face(job: FaceJob) -> Outcome:
-    """Run the face application; see `FilmRun.carry_out`.
+    """Run the face application; see `run_film`.
 
     Frames that are missing, unreadable or blank (black, saturated) are predicted.
     """
     model = face_model() if job.model is None else read_model(job.model)
     if not len(model.triangles):
         raise ValueError(f"{job.model}: got a model without triangles, expected a surface with a texture")
-    return FaceRun(job, model, _given_landmarks(job)).carry_out()
+    return run_film(Face(job, model, _given_landmarks(job)))
 
 
 def _given_landmarks(job: FaceJob) -> GivenLandmarks | None:
@@ -75,118 +89,141 @@ def _given_landmarks(job: FaceJob) -> GivenLandmarks | None:
     return GivenLandmarks(rows, pairs, job.start, job.step)
 
 
-class FaceRun(FilmRun[FaceJob]):
-    """One run: where the face is in the first frame, its poses and texture, and the record for the page."""
+class Face(Application[FaceJob]):
+    """Where the face is in the first frame, its poses and texture, and how good they are."""
 
-    application = "face"
-    files = ("poses.npz", segment_pattern("poses.npz"), "texture.png", "texture_variance.png")
-    kinds: ClassVar[dict[str, Any]] = {
-        "start": FaceStart,
-        "record": FaceRecord.kinds(),
-    }
-    chains: ClassVar[dict[str, Any]] = {"gflow": GFlow}
+    name = "face"
+    files = ("poses.npz", "texture.png", "texture_variance.png")
+    schema: ClassVar[dict[str, Any]] = {"start": FaceStart}
 
     def __init__(self, job: FaceJob, model: MorphableModel, given: GivenLandmarks | None) -> None:
         super().__init__(job)
         self._model = model
         self._given = given
         self._textures: dict[str, Image] = {}
-        self._restarts = 0  # relocations until the frame before
-        self.record = FaceRecord()
 
-    @property
-    def bytes_needed(self) -> tuple[float, float]:
+    def bytes_needed(self, source: Source) -> tuple[float, float]:
         """Depends on the number of experts."""
         return FACE + self.job.experts * FACE_EXPERT, self.job.experts * EXPERT
 
-    def memory(self) -> dict[str, Any]:
-        """Who is tracked, and the record."""
-        return {"start": self._start, "record": self.record.saved()}
-
-    def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        """Find the face in the first frame that shows one."""
-        for first in frames:
-            start = self._found_in(first)
-            if start is not None:
-                break
-            self.before.append(first.number)
-        else:
-            if self._given is not None or len(self.before) == len(self.blank):
-                raise self.no_frame("holds no frame in which anything is to be seen")
-            raise self.no_frame("no face is found in it, expected one, or --landmarks")
-        found = "landmarks" if self._given else str(self.job.detector or "OpenCV's cascade of faces")
-        _log.info("start in frame %d, by %s", first.number, found)
-        if start.misfit is not None:
-            self.notes.append(start.misfit)
-        self._begin_with(start)
-        return chain([first], frames)
-
-    def go_on(self, memory: Mapping[str, Any]) -> None:
-        """Take up the face, and the record."""
-        self.record = FaceRecord.restored(memory["record"])
-        self._begin_with(memory["start"])
-
-    def learn_from(self, saved: SavedRun) -> None:
-        """Take the face and its texture."""
-        experts = len(saved.state.states["gflow"].poses)
-        if experts != self.job.experts:
-            raise ValueError(f"--experts: got {self.job.experts}, expected {experts} like {self.job.learned}")
-        self._begin_with(saved.memory["start"])
-
-    def _begin_with(self, start: FaceStart) -> None:
-        job = self.job
-        self._start = start
-        self._drawing = FaceDrawing(start.model)
+    def build(self, start: Start) -> Engine:
+        """Take the face that is known from another run, or find it in the first frame that shows one."""
+        job, memory = self.job, start.memory(self.schema)
+        self._start = face = self._found(start) if memory is None else memory["start"]
+        self._drawing = FaceDrawing(face.model)
         self._chain = GFlow(
-            start.model,
-            start.pose,
+            face.model,
+            face.pose,
             experts=job.experts,
             gain=job.gain,
-            finder=self._finder(start),
+            finder=self._finder(face),
             seed=job.seed,
         )
-        self.engine = RecursiveBP(MultiChain().connect(self._chain, PixelLabels()))
-        if self.state.states:
-            self._restarts = self.state.states["gflow"].relocations
+        self._engine = start.filter(MultiChain().connect(self._chain, PixelLabels()))
+        before = self._engine.state.states.get("gflow")
+        self._restarts = 0 if before is None else before.relocations  # until the frame before
+        if before is not None and len(before.poses) != job.experts:
+            raise ValueError(f"--experts: got {job.experts}, expected {len(before.poses)} like {job.learned}")
+        return self._engine
 
-    def writers(self, rate: float, after: int) -> list[Writer]:
-        """Poses."""
-        self._writer = FaceWriter(self.job.out, after, self._chain, self._start, self._given, self.record)
-        return [self._writer]
+    def _found(self, start: Start) -> FaceStart:
+        """The face in the first frame that shows one; frames before it are left out."""
+        for first in start.frames:
+            face = self._found_in(first, start)
+            if face is not None:
+                break
+            start.before.append(first.number)
+        else:
+            if self._given is not None or len(start.before) == len(start.blank):
+                raise start.no_frame("holds no frame in which anything is to be seen")
+            raise start.no_frame("no face is found in it, expected one, or --landmarks")
+        found = "landmarks" if self._given else str(self.job.detector or "OpenCV's cascade of faces")
+        _log.info("start in frame %d, by %s", first.number, found)
+        if face.misfit is not None:
+            start.notes.append(face.misfit)
+        start.frames = chain([first], start.frames)
+        return face
 
-    def take_in(self, belief: Belief, found: Any, seconds: float) -> None:
-        """Write the frame's poses."""
-        state = belief[self._chain]
-        self._row = self._writer.add(
-            belief.frame, state, seconds, restarted=state.relocations > self._restarts
+    def columns(self, belief: Belief) -> Columns:
+        """Poses of the experts, their mean, and how sure they are."""
+        frame, state = belief.frame, belief[self._chain]
+        mean = self._chain.mean_pose(state)
+        vertices, covariance = self._chain.vertices(state)
+        present = self._start.present
+        landmarks = np.full((len(present), 2), np.nan)
+        if present.any():
+            landmarks[present] = self._chain.points(state, self._start.points)
+        # the first picture shows the texture, which nothing could predict
+        unpredicted = frame.missing or state.frames_seen == 1
+        evidence, fit = (np.nan, np.nan) if unpredicted else (state.log_evidence, state.fit)
+        error = np.nan if self._given is None else self._given.error(frame.number, landmarks)
+        restarted, self._restarts = state.relocations > self._restarts, state.relocations
+        row = {
+            "weights": state.weights,
+            "rotations": state.poses.rotations,
+            "translations": state.poses.translations,
+            "morphs": state.poses.morphs,
+            "mean_rotation": mean.rotations[0],
+            "mean_translation": mean.translations[0],
+            "mean_morphs": mean.morphs[0],
+            "vertices_2d": vertices[:, :2].astype(np.float32),
+            "vertices_3d": vertices.astype(np.float32),
+            "covariance": covariance.astype(np.float32),
+            "landmarks": landmarks,
+            "log_evidence": np.float64(evidence),
+            "fit": np.float64(fit),
+            "lost": np.bool_(state.lost),
+            "reinitialised": np.bool_(restarted),
+            "missing": np.bool_(frame.missing),
+        }
+        return Columns(
+            {**row, "error": np.float64(error)},
+            drawn=partial(self._drawing.drawn, row, error),
+            live={"face": "lost" if state.lost else "tracked"},
         )
-        self._restarts = state.relocations
-
-    def drawn(self, belief: Belief, found: Any) -> Callable[[], Row]:
-        """Pose and points."""
-        return partial(self._drawing.drawn, self._row, self.record.errors[-1])
 
     def drawing(self) -> Draw:
         """Points of the face, and landmarks."""
         return draw_face
 
-    def told(self, belief: Belief, found: Any) -> dict[str, object]:
-        """Whether the face is lost."""
-        return {"face": "lost" if belief[self._chain].lost else "tracked"}
+    def state_dict(self) -> dict[str, Any]:
+        """Who is tracked."""
+        return {"start": self._start}
 
-    @property
-    def title(self) -> str:
-        """The source, and what of it is followed."""
-        return f"{Path(self.source.name).name}: face"
+    def finish(self, log: RowLog) -> dict[str, Any]:
+        """Write poses and texture; how the track began, where it was lost, and errors against landmarks."""
+        start, record, out = self._start, FaceRecord(log), self.job.out
+        constants = {"bases": start.model.bases, "triangles": start.model.triangles}
+        log.write_arrays(out / "poses.npz", constants, POSES)
+        white, self._textures = write_textures(out, self._chain, self._engine.state.states["gflow"])
+        if self.job.learned is not None:
+            origin = "another run"
+        else:
+            origin = "face detector" if start.fit_error is None else "landmarks"
+        return {
+            "start": origin,
+            "start_fit_error_px": start.fit_error,
+            "start_fit": None if np.isnan(record.start_fit) else record.start_fit,
+            "landmarks": len(start.present),
+            "vertices": start.model.n_vertices,
+            "bases": start.model.n_bases,
+            "lost_frames": len(record.lost),
+            "lost": record.lost_periods,
+            "reinitialised": record.restarted,
+            "log_evidence": record.evidence_measures,
+            "error": None if self._given is None else record.error_measures(self._given.size),
+            "texture_variance_of_white": white,
+            "notes": record.notes,
+        }
 
-    def page(self, film: Film | None, summary: Mapping[str, Any]) -> Page:
+    def page(self, log: RowLog, film: Film | None, summary: Mapping[str, Any]) -> Page:
         """The face over the film and in space, and what is to be said of it."""
-        state = self.state.states["gflow"]
+        state, model = self._engine.state.states["gflow"], self._start.model
         morphs = self._chain.mean_pose(state).morphs[0]
-        places = vertices_on_texture(self._start.model, morphs, self._chain.object.texels)
+        places = vertices_on_texture(model, morphs, self._chain.object.texels)
         layer = {} if film is None else self._drawing.layer(film, self._textures, places)
-        names = self._start.model.names
-        return face_page(self.title, self.record, summary, film, layer, names)
+        title = f"{Path(summary['source']).name}: face"
+        return face_page(title, FaceRecord(log), summary, film, layer, model.names)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """How much was lost, and the error."""
@@ -216,17 +253,17 @@ class FaceRun(FilmRun[FaceJob]):
             self.job.detector, "--landmarks of the first frame, or a model file of YuNet as --detector"
         )
 
-    def _found_in(self, frame: Frame) -> FaceStart | None:
+    def _found_in(self, frame: Frame, start: Start) -> FaceStart | None:
         """Where the face is in a frame; `None` if it is not found, or nothing is to be seen."""
         if frame.image is None:
             return None
         if self._given is None:
-            box = find_face(frame, self._faces, small=len(self.before) % SMALL_EVERY == 0)
+            box = find_face(frame, self._faces, small=len(start.before) % SMALL_EVERY == 0)
             return None if box is None else start_from_box(self._model, box)
         landmarks = self._given.of_frame(frame.number)
         if landmarks is None:
             landmarks = self._given.rows[-1]
-            self.notes.append(
+            start.notes.append(
                 f"There are no landmarks of frame {frame.number}; those of a frame before are taken for it."
             )
         try:
@@ -234,30 +271,6 @@ class FaceRun(FilmRun[FaceJob]):
             return start_from_landmarks(self._model, landmarks, self._given.pairs)
         except ValueError as error:
             raise ValueError(f"{self.job.landmarks}: {error}") from None
-
-    def facts(self) -> dict[str, Any]:
-        """How the track began, where it was lost, and errors against landmarks."""
-        start, record = self._start, self.record
-        if self.job.learned is not None:
-            origin = "another run"
-        else:
-            origin = "face detector" if start.fit_error is None else "landmarks"
-        white, self._textures = write_textures(self.job.out, self._chain, self.state.states["gflow"])
-        return {
-            "start": origin,
-            "start_fit_error_px": start.fit_error,
-            "start_fit": None if np.isnan(record.start_fit) else record.start_fit,
-            "landmarks": len(start.present),
-            "vertices": start.model.n_vertices,
-            "bases": start.model.n_bases,
-            "lost_frames": len(record.lost),
-            "lost": record.lost_periods,
-            "reinitialised": record.restarted,
-            "log_evidence": record.evidence_measures,
-            "error": None if self._given is None else record.error_measures(self._given.size),
-            "texture_variance_of_white": white,
-            "notes": record.notes,
-        }
 
 
 def _check_inside(landmarks: Array, image: Image) -> None:

@@ -1,17 +1,13 @@
-"""What summary and page need of a face-tracking run, gathered frame by frame."""
+"""What summary and page need of a face-tracking run."""
 
-from array import array
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ...models.core.frame import Frame
-from ...models.face.pose import Poses
-from ..runs.frame_lists import listed, listed_periods, periods
-from ..runs.frame_record import FrameRecord
+from ..runs.frame_lists import listed, listed_periods, notes_on_missing, periods
+from ..runs.row_log import RowLog
 
 Array = NDArray[np.float64]
 ANGLES = ("turned to the left", "tilted down", "leaned clockwise")
@@ -30,12 +26,20 @@ def angles(rotation: Array) -> Array:
     return np.array([turned, tilted, leaned])
 
 
-@dataclass(eq=False, kw_only=True)
-class FaceRecord(FrameRecord):
-    """What summary and page need of a run, gathered frame by frame: a few numbers each.
+class FaceRecord:
+    """What summary and page need of a run, a few numbers a frame.
 
     Parameters
     ----------
+    log
+        the rows of the run.
+
+    Attributes
+    ----------
+    numbers, times
+        of the frames, 1-based and seconds.
+    missing, lost, restarted
+        numbers of the frames in which that was so.
     log_evidence
         nats; NaN in the first frame, and where nothing was to be seen.
     fits
@@ -45,46 +49,19 @@ class FaceRecord(FrameRecord):
     experts
         effective number of experts, 1 / sum of squared weights.
     angles, morphs
-        a frame each: `(3,)` degrees, see `angles`, and `(n_bases,)` px.
-    lost, restarted
-        numbers of the frames in which that was so.
+        `(n_frames, 3)` degrees, see `angles`, and `(n_frames, n_bases)` px, of the mean.
     """
 
-    log_evidence: "array[float]" = field(default_factory=lambda: array("d"))
-    fits: "array[float]" = field(default_factory=lambda: array("d"))
-    errors: "array[float]" = field(default_factory=lambda: array("d"))
-    experts: "array[float]" = field(default_factory=lambda: array("d"))
-    angles: list[Array] = field(default_factory=list)
-    morphs: list[Array] = field(default_factory=list)
-    lost: list[int] = field(default_factory=list)
-    restarted: list[int] = field(default_factory=list)
-
-    def add(
-        self,
-        frame: Frame,
-        mean: Poses,
-        weights: Array,
-        log_evidence: float,
-        fit: float,
-        error: float,
-        seconds: float,
-        *,
-        lost: bool,
-        restarted: bool,
-    ) -> None:
-        """Take in a frame."""
-        self.numbers.append(frame.number)
-        self.times.append(frame.time)
-        self.log_evidence.append(log_evidence)
-        self.fits.append(fit)
-        self.errors.append(error)
-        self.experts.append(1 / float(weights @ weights))
-        self.seconds.append(seconds)
-        self.angles.append(angles(mean.rotations[0]))
-        self.morphs.append(mean.morphs[0])
-        for numbers, so in ((self.lost, lost), (self.missing, frame.missing), (self.restarted, restarted)):
-            if so:
-                numbers.append(frame.number)
+    def __init__(self, log: RowLog) -> None:
+        self.numbers: list[int] = log["number"].tolist()
+        self.times: list[float] = log["time"].tolist()
+        self.missing, self.lost, self.restarted = (
+            log["number"][log[name].astype(np.bool_)].tolist()
+            for name in ("missing", "lost", "reinitialised")
+        )
+        self.log_evidence, self.fits, self.errors = log["log_evidence"], log["fit"], log["error"]
+        self.experts = 1 / np.square(log["weights"]).sum(axis=1)
+        self.angles, self.morphs = np.array([*map(angles, log["mean_rotation"])]), log["mean_morphs"]
 
     @property
     def lost_periods(self) -> list[tuple[int, int]]:
@@ -101,7 +78,7 @@ class FaceRecord(FrameRecord):
     @property
     def notes(self) -> list[str]:
         """What is out of the ordinary, a sentence each."""
-        notes = super().notes
+        notes = notes_on_missing(self.missing)
         if self.start_fit < START_FIT - 1e-6:
             notes.append(
                 f"The start may be poor: its texture explains {self.start_fit:.3f} of the face in the first "

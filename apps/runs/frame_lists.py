@@ -28,3 +28,8 @@ def periods(all_numbers: Sequence[int], chosen: Sequence[int]) -> list[tuple[int
 def listed_periods(found: Sequence[tuple[int, int]]) -> str:
     """For instance "frames 5 to 7, 20"."""
     return listed([f"{first} to {last}" if last > first else str(first) for first, last in found])
+
+
+def notes_on_missing(numbers: Sequence[int]) -> list[str]:
+    """A sentence about frames without anything to see, if there are any."""
+    return [f"Missing, unreadable or blank, and only predicted: {listed(numbers)}."] if numbers else []

@@ -1,14 +1,11 @@
 """`state.npz`: all that a run needs to go on, and what another run may learn from it."""
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from ...inference.engine import checkpoint
 from ...inference.engine.recursive_bp import RunState
-from .interruption import Interrupted
 
 STATE = "state.npz"
 
@@ -30,74 +27,97 @@ ABOUT = {
 """The same of a run over a film, for `checkpoint`."""
 
 
-@dataclass(frozen=True, eq=False)
 class SavedRun:
-    """What is saved of a run over a film.
+    """What is saved of a run over a film, read from its file.
 
     Parameters
+    ----------
+    path
+        of the file.
+    application
+        which one has saved it.
+    settings
+        of the run that goes on with it; `None` for one that only learns from it.
+
+    Attributes
     ----------
     about
         plain JSON: `application`, `settings`, `source` (its fingerprint), whether that was `live`, the
         `clock` (s since 1970) when it was saved, `seconds` of work, numbers of the frames `before`
         the track starts and of `blank` ones, `notes`, and the summary if it is `finished`.
-    state
-        of the engine.
-    memory
-        what the application keeps beside it.
+
+    Raises
+    ------
+    ValueError
+        if it is broken, another application's, or of a run with other settings.
+    OSError
+        if it cannot be read.
     """
 
-    about: dict[str, Any]
-    state: RunState
-    memory: dict[str, Any]
+    def __init__(self, path: Path, application: str, settings: Mapping[str, Any] | None = None) -> None:
+        self.path = path
+        self._contents = checkpoint.read(path)
+        about_of(self._contents, application, settings)
+        self.about: dict[str, Any] = self._part("about", ABOUT)
 
-    def save(self, path: Path, chains: Mapping[str, Any], kinds: Mapping[str, Any]) -> None:
-        """Write everything, or nothing; `chains` and `kinds` say what states and memory are made of.
+    @property
+    def number(self) -> int:
+        """Of the last frame; 0 of a run that has not come beyond its beginning."""
+        run = self._contents.plain("run")
+        return int(run["number"]) if isinstance(run, dict) and isinstance(run.get("number"), int) else 0
 
-        Raises
-        ------
-        OSError
-            if it cannot be written.
-        """
-        values = {"about": self.about, "run": self.state.saved(), "memory": self.memory}
-        checkpoint.save(path, values, _kinds(chains, kinds))
+    @property
+    def shape(self) -> tuple[int, ...] | None:
+        """Of its frames' images; `None` where there was none."""
+        run = self._contents.plain("run")
+        shape = run.get("shape") if isinstance(run, dict) else None
+        return tuple(shape) if isinstance(shape, list) else None
 
-    @classmethod
-    def load(
-        cls,
-        path: Path,
-        application: str,
-        chains: Mapping[str, Any],
-        kinds: Mapping[str, Any],
-        settings: Mapping[str, Any] | None = None,
-    ) -> Self:
-        """Read what `save` wrote.
-
-        Parameters
-        ----------
-        path
-            of the file.
-        application
-            which one has saved it.
-        chains, kinds
-            as of `save`.
-        settings
-            of the run that goes on with it; `None` for one that only learns from it.
+    def state(self, chains: Mapping[str, Any]) -> RunState:
+        """That of the engine, of these chains by name.
 
         Raises
         ------
         ValueError
-            if it is broken, another application's, or of a run with other settings.
-        OSError
-            if it cannot be read.
+            if it is of others.
         """
-        contents = checkpoint.read(path)
-        about_of(contents, application, settings)
-        values = checkpoint.load(contents, _kinds(chains, kinds))
-        return cls(values["about"], RunState.restored(values["run"]), values["memory"])
+        return RunState.restored(self._part("run", RunState.kinds(chains)))
+
+    def memory(self, schema: Mapping[str, Any]) -> dict[str, Any]:
+        """What the application has kept beside it.
+
+        Raises
+        ------
+        ValueError
+            if that is no such thing as `schema` says.
+        """
+        memory: dict[str, Any] = self._part("memory", schema)
+        return memory
+
+    def _part(self, name: str, kinds: Mapping[str, Any]) -> Any:
+        whole = self._contents
+        arrays = {place: array for place, array in whole.arrays.items() if place.split("/")[0] == name}
+        part = checkpoint.Contents(whole.path, {name: whole.plain(name)}, arrays)
+        return checkpoint.load(part, {name: kinds})[name]
 
 
-def _kinds(chains: Mapping[str, Any], kinds: Mapping[str, Any]) -> dict[str, Any]:
-    return {"about": ABOUT, "run": RunState.kinds(chains), "memory": kinds}
+def save_run(
+    path: Path,
+    about: Mapping[str, Any],
+    state: RunState,
+    chains: Mapping[str, Any],
+    memory: Mapping[str, Any],
+    schema: Mapping[str, Any],
+) -> None:
+    """Write what `SavedRun` reads, everything or nothing.
+
+    Raises
+    ------
+    OSError
+        if it cannot be written.
+    """
+    values = {"about": dict(about), "run": state.saved(), "memory": dict(memory)}
+    checkpoint.save(path, values, {"about": ABOUT, "run": RunState.kinds(chains), "memory": schema})
 
 
 def about_of(
@@ -123,23 +143,6 @@ def about_of(
     if settings is not None:
         refuse_other("parameters", about["settings"], settings)
     return about
-
-
-@contextmanager
-def saying_how_to_go_on(way: Callable[[], str | None]) -> Iterator[None]:
-    """Have the line of a run that is interrupted say in which way it goes on, if there is one by then.
-
-    Raises
-    ------
-    Interrupted
-        with that line.
-    """
-    try:
-        yield
-    except Interrupted as stop:
-        if way() is None:
-            raise
-        raise Interrupted(stop.signal, f"interrupted: {way()}") from None
 
 
 def check_source(about: Mapping[str, Any], fingerprint: Mapping[str, Any]) -> None:

@@ -17,99 +17,98 @@ from ..io.sources.open_source import Selection
 from ..runs.frame_lists import shortened
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.progress import Progress
-from ..runs.run import Run
+from ..runs.session import Session
 from ..view.page import VIEW, write_page
 from .files import MODEL, SHAPES, write_shapes
 from .job import AUTO, ShapeJob
 from .page import shape_page
 from .result import LearnedShape, Numbers
 
+NAME = "shape"
+
 
 def run_shape(job: ShapeJob) -> Outcome:
-    """Run the shape application; see `Run.carry_out`.
+    """Run the shape application; all results are in the job's folder afterwards.
 
     Nothing is saved before the end: a run takes seconds, and there is no `--resume`.
+
+    Raises
+    ------
+    ValueError, OSError, Interrupted
+        as `run_film` does.
     """
-    return ShapeRun(job).carry_out()
-
-
-class ShapeRun(Run[ShapeJob]):
-    """One run: tracks are read, a shape is learned, everything is written."""
-
-    application = "shape"
-    files = (SHAPES, MODEL)
-
-    def work(self) -> Outcome:
-        """Read, learn, write."""
-        job = self.job
+    session = Session(NAME, job, job.settings())
+    with session.running():
         selection = Selection(job.start, job.stop, job.step)
         tracks, numbers = read_track_file(Path(job.source), selection)
         truth = None if job.truth is None else _read_truth(job.truth, tracks, numbers)
-        results = list(self.interruption.items(self._learned(tracks, numbers)))
+        results = list(session.interruption.items(_learned(job, tracks, numbers)))
         if not results:
-            assert self.interruption.signal is not None  # or there would be one
-            raise Interrupted(self.interruption.signal)
-        self.begin_results()
-        summary = self._written(results[0], truth)
-        return self.outcome(summary, signalled=self.interruption.signal is not None)
+            assert session.interruption.signal is not None  # or there would be one
+            raise Interrupted(session.interruption.signal)
+        session.begin_results((SHAPES, MODEL))
+        summary = _written(session, results[0], truth)
+        session.ended_early = session.interruption.signal is not None
+        return session.outcome(summary, in_words(summary))
 
-    def _learned(self, tracks: Numbers, numbers: range) -> Iterator[LearnedShape]:
-        """The only item is what is found: a signal ends it at once, and later leaves complete results."""
-        job = self.job
-        with Progress(self.application, None, unit="iterations") as progress:
-            try:
-                choice = choose_bases(tracks, on_iteration=progress.update) if job.bases == AUTO else None
-                bases = choice.bases if choice is not None else int(job.bases)
-                learned = learn_shape(tracks, bases, smooth=job.smooth, on_iteration=progress.update)
-                yield LearnedShape(tracks, numbers, learned, choice)
-            except ValueError as error:
-                raise ValueError(f"{job.source}: {error}") from error
 
-    def _written(self, found: LearnedShape, truth: Numbers | None) -> dict[str, Any]:
-        """Write all results; return the content of `summary.json`."""
-        folder, learned = self.job.out, found.learned
-        self.notes += _notes(found)
-        write_shapes(folder / SHAPES, found)
-        write_model(learned.model(), folder / MODEL)
-        choice = found.choice
-        facts = {
-            "points": found.tracks.shape[1],
-            "bases": len(learned.bases),
-            "observations": int(np.count_nonzero(found.observed)),
-            "reprojection_rmse_px_per_point": math.sqrt(2) * learned.rmse,
-            "reprojection_rmse_px_per_coordinate": learned.rmse,
-            "reprojection_of_size": learned.relative_error,
-            "noise_px_per_coordinate": learned.noise,
-            "log_likelihood": learned.log_likelihood,
-            "iterations": len(learned.history),
-            "e3d": None if truth is None else shape_error(found.shapes, truth),
-            "rivals": [asdict(rival) for rival in learned.rivals],
-            "held_out": None
-            if choice is None
-            else [
-                {"bases": bases, "error_px_per_coordinate": error}
-                for bases, error in zip(choice.candidates, choice.errors.tolist(), strict=True)
-            ],
-            "notes": self.notes,
-            "seconds": self.seconds(),
-        }
-        summary = self.summary(self.job.source, found.numbers, [], facts)
-        title = f"{Path(self.job.source).name}: a shape that deforms"
-        write_page(folder / VIEW, shape_page(title, found, summary))
-        write_json(folder / "summary.json", summary)
-        return summary
+def _learned(job: ShapeJob, tracks: Numbers, numbers: range) -> Iterator[LearnedShape]:
+    """The only item is what is found: a signal ends it at once, and later leaves complete results."""
+    with Progress(NAME, None, unit="iterations") as progress:
+        try:
+            choice = choose_bases(tracks, on_iteration=progress.update) if job.bases == AUTO else None
+            bases = choice.bases if choice is not None else int(job.bases)
+            learned = learn_shape(tracks, bases, smooth=job.smooth, on_iteration=progress.update)
+            yield LearnedShape(tracks, numbers, learned, choice)
+        except ValueError as error:
+            raise ValueError(f"{job.source}: {error}") from error
 
-    def in_words(self, summary: Mapping[str, Any]) -> list[str]:
-        """Points, and how well they fit."""
-        return [
-            f"{summary['frames']} frames, {summary['points']} points, {summary['bases']} bases",
-            f"reprojection error {summary['reprojection_rmse_px_per_point']:.3g} px per point, "
-            f"{summary['reprojection_rmse_px_per_coordinate']:.3g} px per coordinate, "
-            f"{summary['reprojection_of_size']:.2%} of the object's size; "
-            f"noise {summary['noise_px_per_coordinate']:.3g} px per coordinate",
-            f"log likelihood {summary['log_likelihood']:.6g} nats",
-            *([] if summary["e3d"] is None else [f"error in 3-D (e3D) {summary['e3d']:.4f}"]),
-        ]
+
+def _written(session: Session, found: LearnedShape, truth: Numbers | None) -> dict[str, Any]:
+    """Write all results; return the content of `summary.json`."""
+    folder, learned, notes = session.job.out, found.learned, _notes(found)
+    write_shapes(folder / SHAPES, found)
+    write_model(learned.model(), folder / MODEL)
+    choice = found.choice
+    facts = {
+        "points": found.tracks.shape[1],
+        "bases": len(learned.bases),
+        "observations": int(np.count_nonzero(found.observed)),
+        "reprojection_rmse_px_per_point": math.sqrt(2) * learned.rmse,
+        "reprojection_rmse_px_per_coordinate": learned.rmse,
+        "reprojection_of_size": learned.relative_error,
+        "noise_px_per_coordinate": learned.noise,
+        "log_likelihood": learned.log_likelihood,
+        "iterations": len(learned.history),
+        "e3d": None if truth is None else shape_error(found.shapes, truth),
+        "rivals": [asdict(rival) for rival in learned.rivals],
+        "held_out": None
+        if choice is None
+        else [
+            {"bases": bases, "error_px_per_coordinate": error}
+            for bases, error in zip(choice.candidates, choice.errors.tolist(), strict=True)
+        ],
+        "notes": notes,
+        "seconds": session.seconds(),
+    }
+    summary = session.summary(session.job.source, found.numbers, [], facts)
+    title = f"{Path(session.job.source).name}: a shape that deforms"
+    write_page(folder / VIEW, shape_page(title, found, summary))
+    write_json(folder / "summary.json", summary)
+    return summary
+
+
+def in_words(summary: Mapping[str, Any]) -> list[str]:
+    """Points, and how well they fit."""
+    return [
+        f"{summary['frames']} frames, {summary['points']} points, {summary['bases']} bases",
+        f"reprojection error {summary['reprojection_rmse_px_per_point']:.3g} px per point, "
+        f"{summary['reprojection_rmse_px_per_coordinate']:.3g} px per coordinate, "
+        f"{summary['reprojection_of_size']:.2%} of the object's size; "
+        f"noise {summary['noise_px_per_coordinate']:.3g} px per coordinate",
+        f"log likelihood {summary['log_likelihood']:.6g} nats",
+        *([] if summary["e3d"] is None else [f"error in 3-D (e3D) {summary['e3d']:.4f}"]),
+    ]
 
 
 def _read_truth(path: Path, tracks: Numbers, numbers: range) -> Numbers:

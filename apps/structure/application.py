@@ -25,8 +25,8 @@ from ..runs.frame_lists import listed
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, check_memory
 from ..runs.progress import Progress
-from ..runs.run import OVERLAY, Run
 from ..runs.saved_run import STATE, about_of, check_source
+from ..runs.session import OVERLAY, Session
 from ..view.page import VIEW, write_page
 from .camera import camera_in_words, in_perspective, lens_of
 from .diagnosis import (
@@ -95,46 +95,55 @@ class Film:
     stream: dict[str, Any] | None = None
 
 
+NAME = "structure"
+FILES = (
+    "structure.ply",
+    "cameras.json",
+    "tracks.npz",
+    "predictions.npz",
+    *(f"{COLMAP}/{name}" for name in COLMAP_FILES),
+)
+
+
 def run_structure(job: StructureJob) -> Outcome:
-    """Run the structure application; see `Run.carry_out`.
+    """Run the structure application; all results are in the job's folder afterwards.
 
-    The state is saved after every round of the ascent. A source that breaks in the middle leaves no results.
+    The state is saved after every round of the ascent. A signal ends it after the current one, with complete
+    results. A source that breaks in the middle leaves none.
+
+    Raises
+    ------
+    ValueError, OSError, Interrupted
+        as `run_film` does.
     """
-    return StructureRun(job).carry_out()
+    session = Session(NAME, job, job.settings())
+    with session.running():
+        return _StructureRun(job, session).run()
 
 
-class StructureRun(Run[StructureJob]):
+class _StructureRun:
     """One run: the film, and how far the ascent has come."""
 
-    application = "structure"
-    files = (
-        "structure.ply",
-        "cameras.json",
-        "tracks.npz",
-        "predictions.npz",
-        *(f"{COLMAP}/{name}" for name in COLMAP_FILES),
-    )
-
-    def __init__(self, job: StructureJob) -> None:
-        super().__init__(job)
+    def __init__(self, job: StructureJob, session: Session) -> None:
+        self.job, self._session = job, session
         self._state = job.out / STATE
         self._begun = False
 
-    def work(self) -> Outcome:
+    def run(self) -> Outcome:
         """Read, ascend, write."""
-        job = self.job
+        job, session = self.job, self._session
         saved = about = None
         if job.resume and self._state.exists():
             saved = checkpoint.read(self._state)
-            about = about_of(saved, self.application, self.settings)
-            self._earlier_seconds = about["seconds"]
-            self._is_saved = True
+            about = about_of(saved, NAME, session.settings)
+            session.earlier_seconds = about["seconds"]
+            session.saved = True
         self._film = film = read_film(job)
-        self.fingerprint = film.fingerprint
+        session.fingerprint = film.fingerprint
         if about is not None:
             check_source(about, film.fingerprint)
             if about["finished"]:
-                return self.outcome(about["finished"])
+                return session.outcome(about["finished"], in_words(about["finished"]))
         lacking = too_little(film.frames, film.n_tracks)
         if lacking is not None:
             return self._nothing(lacking)
@@ -151,12 +160,12 @@ class StructureRun(Run[StructureJob]):
         found = in_perspective(found, solution, film.n_tracks, job.camera, lens)
         found = without_false_depth(found, from_images=film.n_tracks is None)
         lost = film.stream is not None and film.stream["lost"] is not None
-        self._ended_early = lost or self.interruption.signal is not None
+        session.ended_early = lost or session.interruption.signal is not None
         diagnosis = no_depth(found, observations_of(solution)) if found.geometry == "none" else None
         summary = self._written(found, about_lens, diagnosis)
-        if not self._ended_early:
+        if not session.ended_early:
             self._save(solution, finished=summary)
-        return self.outcome(summary, signalled=self._ended_early)
+        return session.outcome(summary, in_words(summary))
 
     def _ascended(self, after: Solution | None) -> Solution:
         """The best solution, when the ascent ends or a signal arrives; saved after every round."""
@@ -164,8 +173,8 @@ class StructureRun(Run[StructureJob]):
         done = 0 if after is None else len(after.rounds)
         rounds = self._engine.rounds(self._film.frames, after=after)
         try:
-            with Progress(self.application, MOST_ROUNDS, done, unit="rounds") as progress:
-                for solution in self.interruption.items(rounds):
+            with Progress(NAME, MOST_ROUNDS, done, unit="rounds") as progress:
+                for solution in self._session.interruption.items(rounds):
                     self._begin_once()
                     best = solution
                     self._save(best)
@@ -173,19 +182,19 @@ class StructureRun(Run[StructureJob]):
         except ValueError as error:
             raise NoShapeError(str(error).removeprefix("positions: ")) from None
         if best is None:
-            assert self.interruption.signal is not None  # or there would be a first round
-            raise Interrupted(self.interruption.signal)
+            assert self._session.interruption.signal is not None  # or there would be a first round
+            raise Interrupted(self._session.interruption.signal)
         self._begin_once()
         return best
 
     def _begin_once(self) -> None:
         if not self._begun:
-            self.begin_results()
+            self._session.begin_results(FILES)
             self._begun = True
 
     def _save(self, solution: Solution, finished: dict[str, Any] | None = None) -> None:
-        self._engine.save(self._state, solution, self.about(finished))
-        self._is_saved = True
+        self._engine.save(self._state, solution, self._session.about(finished))
+        self._session.saved = True
 
     def _written(self, found: Reconstruction, about_lens: str, diagnosis: Diagnosis | None) -> dict[str, Any]:
         """Write all results; return the content of `summary.json`."""
@@ -225,7 +234,7 @@ class StructureRun(Run[StructureJob]):
             "stream": film.stream,
             "objective": list(found.objective),
             "notes": notes,
-            "seconds": self.seconds(),
+            "seconds": self._session.seconds(),
         }
         summary = self._summary(facts)
         if film.n_tracks is None:
@@ -255,7 +264,7 @@ class StructureRun(Run[StructureJob]):
             "diagnosis": diagnosis.plain(),
             "stream": film.stream,
             "notes": notes,
-            "seconds": self.seconds(),
+            "seconds": self._session.seconds(),
         }
         summary = self._summary(facts)
         seen = film.n_tracks is None and any(frame.image is not None for frame in film.frames)
@@ -263,29 +272,30 @@ class StructureRun(Run[StructureJob]):
         page = nothing_page(self._title, film.frames, diagnosis.figures, summary, shown)
         write_page(folder / VIEW, page)
         write_json(folder / "summary.json", summary)
-        checkpoint.save(self._state, {"about": self.about(summary)}, {"about": dict[str, Any]})
-        return self.outcome(summary)
+        checkpoint.save(self._state, {"about": self._session.about(summary)}, {"about": dict[str, Any]})
+        return self._session.outcome(summary, in_words(summary))
 
     def _summary(self, facts: Mapping[str, Any]) -> dict[str, Any]:
         film = self._film
         missing = [frame.number for frame in film.frames if frame.missing]
-        return self.summary(film.name, [frame.number for frame in film.frames], missing, facts)
+        return self._session.summary(film.name, [frame.number for frame in film.frames], missing, facts)
 
     @property
     def _title(self) -> str:
         return f"{Path(self._film.name).name}: structure from motion"
 
-    def in_words(self, summary: Mapping[str, Any]) -> list[str]:
-        """Points, and how well they fit."""
-        words = f"{summary['frames']} frames, {summary['points']} points from {summary['tracks']} tracks"
-        if not summary["points"]:
-            return [words]
-        return [
-            f"{words}, reprojection error {summary['reprojection_rmse_px_per_point']:.3g} px per point "
-            f"({summary['reprojection_rmse_px_per_coordinate']:.3g} px per coordinate), shape: "
-            f"{summary['shape']}",
-            f"camera: {summary['camera_in_words']}",
-        ]
+
+def in_words(summary: Mapping[str, Any]) -> list[str]:
+    """Points, and how well they fit."""
+    words = f"{summary['frames']} frames, {summary['points']} points from {summary['tracks']} tracks"
+    if not summary["points"]:
+        return [words]
+    return [
+        f"{words}, reprojection error {summary['reprojection_rmse_px_per_point']:.3g} px per point "
+        f"({summary['reprojection_rmse_px_per_coordinate']:.3g} px per coordinate), shape: "
+        f"{summary['shape']}",
+        f"camera: {summary['camera_in_words']}",
+    ]
 
 
 def read_film(job: StructureJob) -> Film:

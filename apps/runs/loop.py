@@ -1,0 +1,588 @@
+"""A run over the frames of a film: source -> engine -> sinks.
+
+An application says what its model is, which columns a belief has, what it concludes, and what its page shows.
+Everything else is here: reading, saving, resuming, signals, progress, the live page, the film of the page.
+"""
+
+import logging
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, suppress
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...inference import Belief, MultiChain, RecursiveBP
+from ...inference.engine.recursive_bp import RunState
+from ...models.core.frame import Frame
+from ...models.numerics.threads import thread_count
+from ..drawing.overlay import Draw, OverlayVideo
+from ..io.files import write_json
+from ..io.film import SeenFrames
+from ..io.segments import segments_of
+from ..io.sources.open_source import Source, describe, open_source
+from ..live.address import read_address
+from ..live.running import Running
+from ..live.server import live_page
+from ..options.job import FilmJob
+from ..view.film import ROWS as FILM_ROWS
+from ..view.film import Film, FilmWriter, Row, read_film
+from ..view.page import VIEW, Page, write_page
+from .interruption import Interrupted, Outcome
+from .memory import check_memory
+from .progress import Progress
+from .row_log import ROWS, RowLog, Values
+from .saved_run import STATE, SavedRun, check_source, save_run
+from .session import OVERLAY, Session
+
+_log = logging.getLogger(__name__)
+
+Image = NDArray[np.uint8]
+F = TypeVar("F", bound=FilmJob)
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """What is said of a frame: its row of the log, and what is written of it and shown.
+
+    Parameters
+    ----------
+    frame
+        a number, or an array of the same shape in every frame, by the name of its column. `number`, `time`,
+        `missing` and `seconds` of every frame are there already.
+    objects
+        arrays `(n, ...)` by the name of their column, an entry an object in the frame.
+    pictures
+        `(height, width[, 3])` uint8 by their names, which are no rows: masks.
+    drawn
+        makes what is drawn on the frame, on the page and by `Application.drawing`; called in a thread.
+    live
+        what the live page says.
+    news
+        what has happened; the live page says it.
+    """
+
+    frame: Values = field(default_factory=dict)
+    objects: Values = field(default_factory=dict)
+    pictures: Mapping[str, Image] = field(default_factory=dict)
+    drawn: Callable[[], Row] = dict
+    live: Values = field(default_factory=dict)
+    news: Sequence[Any] = ()
+
+
+class File(AbstractContextManager[Any], Protocol):
+    """A file of results that grows with the frames; an error in its block keeps what resuming needs."""
+
+    def checkpoint(self) -> None:
+        """Return when everything is on disk and readable."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sink:
+    """Takes in what is said of every frame.
+
+    Parameters
+    ----------
+    write
+        what becomes of a frame and its columns.
+    file
+        that grows by it, if any.
+    """
+
+    write: Callable[[Frame, Columns], None]
+    file: File | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Output:
+    """Where sinks write.
+
+    Parameters
+    ----------
+    folder
+        of the results.
+    rate
+        frames per second.
+    resume_after
+        number of the frame after which this run goes on; 0 for a new one.
+    log
+        the rows until there.
+    """
+
+    folder: Path
+    rate: float
+    resume_after: int
+    log: RowLog
+
+
+class Engine(Protocol):
+    """What answers for frames: at once, or when later ones are known.
+
+    Attributes
+    ----------
+    model
+        whose chains' states are saved.
+    state
+        after the last frame that is answered. Frames behind it are taken in again by a run that is resumed.
+    """
+
+    model: MultiChain
+    state: RunState
+
+    def step(self, frame: Frame) -> Sequence[Belief]:
+        """Take in a frame; beliefs of the frames that are answered by now, each once and in order."""
+
+    def rest(self) -> Sequence[Belief]:
+        """Those of all others, after the last frame."""
+
+
+class Filter:
+    """Recursive belief propagation, which answers for every frame at once.
+
+    Parameters
+    ----------
+    engine
+        of the model.
+    state
+        to go on from.
+    """
+
+    def __init__(self, engine: RecursiveBP, state: RunState) -> None:
+        self.model, self.state, self._engine = engine.model, state, engine
+
+    def step(self, frame: Frame) -> Sequence[Belief]:
+        """Take in a frame, and answer for it."""
+        belief = self._engine.step(self.state, frame)
+        self.state = belief.state
+        return (belief,)
+
+    def rest(self) -> Sequence[Belief]:
+        """Nothing is held back."""
+        return ()
+
+
+class Start:
+    """From where a run begins.
+
+    Parameters
+    ----------
+    job
+        what is asked for.
+    source
+        opened.
+    session
+        of the run.
+    saved
+        the run that is resumed; `None` for a new one.
+    learned
+        the run from which this one learns; `None` where it begins by itself.
+
+    Attributes
+    ----------
+    frames
+        that will be answered, up to a signal; of those that `build` looks at, it puts back what is to be.
+    before
+        numbers of the frames before the one in which the track starts; to be added to.
+    """
+
+    def __init__(
+        self,
+        job: FilmJob,
+        source: Source,
+        session: Session,
+        saved: SavedRun | None,
+        learned: SavedRun | None,
+        blank_is_missing: bool,
+    ) -> None:
+        self.source, self.interruption, self.notes = source, session.interruption, session.notes
+        self.seen = SeenFrames(self.interruption.items(source), blank_is_missing=blank_is_missing)
+        self.frames: Iterator[Frame] = iter(self.seen)
+        self.before: list[int] = []
+        self._job, self._saved, self._learned = job, saved, learned
+        if saved is not None:
+            self.seen.blank.extend(saved.about["blank"])
+            self.before.extend(saved.about["before"])
+            if saved.shape is not None:  # perhaps no frame is left to ask
+                source.size = (saved.shape[1], saved.shape[0])
+
+    @property
+    def blank(self) -> list[int]:
+        """Numbers of the frames so far in which nothing is to be seen."""
+        return self.seen.blank
+
+    @property
+    def resumed(self) -> bool:
+        """Whether the run goes on with another one."""
+        return self._saved is not None
+
+    def memory(self, schema: Mapping[str, Any]) -> dict[str, Any] | None:
+        """What `Application.state_dict` gave when the run was saved that is resumed, or learned from.
+
+        `None` in a run that begins by itself.
+        """
+        saved = self._saved or self._learned
+        return None if saved is None else saved.memory(schema)
+
+    def state(self, model: MultiChain) -> RunState:
+        """That of a model before the first frame."""
+        if self._saved is not None:
+            _log.info("goes on after frame %d", self._saved.number)
+            return self._saved.state(model.chains)
+        if self._learned is None:
+            return RunState()
+        state = self._learned.state(model.chains)
+        first = next(self.frames, None)
+        if first is None:
+            raise self.no_frame("holds no frame")
+        self.frames = chain([first], self.frames)
+        _log.info("begins with what %s has learned", self._learned.path)
+        return self._moved(state, self._learned, first)
+
+    def filter(self, model: MultiChain) -> Filter:
+        """The usual engine."""
+        return Filter(RecursiveBP(model), self.state(model))
+
+    def no_frame(self, reason: str) -> Exception | Interrupted:
+        """Why there is no frame to begin with: the source's own error, a signal, or `reason`."""
+        if self.seen.error is not None:
+            return self.seen.error
+        if self.interruption.signal is not None:
+            return Interrupted(self.interruption.signal)
+        return ValueError(f"{self.source.name}: {reason}")
+
+    def _moved(self, state: RunState, learned: SavedRun, first: Frame) -> RunState:
+        """The state of another film, just before the first frame of this one.
+
+        Recordings are taken to follow each other without a gap; between two live sources, what the clock
+        says has passed.
+        """
+        source = self.source
+        if not state.states or state.shape is None:
+            raise ValueError(f"--from: {learned.path} has learned nothing yet")
+        width, height = source.size
+        shape = (height, width, *state.shape[2:]) if first.image is None else first.image.shape
+        if shape != state.shape:
+            raise ValueError(
+                f"--from: {learned.path} is of frames that are {describe(state.shape)}, "
+                f"but {source.name} is {describe(shape)}"
+            )
+        gap = self._job.step / source.rate
+        if source.live and learned.about["live"]:
+            gap = max(gap, time.time() - learned.about["clock"])
+        return replace(state, number=0, time=first.time - gap)
+
+
+class Application(ABC, Generic[F]):
+    """What is particular to an application.
+
+    Parameters
+    ----------
+    job
+        what a run is asked for.
+
+    Attributes
+    ----------
+    name
+        of the application.
+    schema
+        of what `state_dict` gives, for `rsmcm.inference.core.checkpoint`.
+    blank_is_missing
+        whether frames that show nothing (black, saturated) count as missing.
+    settings
+        what the results depend on, beside the source; recorded with them.
+    """
+
+    name: ClassVar[str]
+    schema: ClassVar[Mapping[str, Any]] = {}
+    blank_is_missing: ClassVar[bool] = True
+
+    def __init__(self, job: F) -> None:
+        self.job = job
+        self.settings = job.settings()
+
+    @property
+    def files(self) -> Sequence[str]:
+        """Names of the files that it writes, patterns of `glob` among them."""
+        return ()
+
+    @abstractmethod
+    def build(self, start: Start) -> Engine:
+        """The model, with its state before the first frame."""
+
+    @abstractmethod
+    def columns(self, belief: Belief) -> Columns:
+        """What is said of a frame; where all frames so far are missing, there are no states."""
+
+    def sinks(self, output: Output) -> Sequence[Sink]:
+        """What else is written of every frame."""
+        return ()
+
+    def finish(self, log: RowLog) -> Mapping[str, Any]:
+        """Write what is written once; what `summary.json` says beside what it says of every run."""
+        return {}
+
+    def page(self, log: RowLog, film: Film | None, summary: Mapping[str, Any]) -> Page:
+        """What is on the page, with the film if there was any image."""
+        title = f"{Path(summary['source']).name}: {self.name}"
+        return Page(title, notes=summary["notes"], film=film, parameters=summary["parameters"])
+
+    def drawing(self) -> Draw:
+        """What draws `Columns.drawn` on frames, for `--video` and `--live`."""
+        return lambda image, *_, **__: image
+
+    def state_dict(self) -> dict[str, Any]:
+        """What is saved beside the states of the chains."""
+        return {}
+
+    def bytes_needed(self, source: Source) -> tuple[float, float]:
+        """Of working memory: per pixel, and beside that; see `check_memory`."""
+        return 0.0, 0.0
+
+    def title(self, source: Source) -> str:
+        """Of the page."""
+        return f"{Path(source.name).name}: {self.name}"
+
+    def in_words(self, summary: Mapping[str, Any]) -> list[str]:
+        """A summary in a few lines."""
+        return [f"{summary['frames']} frames, {summary['frames_per_second']:.1f} a second"]
+
+
+class _EndedEarlyError(Exception):
+    """Leaves the sinks' blocks in a way that they keep what a resumed run needs."""
+
+
+def run_film(application: Application[Any]) -> Outcome:
+    """Run an application over its job's film; all results are in the job's folder afterwards.
+
+    SIGINT (Ctrl-C) and SIGTERM end the run after the current frame, with complete results; a second one ends
+    it at once, with results up to the last saved state.
+
+    Raises
+    ------
+    ValueError, OSError
+        in one line, whatever is wrong with the job, its files, its source or its output. A film that breaks
+        in the middle leaves the results of the frames before.
+    Interrupted
+        if a signal came before there was any result, or a second one.
+    """
+    job = application.job
+    session = Session(application.name, job, application.settings)
+    with session.running():
+        if job.live is None:
+            return _FilmRun(application, session).run()
+        live = Running(job.out)
+        with live_page(read_address(job.live), live) as where:
+            print(f"live: {where}", flush=True)
+            outcome = _FilmRun(application, session, live).run()
+            live.end(outcome.words)
+        return outcome
+
+
+class _FilmRun:
+    """One run: `run` from the source to the summary, `_answer_all` is the loop."""
+
+    def __init__(self, application: Application[Any], session: Session, live: Running | None = None) -> None:
+        self._application, self._session, self._live = application, session, live
+        self._job: FilmJob = application.job
+        self._start: Start
+        self._engine: Engine
+
+    def run(self) -> Outcome:
+        """Take in all frames, and write the results."""
+        application, session, job = self._application, self._session, self._job
+        saved = self._saved()
+        after = 0 if saved is None else saved.number
+        with open_source(
+            job.source, job.start, job.stop, job.step, after=after, reconnect=job.reconnect
+        ) as source:
+            session.fingerprint = source.fingerprint()
+            if job.resume and source.live:
+                raise ValueError(f"--resume: {source.name} is live and cannot be read again")
+            if source.live:
+                session.resume_hint = f"--from {job.out / STATE} begins with what was learned"
+            if saved is not None:
+                check_source(saved.about, session.fingerprint)
+                if saved.about["finished"]:
+                    summary = saved.about["finished"]
+                    return session.outcome(summary, application.in_words(summary))
+                session.earlier_seconds = saved.about["seconds"]
+                session.notes.extend(saved.about["notes"])
+            check_memory(source.name, source.size, *application.bytes_needed(source))
+            learned = None
+            if saved is None and job.learned is not None:
+                learned = SavedRun(job.learned, application.name)
+            blank_is_missing = application.blank_is_missing
+            self._start = Start(job, source, session, saved, learned, blank_is_missing)
+            self._engine = application.build(self._start)
+            session.begin_results([*application.files, f"{ROWS}/*.npy"])
+            if self._live is not None:
+                self._live.begin(application.title(source), source.n_frames, lambda: source.stream)
+            with RowLog(job.out / ROWS, self._engine.state.number) as log:
+                with suppress(_EndedEarlyError):
+                    self._answer_all(log)
+                if session.interruption.signal is not None and not len(log):
+                    raise Interrupted(session.interruption.signal)
+                if self._live is not None:
+                    self._live.finish()
+                summary = self._concluded(log)
+                write_json(job.out / "summary.json", summary)
+                if not session.ended_early:
+                    self._save(finished=summary)
+                    log.remove()
+        if self._start.seen.error is not None:
+            raise self._start.seen.error
+        return session.outcome(summary, application.in_words(summary))
+
+    def _answer_all(self, log: RowLog) -> None:
+        """Take in frame after frame, and have all sinks write what is answered."""
+        application, session, engine = self._application, self._session, self._engine
+        frames, source = self._start.frames, self._start.source
+        with ExitStack() as stack:
+            progress = stack.enter_context(Progress(application.name, source.n_frames, len(log)))
+            self._save()
+            sinks = self._sinks(log)
+            files = [sink.file for sink in sinks if sink.file is not None]
+            for file in files:
+                stack.enter_context(file)
+
+            def write(belief: Belief, seconds: float) -> None:
+                columns, frame = application.columns(belief), belief.frame
+                log.append(
+                    {
+                        "number": np.int64(frame.number),
+                        "time": np.float64(frame.time),
+                        "missing": np.bool_(frame.missing),
+                        "seconds": np.float64(seconds),
+                        **columns.frame,
+                    },
+                    columns.objects,
+                )
+                for sink in sinks:
+                    sink.write(frame, columns)
+                progress.update()
+
+            def checkpoint() -> None:
+                log.checkpoint()
+                for file in files:
+                    file.checkpoint()
+                self._save()
+                _log.info("state saved after frame %d", engine.state.number)
+
+            unsaved, spent = 0, 0.0
+            for frame in frames:
+                began = time.perf_counter()
+                answered = engine.step(frame)
+                spent += time.perf_counter() - began
+                for belief in answered:
+                    write(belief, spent / len(answered))
+                if answered:
+                    unsaved, spent = unsaved + len(answered), 0.0
+                if unsaved >= self._job.every:
+                    checkpoint()
+                    unsaved = 0
+            error, signal = self._start.seen.error, session.interruption.signal
+            session.ended_early = bool(signal is not None or error is not None or source.lost)
+            # frames that are still held back will be answered better by a run that is resumed
+            resumable = session.ended_early and not source.live
+            if resumable:
+                checkpoint()
+            for belief in engine.rest():
+                write(belief, spent)
+                spent = 0.0
+            if resumable:
+                raise _EndedEarlyError
+            checkpoint()
+
+    def _sinks(self, log: RowLog) -> list[Sink]:
+        """Those of the application, the page's film, and who looks on meanwhile."""
+        job, live = self._job, self._live
+        rate, after = self._start.source.rate / job.step, self._engine.state.number
+        film = FilmWriter(job.out, rate, after)
+        sinks = [
+            *self._application.sinks(Output(job.out, rate, after, log)),
+            Sink(lambda frame, columns: film.add(frame, columns.drawn), film),
+        ]
+        video = job.video or segments_of(job.out / OVERLAY)  # a run that is resumed goes on with it
+        if live is not None or video:
+            path = job.out / OVERLAY if video else None
+            show = None if live is None else live.show
+            pictures = OverlayVideo(path, rate, self._application.drawing(), after, show)
+            sinks.append(Sink(lambda frame, columns: pictures.add(frame, columns.drawn), pictures))
+        if live is not None:
+            take_in = live.take_in
+            sinks.append(Sink(lambda frame, columns: take_in(frame, columns.live, [*map(str, columns.news)])))
+        return sinks
+
+    def _saved(self) -> SavedRun | None:
+        """The run to be resumed; `None` if it has not come beyond its beginning."""
+        path = self._job.out / STATE
+        if not self._job.resume or not path.exists():
+            return None
+        saved = SavedRun(path, self._application.name, self._application.settings)
+        self._session.saved = bool(saved.number)
+        return saved if saved.number else None
+
+    def _save(self, finished: dict[str, Any] | None = None) -> None:
+        start, state, application = self._start, self._engine.state, self._application
+        about = {
+            **self._session.about(finished),
+            "live": start.source.live,
+            "clock": time.time(),
+            "before": start.before,
+            "blank": [number for number in start.seen.blank if number <= state.number],
+            "notes": self._session.notes,
+        }
+        save_run(
+            self._job.out / STATE,
+            about,
+            state,
+            self._engine.model.chains,
+            application.state_dict(),
+            application.schema,
+        )
+        self._session.saved = True
+
+    def _concluded(self, log: RowLog) -> dict[str, Any]:
+        """Write what is written once, and the page; the content of `summary.json`."""
+        application, session, start, source = (
+            self._application,
+            self._session,
+            self._start,
+            self._start.source,
+        )
+        facts, seconds, count = application.finish(log), session.seconds(), len(log)
+        numbers, missing = log["number"], log["missing"].astype(np.bool_)
+        of_engine = float(log["seconds"].sum())
+        summary = session.summary(
+            source.name,
+            numbers.tolist(),
+            numbers[missing].tolist(),
+            {
+                "size": list(source.size),
+                "rate": source.rate,
+                "missing_frames": int(np.count_nonzero(missing)),
+                "truncated": source.truncated,
+                "stream": source.stream,
+                **(
+                    {"before_the_start": start.before, "blank": start.seen.blank}
+                    if application.blank_is_missing
+                    else {}
+                ),
+                **facts,
+                "seconds": seconds,
+                "frames_per_second": count / seconds,
+                "frames_per_second_of_engine": count / of_engine if count else None,
+                "threads": thread_count(),
+                "seed": self._job.seed,
+                "notes": [*source.notes, *session.notes, *facts.get("notes", [])],
+            },
+        )
+        out = self._job.out
+        film = read_film(out) if (out / FILM_ROWS).exists() else None  # or there was no image
+        write_page(out / VIEW, application.page(log, film, summary))
+        return summary

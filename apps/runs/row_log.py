@@ -1,0 +1,223 @@
+"""The rows of a run: a value a column of every frame, and of every object in it, in a file a column.
+
+A run that goes on cuts the log at its saved state; what a run says of all frames is read from its columns.
+"""
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, BinaryIO, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.files import naming, write_atomically
+
+Values = Mapping[str, Any]
+"""By the names of columns, what a frame or its objects have there."""
+
+ROWS = "rows"
+"""Folder of the columns, as long as a run is not finished."""
+
+HEADER = 256
+"""Bytes of a file before its numbers: as many whatever the number of rows, which is not known beforehand."""
+
+_FRAME, _OBJECT = "frame", "object"
+
+
+class _Column:
+    """An `.npy` file that grows along its first axis; `np.load` takes it after every `complete`."""
+
+    def __init__(self, path: Path, dtype: np.dtype[Any], shape: tuple[int, ...], count: int = 0) -> None:
+        self.path, self.dtype, self.shape, self.count = path, dtype, shape, count
+        self._file: BinaryIO = path.open("r+b" if count else "w+b")
+        if count:
+            self._file.truncate(HEADER + count * self.width)
+            self._file.seek(0, os.SEEK_END)
+        else:
+            self._file.write(self._header())
+
+    @classmethod
+    def reopened(cls, path: Path, count: int) -> Self:
+        """The column that a file holds, with so many of its rows."""
+        whole = np.load(path, mmap_mode="r", allow_pickle=False)
+        return cls(path, whole.dtype, whole.shape[1:], count)
+
+    @property
+    def width(self) -> int:
+        """Bytes of a row."""
+        return self.dtype.itemsize * int(np.prod(self.shape))
+
+    def append(self, values: NDArray[Any]) -> None:
+        """Append rows.
+
+        Raises
+        ------
+        ValueError
+            if they have another shape or type than those before.
+        """
+        if values.shape[1:] != self.shape or values.dtype != self.dtype:
+            raise ValueError(
+                f"{self.path.stem}: got {values.shape[1:]} {values.dtype}, expected {self.shape} "
+                f"{self.dtype} like the rows before"
+            )
+        self._file.write(values.tobytes())
+        self.count += len(values)
+
+    def complete(self) -> None:
+        """Have all rows on the disk, and their number in the header."""
+        self._file.flush()
+        self._file.seek(0)
+        self._file.write(self._header())
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.seek(0, os.SEEK_END)
+
+    def values(self) -> NDArray[Any]:
+        """All rows, on the disk as long as nobody looks at them."""
+        self._file.flush()
+        if not self.count * self.width:
+            return np.zeros((self.count, *self.shape), self.dtype)
+        whole = np.memmap(self.path, self.dtype, "r", HEADER, (self.count, *self.shape))
+        return whole.view(np.ndarray)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._file.close()
+
+    def _header(self) -> bytes:
+        """What `np.lib.format` has before the numbers, padded to `HEADER` bytes."""
+        descr, shape = np.lib.format.dtype_to_descr(self.dtype), (self.count, *self.shape)
+        text = repr({"descr": descr, "fortran_order": False, "shape": shape})
+        room = HEADER - np.lib.format.MAGIC_LEN - 2
+        padded = text.ljust(room - 1) + "\n"
+        return np.lib.format.magic(1, 0) + room.to_bytes(2, "little") + padded.encode("latin1")
+
+
+class RowLog:
+    """All rows of a run. `log["time"]` is a column of all frames, `log.objects("id")` one of all objects.
+
+    Nothing is held in memory, and a column on disk is read where it is looked at, so that a run may have
+    any length. Columns and their types are those of the first row, or of the first object.
+
+    Parameters
+    ----------
+    folder
+        for the files of the columns.
+    resume_after
+        number of the frame after which this run goes on: later rows are cut off. 0 for a new run.
+    """
+
+    def __init__(self, folder: Path, resume_after: int = 0) -> None:
+        self._folder = folder
+        self._frames: dict[str, _Column] = {}
+        self._objects: dict[str, _Column] = {}
+        folder.mkdir(exist_ok=True)
+        paths = sorted(folder.glob("*.npy"))
+        if resume_after and paths:
+            numbers, counts = (np.load(self._path(_FRAME, name)) for name in ("number", "objects"))
+            kept = int(np.searchsorted(numbers, resume_after, side="right"))
+            rows = {_FRAME: kept, _OBJECT: int(counts[:kept].sum())}
+            for path in paths:
+                kind, _, name = path.stem.partition(".")
+                if rows[kind]:
+                    columns = self._frames if kind == _FRAME else self._objects
+                    columns[name] = _Column.reopened(path, rows[kind])
+                else:
+                    path.unlink()
+        else:
+            for path in paths:
+                path.unlink()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with ExitStack() as stack:
+            for column in (*self._frames.values(), *self._objects.values()):
+                stack.callback(column.close)
+
+    def __len__(self) -> int:
+        return self._frames["number"].count if self._frames else 0
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._frames
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if not self._frames:
+            return np.zeros(0)
+        return self._frames[name].values()
+
+    def objects(self, name: str) -> NDArray[Any]:
+        """A column of all objects; none where there was no object."""
+        return self._objects[name].values() if name in self._objects else np.zeros(0)
+
+    def append(self, row: Values, objects: Values) -> None:
+        """Append a frame, whose `row` has its `number`, with the objects in it: arrays of one length.
+
+        Raises
+        ------
+        ValueError
+            if it has other columns, shapes or types than those before.
+        OSError
+            if it cannot be written.
+        """
+        count = len(next(iter(objects.values()))) if objects else 0
+        with naming(self._folder):
+            for name, value in row.items():
+                self._append(self._frames, _FRAME, name, np.asarray(value)[None])
+            self._append(self._frames, _FRAME, "objects", np.array([count]))
+            if count:
+                for name, values in objects.items():
+                    self._append(self._objects, _OBJECT, name, np.asarray(values))
+
+    def frames(self) -> Iterator[tuple[dict[str, Any], dict[str, NDArray[Any]]]]:
+        """Row after row with its objects, as they were appended."""
+        columns = {name: column.values() for name, column in self._frames.items()}
+        things = {name: column.values() for name, column in self._objects.items()}
+        stop = 0
+        for index, count in enumerate(columns["objects"].tolist() if columns else ()):
+            start, stop = stop, stop + count
+            row = {name: values[index] for name, values in columns.items()}
+            yield row, {name: values[start:stop] for name, values in things.items()}
+
+    def checkpoint(self) -> None:
+        """Return when everything is on disk."""
+        with naming(self._folder):
+            for column in (*self._frames.values(), *self._objects.values()):
+                column.complete()
+
+    def write_arrays(
+        self, path: Path, constants: Mapping[str, NDArray[Any]], columns: Mapping[str, str | NDArray[Any]]
+    ) -> None:
+        """Write an `.npz`, whole or not at all.
+
+        Parameters
+        ----------
+        path
+            of the file.
+        constants
+            arrays as they are.
+        columns
+            arrays with an entry a frame by their names: the name of a column, or the values.
+        """
+        of_frames = {name: self[of] if isinstance(of, str) else of for name, of in columns.items()}
+        with write_atomically(path) as unfinished:
+            np.savez(unfinished, allow_pickle=False, **constants, **of_frames)
+
+    def remove(self) -> None:
+        """Remove the files: nobody goes on with this run."""
+        self.__exit__()
+        for path in self._folder.glob("*.npy"):
+            path.unlink()
+        self._folder.rmdir()
+
+    def _append(self, columns: dict[str, _Column], kind: str, name: str, values: NDArray[Any]) -> None:
+        column = columns.get(name)
+        if column is None:
+            column = columns[name] = _Column(self._path(kind, name), values.dtype, values.shape[1:])
+        column.append(values)
+
+    def _path(self, kind: str, name: str) -> Path:
+        return self._folder / f"{kind}.{name}.npy"

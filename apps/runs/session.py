@@ -1,0 +1,126 @@
+"""A run in its folder of results: what all applications have in common, whatever they read and write."""
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from ..first_use.ahead import compiling_ahead
+from ..io.segments import segment_pattern
+from ..options.job import Job
+from ..view.film import FILM, ROWS
+from ..view.page import VIEW
+from .interruption import Interrupted, Interruption, Outcome
+from .output_folder import OutputFolder, output_folder
+from .saved_run import STATE
+from .versions import versions
+
+OVERLAY = "overlay.mp4"
+
+_GROWING = (OVERLAY, FILM, ROWS)
+ALWAYS = (STATE, "summary.json", VIEW, *_GROWING, *map(segment_pattern, _GROWING))
+"""Files that every run may leave."""
+
+
+class Session:
+    """A run from the lock of its folder to its summary.
+
+    Parameters
+    ----------
+    application
+        its name.
+    job
+        what it is asked for.
+    settings
+        what the results depend on, beside the source.
+
+    Attributes
+    ----------
+    interruption
+        whether a signal has arrived.
+    fingerprint
+        by which its source is known again.
+    notes
+        what is out of the ordinary, a sentence each.
+    saved
+        whether a state is saved with which the run can go on; how, `resume_hint` says.
+    earlier_seconds
+        of wall time, before the run was resumed.
+    ended_early
+        whether something else than the end of its source has ended it.
+    """
+
+    def __init__(self, application: str, job: Job, settings: dict[str, Any]) -> None:
+        self.application, self.job, self.settings = application, job, settings
+        self.interruption = Interruption()
+        self.fingerprint: dict[str, Any] = {}
+        self.notes: list[str] = []
+        self.saved = self.ended_early = False
+        self.resume_hint = f"--resume goes on with {job.out}"
+        self.earlier_seconds = 0.0
+        self._started = time.perf_counter()
+        self._folder: OutputFolder
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Hold the folder's lock; a first SIGINT (Ctrl-C) or SIGTERM is noted, a second one ends the run.
+
+        Raises
+        ------
+        ValueError, OSError
+            if the folder holds other results, or another run writes there.
+        Interrupted
+            if a signal came before there was any result, or a second one; it says how the run goes on.
+        """
+        job = self.job
+        try:
+            with (
+                self.interruption,
+                output_folder(
+                    job.out, self.application, overwrite=job.overwrite, resume=job.resume
+                ) as self._folder,
+                compiling_ahead(self.application),
+            ):
+                yield
+        except Interrupted as stop:
+            if not self.saved:
+                raise
+            raise Interrupted(stop.signal, f"interrupted: {self.resume_hint}") from None
+
+    def begin_results(self, files: Sequence[str]) -> None:
+        """Make the folder ready for these files, patterns of `glob` among them, and those of every run."""
+        self._folder.begin([*ALWAYS, *files], resume=self.job.resume)
+
+    def about(self, finished: Mapping[str, Any] | None) -> dict[str, Any]:
+        """What is said of a saved state; with the summary, if the run is finished."""
+        return {
+            "application": self.application,
+            "settings": self.settings,
+            "source": self.fingerprint,
+            "seconds": self.seconds(),
+            "finished": finished,
+        }
+
+    def summary(
+        self, source: str, numbers: Sequence[int], missing: Sequence[int], facts: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        """The content of `summary.json`; `numbers` are those of all frames, of which some are `missing`."""
+        return {
+            "source": source,
+            "frames": len(numbers),
+            "first_frame": numbers[0] if len(numbers) else None,
+            "last_frame": numbers[-1] if len(numbers) else None,
+            "missing": missing,
+            "ended_early": self.ended_early,
+            **facts,
+            "parameters": self.settings,
+            "versions": versions(),
+        }
+
+    def outcome(self, summary: dict[str, Any], words: Sequence[str]) -> Outcome:
+        """How the run has ended, in a few words."""
+        return Outcome(summary, self.interruption.signal if self.ended_early else None, words)
+
+    def seconds(self) -> float:
+        """Wall time of the work, that before it was resumed included."""
+        return self.earlier_seconds + time.perf_counter() - self._started
