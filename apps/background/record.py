@@ -48,7 +48,7 @@ class RunRecord:
     def __init__(self, log: RowLog) -> None:
         self.numbers: list[int] = log["number"].tolist()
         self.times: list[float] = log["time"].tolist()
-        self.missing: list[int] = log["number"][log["missing"].astype(np.bool_)].tolist()
+        self.missing: list[int] = log["number"][log["missing"]].tolist()
         self.n_tracks, self.seconds = log["objects"], log["seconds"].tolist()
         self.foreground_share, self.log_evidence = log["foreground"], log["log_evidence"]
         ids, frames = log.objects("id"), np.repeat(log["number"], log["objects"])

@@ -108,7 +108,7 @@ class BodyRecord:
         self.times: list[float] = log["time"].tolist()
         self.seconds: list[float] = log["seconds"].tolist()
         self.log_evidence, self.effective = log["log_evidence"], log["effective"]
-        missing, stationary = (log[name].astype(np.bool_) for name in ("missing", "stationary"))
+        missing, stationary = (log[name] for name in ("missing", "stationary"))
         self.missing: list[int] = log["number"][missing].tolist()
         self.stationary: list[int] = log["number"][stationary & ~missing].tolist()
         self.places = log["joints_3d"][:, PART_JOINTS]

@@ -56,8 +56,7 @@ class FaceRecord:
         self.numbers: list[int] = log["number"].tolist()
         self.times: list[float] = log["time"].tolist()
         self.missing, self.lost, self.restarted = (
-            log["number"][log[name].astype(np.bool_)].tolist()
-            for name in ("missing", "lost", "reinitialised")
+            log["number"][log[name]].tolist() for name in ("missing", "lost", "reinitialised")
         )
         self.log_evidence, self.fits, self.errors = log["log_evidence"], log["fit"], log["error"]
         self.experts = 1 / np.square(log["weights"]).sum(axis=1)

@@ -556,7 +556,7 @@ class _FilmRun:
             self._start.source,
         )
         facts, seconds, count = application.finish(log), session.seconds(), len(log)
-        numbers, missing = log["number"], log["missing"].astype(np.bool_)
+        numbers, missing = log["number"], log["missing"]
         of_engine = float(log["seconds"].sum())
         summary = session.summary(
             source.name,

@@ -24,6 +24,7 @@ HEADER = 256
 """Bytes of a file before its numbers: as many whatever the number of rows, which is not known beforehand."""
 
 _FRAME, _OBJECT = "frame", "object"
+_TYPES = {"number": np.int64, "objects": np.int64, "missing": np.bool_}
 
 
 class _Column:
@@ -146,7 +147,7 @@ class RowLog:
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if not self._frames:
-            return np.zeros(0)
+            return np.zeros(0, _TYPES.get(name, np.float64))
         return self._frames[name].values()
 
     def objects(self, name: str) -> NDArray[Any]:

@@ -1,12 +1,17 @@
-"""A background run's record, as its page takes it."""
+"""Rows of a run, and what the page of a background run takes of them."""
+
+import tempfile
+from collections.abc import Iterable
+from itertools import zip_longest
+from pathlib import Path
 
 import numpy as np
 from rsmcm.apps.background.record import RunRecord
-from rsmcm.apps.scenes import TruthBox
-from rsmcm.models.core.frame import Frame
+from rsmcm.apps.exports.track_table import columns_of
+from rsmcm.apps.io.mot import TrackedBox
+from rsmcm.apps.runs.row_log import RowLog, Values
 
 PICTURE = np.arange(8 * 10 * 3, dtype=np.uint8).reshape(8, 10, 3)
-MASK = np.where(np.arange(80).reshape(8, 10) < 20, 255, 0).astype(np.uint8)
 
 
 SUMMARY = {
@@ -25,11 +30,25 @@ SUMMARY = {
 """What the page takes from `summary.json`."""
 
 
+def log_of(rows: Iterable[Values], objects: Iterable[Values] = ()) -> RowLog:
+    """A log of frames 1, 2, ... at 25 a second, each of which took 10 ms, with these columns beside."""
+    log = RowLog(Path(tempfile.mkdtemp()) / "rows")
+    for number, (row, of) in enumerate(zip_longest(rows, objects, fillvalue={}), start=1):
+        usual = {"number": np.int64(number), "time": number / 25, "missing": np.bool_(False), "seconds": 0.01}
+        log.append({**usual, **row}, of)
+    return log
+
+
 def recorded(n_frames: int, missing: frozenset[int] = frozenset()) -> RunRecord:
     """A run with one track; a quarter of the picture is foreground."""
-    record = RunRecord()
-    for number in range(1, n_frames + 1):
-        frame = Frame(None if number in missing else PICTURE, number / 25, number)
-        tracks = [TruthBox(3, "pedestrian", (number % 7, 1.0, 2.0, 4.0))]
-        record.add(frame, tracks, MASK, -160.0, 0.01)
-    return record
+    numbers = range(1, n_frames + 1)
+    rows = [
+        {
+            "missing": np.bool_(number in missing),
+            "foreground": np.nan if number in missing else 0.25,
+            "log_evidence": np.nan if number in missing else -2.0,
+        }
+        for number in numbers
+    ]
+    tracks = [TrackedBox(3, (number % 7, 1.0, 2.0, 4.0)) for number in numbers]
+    return RunRecord(log_of(rows, [columns_of([track]) for track in tracks]))

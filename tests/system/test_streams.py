@@ -28,7 +28,7 @@ from rsmcm.apps.io.sources import open_source as sources
 from rsmcm.apps.io.sources.live_reader import FILLED_SECONDS, LiveReader
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.io.sources.reader import Selection
-from rsmcm.apps.runs import film_run
+from rsmcm.apps.runs import loop
 from rsmcm.apps.scenes import face, sleeping_man
 from rsmcm.inference import RecursiveBP
 from rsmcm.models.core.frame import Frame
@@ -477,7 +477,7 @@ def test_a_camera_that_is_started_anew_knows_who_is_there(
     """
     ticks = itertools.count(1_000_000_000)
     clock = SimpleNamespace(time=lambda: next(ticks), perf_counter=time.perf_counter)
-    monkeypatch.setattr(film_run, "time", clock)
+    monkeypatch.setattr(loop, "time", clock)
     standing = [*street[:30], *[street[-1]] * 30]  # the last one stays
     server = StreamServer(standing, [Connection(60), Connection(100)])
     first, second = tmp_path / "first", tmp_path / "second"

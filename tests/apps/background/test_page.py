@@ -114,7 +114,7 @@ def test_a_page_says_everything(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "record", [RunRecord(), recorded(1), recorded(1, frozenset({1})), recorded(3, frozenset({1, 2, 3}))]
+    "record", [recorded(0), recorded(1), recorded(1, frozenset({1})), recorded(3, frozenset({1, 2, 3}))]
 )
 def test_a_page_of_hardly_anything(tmp_path: Path, record: RunRecord) -> None:
     page = background_page("title", record, SUMMARY, None, PICTURE[..., 0])
@@ -124,9 +124,8 @@ def test_a_page_of_hardly_anything(tmp_path: Path, record: RunRecord) -> None:
 
 
 def test_paths_are_drawn_in_their_colours() -> None:
-    history = TrackHistory(first=1)
-    for number in range(50):
-        history.add(number, (2.0 * number, 30.0, 10.0, 20.0))
+    path = np.stack([5.0 + 2 * np.arange(50), np.full(50, 50.0)], axis=1)
+    history = TrackHistory(1, 50, 50, 10.0, 20.0, path)
     drawn = draw_paths(np.full((80, 120), 90, np.uint8), {4: history})
     assert drawn.shape == (640, 960, 3)
     assert np.all(drawn == identity_colour(4), axis=-1).sum() > 500

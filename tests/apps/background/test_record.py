@@ -1,37 +1,38 @@
-"""What a background run keeps for its page: bounded memory whatever the stream's length."""
+"""What the page of a background run takes from its rows: as much whatever the stream's length."""
 
-import json
+import numpy as np
+import pytest
+from rsmcm.apps.background.record import MOST_POINTS, RunRecord
+from rsmcm.apps.exports.track_table import columns_of
+from rsmcm.apps.io.mot import TrackedBox
 
-from hypothesis import given
-from hypothesis import strategies as st
-from rsmcm.apps.background.record import MOST_POINTS, SERIES, RunRecord, TrackHistory
-from rsmcm.apps.scenes import TruthBox
-from rsmcm.models.core.frame import Frame
-
-from ...support.records import MASK, PICTURE, recorded
+from ...support.records import log_of, recorded
 
 
-def test_a_record_is_saved_as_json_and_goes_on_as_if_it_had_not_been() -> None:
-    whole, record = recorded(40, frozenset({3, 25})), RunRecord()
-    for number in range(1, 41):
-        frame = Frame(None if number in (3, 25) else PICTURE, number / 25, number)
-        tracks = [TruthBox(3, "pedestrian", (number % 7, 1.0, 2.0, 4.0))]
-        record.add(frame, tracks, MASK, -160.0, 0.01)
-        if number in (1, 24):
-            record = RunRecord.restored(json.loads(json.dumps(record.saved())))
-    for name in SERIES:
-        assert getattr(record, name).tobytes() == getattr(whole, name).tobytes()
-    assert vars(record.tracks[3]) == vars(whole.tracks[3])
-    assert record.missing == whole.missing
-
-
-@given(n_frames=st.integers(1, 3000))
+@pytest.mark.parametrize("n_frames", [1, 2, 255, 256, 257, 700])
 def test_path_of_a_track_is_bounded_and_ends_where_it_ended(n_frames: int) -> None:
-    history = TrackHistory(first=1)
-    for number in range(1, n_frames + 1):
-        history.add(number, (float(number), 0.0, 2.0, 4.0))
-    assert len(history.path.kept) <= MOST_POINTS
-    assert history.path.kept[0] == (2.0, 4.0)
-    assert history.foot == (n_frames + 1.0, 4.0)
-    assert (history.last, history.n_frames) == (n_frames, n_frames)
-    assert history.width / history.n_frames == 2
+    row = {"foreground": 0.0, "log_evidence": np.nan}
+    boxes = [columns_of([TrackedBox(3, (float(k), 0.0, 2.0, 4.0))]) for k in range(1, n_frames + 1)]
+    history = RunRecord(log_of([row] * n_frames, boxes)).tracks[3]
+    assert len(history.path) == min(n_frames, MOST_POINTS)
+    assert history.path[0].tolist() == [2.0, 4.0]
+    assert history.path[-1].tolist() == [n_frames + 1.0, 4.0]
+    assert (history.first, history.last, history.n_frames) == (1, n_frames, n_frames)
+    assert (history.width, history.height) == (2, 4)
+
+
+def test_tracks_that_come_and_go() -> None:
+    row = {"foreground": 0.0, "log_evidence": np.nan}
+    there = [[1], [1, 2], [], [2, 1], [2]]
+    boxes = [columns_of([TrackedBox(k, (k, 0.0, k, 4.0)) for k in of]) for of in there]
+    record = RunRecord(log_of([row] * 5, boxes))
+    lives = {k: (track.first, track.last, track.n_frames, track.width) for k, track in record.tracks.items()}
+    assert lives == {1: (1, 4, 3, 1), 2: (2, 5, 3, 2)}
+    assert record.n_tracks.tolist() == [1, 2, 0, 2, 1]
+
+
+def test_frames_without_an_image() -> None:
+    record = recorded(40, frozenset({3, 25}))
+    assert record.missing == [3, 25]
+    assert record.numbers == list(range(1, 41))
+    assert not recorded(0).tracks

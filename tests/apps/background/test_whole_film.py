@@ -13,7 +13,7 @@ from typing import Any, cast
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.background.application import BackgroundRun, run_background
+from rsmcm.apps.background.application import Background, run_background
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.background.whole_film import warmed_up
@@ -21,7 +21,9 @@ from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.sources.open_source import Source
 from rsmcm.apps.runs.interruption import Interrupted, Interruption
+from rsmcm.apps.runs.loop import Columns
 from rsmcm.apps.scenes import sleeping_man
+from rsmcm.inference import Belief
 from rsmcm.models.core.frame import Frame
 
 from ...conftest import Command
@@ -114,16 +116,17 @@ def test_the_masks_go_on_after_a_signal_to_the_same_bytes(
     scene: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job = job_of(scene, tmp_path, engine="coordinate-ascent")
-    take_in, taken = BackgroundRun.take_in, []
+    columns, taken = Background.columns, []
 
-    def interrupted(self: BackgroundRun, *arguments: Any) -> None:
-        taken.append(arguments)
-        take_in(self, *arguments)
+    def interrupted(self: Background, belief: Belief) -> Columns:
+        taken.append(belief.frame.number)
+        row = columns(self, belief)
         if len(taken) == 17:
             signal.raise_signal(signal.SIGINT)
+        return row
 
     with monkeypatch.context() as patch:
-        patch.setattr(BackgroundRun, "take_in", interrupted)
+        patch.setattr(Background, "columns", interrupted)
         assert run_background(job).signal == signal.SIGINT
     assert summary_of(tmp_path)["frames"] == 17
     assert run_background(replace(job, resume=True)).signal is None
@@ -150,17 +153,18 @@ def test_a_warm_up_longer_than_the_film_answers_all_frames(scene: Path, tmp_path
 
 def test_a_run_with_a_warm_up_goes_on(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_background(job_of(scene, tmp_path / "whole", warm_up=1.0))
-    take_in, taken = BackgroundRun.take_in, []
+    columns, taken = Background.columns, []
 
-    def interrupted(self: BackgroundRun, *arguments: Any) -> None:
-        taken.append(arguments)
-        take_in(self, *arguments)
+    def interrupted(self: Background, belief: Belief) -> Columns:
+        taken.append(belief.frame.number)
+        row = columns(self, belief)
         if len(taken) == 12:  # of the 26 that wait
             signal.raise_signal(signal.SIGINT)
+        return row
 
     job = job_of(scene, tmp_path / "parts", warm_up=1.0)
     with monkeypatch.context() as patch:
-        patch.setattr(BackgroundRun, "take_in", interrupted)
+        patch.setattr(Background, "columns", interrupted)
         assert run_background(job).signal == signal.SIGINT
     assert run_background(replace(job, resume=True)).signal is None
     assert masks_of(tmp_path / "parts") == masks_of(tmp_path / "whole")

@@ -13,17 +13,16 @@ from numpy.typing import NDArray
 from rsmcm.apps.body import application
 from rsmcm.apps.body import record as body_record
 from rsmcm.apps.body import start as body_start
+from rsmcm.apps.body.application import ANGLE_NAMES, N_DRAWN
 from rsmcm.apps.body.hypotheses import HANDS, Hypotheses
 from rsmcm.apps.body.record import RARELY_SEEN, BodyRecord
 from rsmcm.apps.body.start import SavedPerson, read_head, start_from_faces, start_from_head
-from rsmcm.apps.body.writer import ANGLE_NAMES, N_DRAWN
 from rsmcm.apps.io import film as films
 from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
 from rsmcm.apps.io.sources.open_source import Source, open_source
-from rsmcm.apps.runs import film_run
+from rsmcm.apps.runs import loop
 from rsmcm.apps.scenes import SignerScene, signer
-from rsmcm.chains.body.hand_labelling import ExchangeEvidence, HandLabels
-from rsmcm.chains.body.samples import BodyMoments
+from rsmcm.chains.body.hand_labelling import HandLabels
 from rsmcm.models import Frame
 from rsmcm.models.body.parts import HEAD_OF_BOX
 from rsmcm.models.body.upper_body import JOINTS, PARTS, UpperBody
@@ -31,6 +30,7 @@ from rsmcm.models.body.upper_body import JOINTS, PARTS, UpperBody
 from ...conftest import Command, names, summary_of
 from ...support.body_poses import resting
 from ...support.browser import browsing
+from ...support.records import log_of
 from ...support.view_page import shown_page
 
 run = Command("body")
@@ -389,7 +389,7 @@ def test_a_stream_is_read_once(
         looked_at.append(frame.number)
         return scene.detector(frame)
 
-    for module in (film_run, application):
+    for module in (loop, application):
         monkeypatch.setattr(module, "open_source", stream)
     monkeypatch.setattr(application, "CALIBRATION_FRAMES", 6)
     monkeypatch.setattr(body_start, "default_faces", lambda _: faces)
@@ -614,8 +614,6 @@ def test_control_c_while_faces_are_looked_for(
 
 
 def test_a_record_of_any_length() -> None:
-    record = BodyRecord()
-    picture = np.zeros((48, 64, 3), np.uint8)
     body = UpperBody.from_head(50.0)
     joints = body.joints(resting(np.array([[30.0, 20.0]])))[0]
     elsewhere = joints.copy()
@@ -624,26 +622,26 @@ def test_a_record_of_any_length() -> None:
         Hypotheses(np.array([1 - second, second, 0, 0]), np.stack([joints, elsewhere, joints, joints]), 10.0)
         for second in (0.02, 0.3)
     )
-    found = BodyMoments(joints, np.tile(4 * np.eye(3), (8, 1, 1)), np.zeros(16), np.eye(16))
+    rows = []
     for number in range(1, 101):
-
-        class Samples:
-            stationary = number in (5, 6, 7, 20)
-            log_evidence = float(-number)
-            effective = 50.0
-
-        seen = np.array([True, number % 4 != 0, number % 4 == 0]) & (number != 9)
-        frame = Frame(None if number == 9 else picture, number / 25, number)
+        stationary, missing = number in (5, 6, 7, 20), number == 9
         answers = doubtful if 40 <= number < 60 else certain
-        record.add(
-            frame,
-            found,
-            seen,
-            Samples(),  # type: ignore[arg-type]
-            answers,
-            ExchangeEvidence(-3.0, 0.0),
-            0.1,
+        rows.append(
+            {
+                "missing": np.bool_(missing),
+                "stationary": np.bool_(stationary),
+                "joints_3d": joints,
+                "joints_3d_covariances": np.tile(4 * np.eye(3), (8, 1, 1)),
+                "seen": np.array([True, number % 4 != 0, number % 4 == 0]) & ~missing,
+                "hypotheses": answers.weights,
+                "unsure": np.concatenate([[0.0], answers.unsure]),
+                "log_evidence": np.nan if missing or stationary else float(-number),
+                "effective": 50.0,
+                "exchange_log_odds": -3.0,
+                "confusable": 0.0,
+            }
         )
+    record = BodyRecord(log_of(rows))
     assert record.stationary_periods == [(5, 7), (20, 20)]
     assert record.missing == [9]
     assert record.shares_seen == {"head": 1.0, "left_hand": 74 / 99, "right_hand": 25 / 99}

@@ -1,13 +1,12 @@
 """Hands that change their names in what a run has written."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.body.relabelling import ELBOWS, HANDS, ROWS, SHOULDERS, relabel, with_names_exchanged
-from rsmcm.apps.body.writer import N_DRAWN
+from rsmcm.apps.body.application import N_DRAWN
+from rsmcm.apps.body.relabelling import ELBOWS, HANDS, ROWS, SHOULDERS, relabelled, with_names_exchanged
 from rsmcm.chains.body.dynamics import BodyDynamics
 from rsmcm.chains.body.samples import BodySamples, moments
 from rsmcm.models.body.upper_body import UpperBody
@@ -67,20 +66,18 @@ def test_twice_is_as_before(row: dict[str, NDArray[Any]]) -> None:
         np.testing.assert_allclose(again[name], row[name], atol=2e-3, err_msg=name)
 
 
-def test_some_rows_of_a_file(row: dict[str, NDArray[Any]], tmp_path: Path) -> None:
-    """Once, however often it is asked for; others and other arrays stay."""
-    path, n = tmp_path / "poses.npz", 8
-    columns = {name: np.stack([each] * n) for name, each in row.items()}
-    np.savez(path, joint_names=np.array(list("abcdefgh")), frames=np.arange(n), **columns)  # type: ignore[arg-type]
+def test_some_rows_of_all(row: dict[str, NDArray[Any]]) -> None:
+    """Others and other columns stay."""
+    n = 8
+    columns = {name: np.stack([each] * n) for name, each in row.items() if name != "relabelled"}
+    before = {name: each.copy() for name, each in columns.items()}
     chosen = np.arange(n) % 3 == 1
-    for _ in range(2):
-        relabel(path, BODY, chosen)
-        with np.load(path) as arrays:
-            found = dict(arrays)
-        assert found["joint_names"].tolist() == list("abcdefgh")
-        np.testing.assert_array_equal(found["relabelled"], chosen)
-        exchanged = with_names_exchanged(BODY, row)
-        for name in ROWS:
-            for index in range(n):
-                expected = exchanged if chosen[index] else row
-                np.testing.assert_array_equal(found[name][index], expected[name], err_msg=name)
+    found = relabelled(BODY, {**columns, "missing": np.arange(n)}, chosen)
+    assert found["missing"].tolist() == list(range(n))
+    np.testing.assert_array_equal(found["relabelled"], chosen)
+    exchanged = with_names_exchanged(BODY, row)
+    for name in ROWS - {"relabelled"}:
+        for index in range(n):
+            expected = exchanged if chosen[index] else row
+            np.testing.assert_array_equal(found[name][index], expected[name], err_msg=name)
+        np.testing.assert_array_equal(columns[name], before[name])

@@ -23,9 +23,11 @@ from rsmcm.apps.events import (
     Zones,
     read_events,
 )
-from rsmcm.apps.events.watch import COLUMNS, ERROR, line_of, sightings_of
+from rsmcm.apps.events.watch import COLUMNS, ERROR, EventLog, line_of, rounded, sightings_of, write_events
 from rsmcm.apps.exports import TrackTableWriter, read_tracks_table
+from rsmcm.apps.exports.track_table import columns_of
 from rsmcm.apps.io.mot import TrackedBox
+from rsmcm.apps.runs.row_log import RowLog
 
 SIZE = (320, 240)
 HEIGHT = 40.0
@@ -263,15 +265,21 @@ def boxes(number: int) -> list[TrackedBox]:
 def write(folder: Path, first: int, last: int, every: int = 10) -> None:
     """Frames first to last of a run that has got as far as first - 1."""
     after = first - 1
-    table = TrackTableWriter(folder / "tracks.csv", after)
-    with table, EventWriter(folder / "events.csv", ZONES, folder / "tracks.csv", after) as writer:
+    log, table = RowLog(folder / "rows", after), TrackTableWriter(folder / "tracks.csv", after)
+    events = EventLog(ZONES, log)
+    with log, table, EventWriter(folder / "events.csv", events.events) as writer:
         for number in range(first, last + 1):
             found, time = boxes(number), (number - 1) / 12.5 + 1e-7
             table.write(number, time, found)
-            writer.write(number, time, found)
+            objects = columns_of(found)
+            log.append({"number": np.int64(number), "time": time}, objects)
+            writer.write(events.add(number, time, objects))
             if number % every == 0:
-                table.checkpoint()
-                writer.checkpoint()
+                for each in (log, table, writer):
+                    each.checkpoint()
+        log.checkpoint()
+        events.end(log)
+    write_events(folder / "events.csv", events.events)
 
 
 @pytest.fixture
@@ -301,13 +309,19 @@ def test_the_table_of_tracks_gives_the_same(whole: Path) -> None:
 
 
 def test_who_reads_along_sees_what_has_happened(tmp_path: Path) -> None:
-    path = tmp_path / "events.csv"
-    with EventWriter(path, ZONES, tmp_path / "tracks.csv") as writer:
+    path, events = tmp_path / "events.csv", EventLog(ZONES, RowLog(tmp_path / "rows"))
+    with EventWriter(path) as writer:
         assert read_events(path) == []
-        writer.write(1, 0.0, boxes(1))
+        writer.write(events.add(1, 0.0, columns_of(boxes(1))))
         (appeared,) = read_events(path)
         assert appeared == Event(Moment(0.0, 1, 160.0, 101.01), Kind.APPEARED, ZONES.zones[0].name, 7)
-    assert [event.kind for event in read_events(path)] == [Kind.APPEARED, Kind.REMAINED]
+
+
+def test_rounded_as_they_are_read_back(whole: Path) -> None:
+    with RowLog(whole / "rows", N_FRAMES) as log:
+        events = EventLog(ZONES, log)
+        events.end(log)
+        assert [rounded(event) for event in events.events] == read_events(whole / "events.csv")
 
 
 def test_read_back(whole: Path) -> None:
@@ -333,10 +347,13 @@ def test_another_file_is_one_line(tmp_path: Path) -> None:
 def test_nobody_has_been_there_yet(tmp_path: Path) -> None:
     """A run that is interrupted before its first track goes on; one without any has no events."""
     for after in (0, 3):
-        table = TrackTableWriter(tmp_path / "tracks.csv", after)
-        with table, EventWriter(tmp_path / "events.csv", ZONES, tmp_path / "tracks.csv", after) as writer:
+        log, table = RowLog(tmp_path / "rows", after), TrackTableWriter(tmp_path / "tracks.csv", after)
+        events = EventLog(ZONES, log)
+        with log, table, EventWriter(tmp_path / "events.csv", events.events) as writer:
             for number in range(after + 1, after + 4):
                 table.write(number, number / 25, [])
-                writer.write(number, number / 25, [])
+                log.append({"number": np.int64(number), "time": number / 25}, columns_of([]))
+                writer.write(events.add(number, number / 25, columns_of([])))
+            log.checkpoint()
     assert list(sightings_of(read_tracks_table(tmp_path))) == []
     assert read_events(tmp_path / "events.csv") == []

@@ -25,6 +25,7 @@ from rsmcm.models.numerics.rotations import exponential
 
 from ...conftest import Command, names, summary_of
 from ...support.browser import browsing
+from ...support.records import log_of
 from ...support.signer_clip import signer_clip
 from ...support.view_page import shown_page
 
@@ -564,18 +565,24 @@ def test_small_faces(height: float) -> None:
     assert find_face(Frame(np.full((300, 400, 3), 120, np.uint8), 0.0, 1), default_faces()) is None
 
 
+FACE_ROW = {
+    "weights": np.full(4, 0.25),
+    "mean_rotation": np.eye(3),
+    "mean_morphs": np.ones(2),
+    "log_evidence": -1.0,
+    "fit": 0.9,
+    "error": np.nan,
+    "lost": np.bool_(False),
+    "reinitialised": np.bool_(False),
+}
+"""What a record takes of a frame."""
+
+
 def test_a_poor_start_is_said() -> None:
     """By its fit in the first second, and by landmarks that the model does not meet."""
     for fits, poor in ((0.97, False), (0.8, True)):
-        record = FaceRecord()
-        for number in range(1, 61):
-            fit = np.nan if number == 1 else fits if number <= 26 else 0.5
-            record.add(
-                Frame(np.zeros((48, 64, 3), np.uint8), number / 25, number),
-                Poses.upright(np.zeros((1, 2)), np.ones(1), 2),
-                np.ones(1), -1.0, fit, np.nan, 0.1, lost=False, restarted=False,
-                overlay=lambda: np.zeros((48, 64, 3), np.uint8),
-            )  # fmt: skip
+        shown = [np.nan if number == 1 else fits if number <= 26 else 0.5 for number in range(1, 61)]
+        record = FaceRecord(log_of([{**FACE_ROW, "fit": fit} for fit in shown]))
         assert record.start_fit == pytest.approx(fits)
         assert any("start may be poor" in note for note in record.notes) == poor
     model = face_model()
@@ -638,14 +645,17 @@ def test_angles(axis: int, number: int) -> None:
 
 
 def test_a_record_of_any_length() -> None:
-    record = FaceRecord()
-    mean = Poses.upright(np.zeros((1, 2)), np.ones(1), 2)
-    picture = np.zeros((48, 64, 3), np.uint8)
-    for number in range(1, 101):
-        record.add(
-            Frame(None if number == 9 else picture, number / 25, number), mean, np.full(4, 0.25), -number,
-            0.9, np.nan, 0.1, lost=number in (5, 6, 7, 20, 100), restarted=number == 8,
-        )  # fmt: skip
+    rows = [
+        {
+            **FACE_ROW,
+            "log_evidence": -float(number),
+            "lost": np.bool_(number in (5, 6, 7, 20, 100)),
+            "reinitialised": np.bool_(number == 8),
+            "missing": np.bool_(number == 9),
+        }
+        for number in range(1, 101)
+    ]
+    record = FaceRecord(log_of(rows))
     assert record.lost_periods == [(5, 7), (20, 20), (100, 100)]
     assert record.missing == [9]
     assert record.notes == [

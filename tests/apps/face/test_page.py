@@ -20,6 +20,7 @@ from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.surface_texels import SurfaceTexels
 
 from ...support.browser import PHONE, Browser, browsing, landmarks, overflow
+from ...support.records import log_of
 from ...support.view_page import Turned, ViewPage, shown_page, write_pages
 
 N_FRAMES = 25
@@ -60,15 +61,21 @@ def row(scene: FaceScene, index: int) -> dict[str, Any]:
 
 
 def record_of(scene: FaceScene, n_frames: int, error: float) -> FaceRecord:
-    record = FaceRecord()
+    rows = []
     for index in range(n_frames):
-        made, frame = row(scene, index), Frame(None, index / 25, index + 1)
-        record.add(
-            frame, scene.poses[index], made["weights"], float(made["log_evidence"]), float(made["fit"]),
-            np.nan if index == 0 else error, 0.01, lost=bool(made["lost"]),
-            restarted=bool(made["reinitialised"]),
-        )  # fmt: skip
-    return record
+        made = row(scene, index)
+        of_record = (
+            "weights",
+            "mean_rotation",
+            "mean_morphs",
+            "log_evidence",
+            "fit",
+            "lost",
+            "reinitialised",
+        )
+        found = {name: made[name] for name in of_record}
+        rows.append({**found, "error": np.nan if index == 0 else error})
+    return FaceRecord(log_of(rows))
 
 
 def page_of(film: Film, scene: FaceScene, drawing: FaceDrawing, error: float = 1.5) -> Page:
