@@ -3,12 +3,12 @@
 import numpy as np
 
 from ..drawing.overlay import PointsOverlay
-from ..io.datasets import data_folder
 from ..runs.progress import Progress
 from ..structure.application import Film, read_film
 from ..structure.job import Association, StructureJob
 from ..structure.page import drawn_of
 from ..structure.reconstruction import MOST_ROUNDS, Reconstruction, reconstruct
+from .datasets import data_folder
 from .expectations import Expectation
 from .experiment import Findings, Picture
 from .record import Table

@@ -20,9 +20,9 @@ from ...models import PointTracks
 from ...models.core.frame import Frame
 from ..evaluation.text_tables import in_columns
 from ..io import open_source
-from ..io.datasets import data_folder
 from ..runs.parallel import chosen_workers, in_parallel, working
 from ..scenes.random_fields import mottle
+from .datasets import data_folder
 from .expectations import HEADER, Expectation, over_seeds
 
 Numbers = NDArray[np.float64]

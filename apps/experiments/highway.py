@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..evaluation.masks import PixelScore, total
-from ..io.datasets import data_folder
 from ..io.ground_truth import MaskTruth, read_ground_truth
 from ..io.sources.open_source import open_source
 from ..runs.progress import Progress
 from .baselines import SETTINGS, CleanUp, Setting, readable_images, sweep_subtractors
 from .compare import CHAINS, ModelSubtractor
+from .datasets import data_folder
 from .expectations import Expectation
 from .experiment import Findings
 from .record import Table

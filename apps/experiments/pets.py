@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ..evaluation.masks import ErrorClasses, error_classes, ratio
 from ..evaluation.tracks import TrackScores, evaluate_tracks
-from ..io.datasets import data_folder
 from ..io.ground_truth import BoxTruth
 from ..io.sources.open_source import open_source
 from ..runs.progress import Progress
@@ -26,6 +25,7 @@ from .baselines import (
     sweep_subtractors,
 )
 from .compare import CHAINS, PRIORS, SHOWN_PRIOR, Gallery, Model, ModelSubtractor, errors_plot
+from .datasets import data_folder
 from .expectations import Expectation, over_seeds
 from .experiment import Findings
 from .record import Table

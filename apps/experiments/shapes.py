@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ...inference.sfm.nonrigid.learning import LEAST_FRAMES, learn_shape
 from ...inference.sfm.nonrigid.shape import NonrigidShape, shape_error
-from ..io.datasets import data_folder
 from ..runs.progress import Progress
+from .datasets import data_folder
 from .expectations import Expectation
 from .experiment import Findings, Plot
 from .record import Table

@@ -18,9 +18,9 @@ from ...models.core.pictures import grey_of
 from ...models.face.model_files import read_correspondences, read_model
 from ...models.pixels.pixel_labels import PixelLabels
 from ..face.start import FaceStart, start_from_landmarks
-from ..io.datasets import data_folder
 from ..io.sources.open_source import open_source
 from ..runs.progress import Progress
+from .datasets import data_folder
 from .expectations import Expectation
 from .experiment import Findings, Plot
 from .record import Table

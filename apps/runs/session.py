@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from ..first_use.ahead import compiling_ahead
+from ..first_use import compiling_ahead
 from ..io.segments import segment_pattern
 from ..options.job import Job
 from ..view.film import FILM, ROWS

@@ -27,7 +27,7 @@ from ...models.objects.box_message import BoxMessage
 from ...models.objects.object_boxes import ObjectBoxes
 from ...models.pixels.layers import LayerStack, log_uniform
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
-from . import detections
+from ..objects import detections
 from .blob_geometry import likely_size
 from .blob_scene import BlobScene
 from .blob_table import Blobs, BlobState

@@ -16,7 +16,7 @@ from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.points.point_tracks import NOWHERE, PointMessage, PointTracks
-from . import camera_motion, recursive
+from ..structure import camera_motion, recursive
 from .camera_motion import CameraMotion
 from .recursive import (
     GATE,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from . import checkpoint
+from ..engine import checkpoint
 from .graph import MultiChain, require_model
 from .protocols import BatchChain, FeatureNode, MessageType, Named, Smoothed, TrajectoryType, name_of, require
 from .sequence import LazyFrames, TimeSlices

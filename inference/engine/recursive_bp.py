@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.numerics.threads import side_by_side
-from . import checkpoint
+from ..engine import checkpoint
 from .graph import IMAGE, MultiChain, require_model
 from .protocols import Chain, FeatureNode, MessageType, Named, name_of, require
 from .time_slice import TimeSlice

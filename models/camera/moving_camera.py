@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera import kernels
 from ..core.frame import BoundingBox
 from ..core.gaussian_message import GaussianMessage
 from ..core.pictures import grey_of
 from ..core.short_repr import short_repr
-from . import kernels
 
 Numbers = NDArray[np.float64]
 Image = NDArray[np.uint8]

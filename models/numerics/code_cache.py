@@ -11,24 +11,16 @@ changed.
 
 import hashlib
 import os
-import time
 from contextlib import suppress
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
+from filelock import FileLock
 from numba.core.caching import FunctionCache
-
-try:
-    import fcntl
-except ImportError:  # on Windows every process compiles for itself
-    fcntl = None  # type: ignore[assignment]
 
 PATIENCE = 120.0
 """s for which another process is waited for; one that has failed to compile keeps its lock until it ends."""
-
-POLL = 0.05
-"""s between two looks."""
 
 
 class CodeCache(FunctionCache):
@@ -43,7 +35,9 @@ class CodeCache(FunctionCache):
     def __init__(self, function: Any) -> None:
         super().__init__(function.py_func)  # type: ignore[no-untyped-call]
         self._function = function
-        self._lock: int | None = None
+        self._lock = FileLock(
+            os.path.join(self.cache_path, f"{self._impl.filename_base}.lock"), PATIENCE, 0o666
+        )
         self._stamped = False
 
     def load_overload(self, signature: Any, context: Any) -> Any:
@@ -52,11 +46,13 @@ class CodeCache(FunctionCache):
             self._cache_file._source_stamp = digest_of(self._function)
             self._stamped = True
         found = super().load_overload(signature, context)  # type: ignore[no-untyped-call]
-        if found is None and self._lock is None and fcntl is not None:
-            self._wait()
+        if found is None and not self._lock.is_locked:
+            with suppress(OSError):  # also where it takes too long: on without the lock
+                self._impl.locator.ensure_cache_path()
+                self._lock.acquire()
             found = super().load_overload(signature, context)  # type: ignore[no-untyped-call]
             if found is not None:
-                self._release()
+                self._lock.release()
         return found
 
     def save_overload(self, signature: Any, made: Any) -> None:
@@ -64,25 +60,7 @@ class CodeCache(FunctionCache):
         try:
             super().save_overload(signature, made)  # type: ignore[no-untyped-call]
         finally:
-            self._release()
-
-    def _wait(self) -> None:
-        """Take the lock; where it cannot be had, go on without."""
-        with suppress(OSError):
-            self._impl.locator.ensure_cache_path()
-            path = os.path.join(self.cache_path, f"{self._impl.filename_base}.lock")
-            self._lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-            started = time.monotonic()
-            while time.monotonic() - started < PATIENCE:
-                with suppress(BlockingIOError):
-                    fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    return
-                time.sleep(POLL)
-
-    def _release(self) -> None:
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
+            self._lock.release()
 
 
 def digest_of(function: Any) -> str:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
 from ..numerics.threads import over_bands
-from . import colour
+from ..pixels import colour
 from .kernels.gaussian import (
     COARSE_STEPS,
     HIGHEST_VARIANCE,

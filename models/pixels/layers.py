@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.short_repr import short_repr
-from . import colour
+from ..pixels import colour
 from .kernels.layers import LAYER, Composition, Pools, apart, compose, shift_of
 
 Map = NDArray[np.float32]

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.io.datasets import data_folder
+from rsmcm.apps.experiments.datasets import data_folder
 
 
 def signer_clip() -> list[NDArray[np.uint8]]:

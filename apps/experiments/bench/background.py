@@ -12,10 +12,10 @@ from ....models import Frame, PixelLabels
 from ....models.numerics.threads import set_threads
 from ...background.application import build_model, found_in
 from ...background.parameters import build_chain
-from ...io.datasets import data_folder
 from ...io.sources.open_source import open_source
 from ...scenes import sleeping_man
 from ...scenes.crowd import crowd
+from ..datasets import data_folder
 from ..expectations import Expectation
 from ..experiment import Findings
 from .timing import ROUNDS, of_chains, over_frames, over_rounds

@@ -12,9 +12,9 @@ from ....chains.body.flesh_tracker import FleshTracker
 from ....inference import MultiChain, RecursiveBP, RunState
 from ....models import BodyParts, Frame, HaarFaces, UpperBody
 from ....models.numerics.threads import set_threads
-from ...io.datasets import data_folder
 from ...io.sources.open_source import open_source
 from ..body_trackers import LAG, SignerFilm
+from ..datasets import data_folder
 from ..expectations import Expectation
 from ..experiment import Findings
 from .background import image_of

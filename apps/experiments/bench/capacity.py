@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from ...background.application import run_background
 from ...background.job import BackgroundJob
-from ...io.datasets import data_folder
 from ...io.segmented_video import PLAYABLE, SegmentedVideo
 from ...io.sources.open_source import open_source
 from ...runs.parallel import Workers, in_parallel, working
 from ...runs.saved_run import STATE
 from ...scenes import sleeping_man
+from ..datasets import data_folder
 from ..experiment import Findings, publish
 from ..record import Table
 

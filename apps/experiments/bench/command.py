@@ -18,11 +18,11 @@ from unittest.mock import patch
 
 from ....inference import RecursiveBP
 from ....models.numerics.threads import set_threads
-from ...io.datasets import data_folder
 from ...io.segmented_video import PLAYABLE, SegmentedVideo
 from ...io.sources.open_source import open_source
 from ...scenes import sleeping_man
 from ..compare import Model
+from ..datasets import data_folder
 from ..expectations import Expectation
 from ..experiment import Findings
 from .background import SIZE, image_of

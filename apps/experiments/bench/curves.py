@@ -25,10 +25,10 @@ from ....models.numerics.threads import set_threads
 from ...background.application import build_model
 from ...scenes import face
 from ...scenes.crowd import crowd
+from ..bench import faces
 from ..expectations import Expectation
 from ..experiment import Findings, Plot
 from ..record import Table
-from . import faces
 from .background import in_steps, preloaded, subtracting
 from .bodies import BodyFilm
 from .structure import turning_points

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from rsmcm.models.numerics.code_cache import digest_of, fcntl
+from rsmcm.models.numerics.code_cache import digest_of
 
 PROGRAM = """
 from numba.core import event
@@ -30,7 +30,6 @@ print("invert" in Compiled.names, inverses.tobytes().hex())
 """
 
 
-@pytest.mark.skipif(fcntl is None, reason="the system has no locks of this kind")
 def test_one_of_two_processes_compiles_and_both_have_its_code(tmp_path: Path) -> None:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     both = [

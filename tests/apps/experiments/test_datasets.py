@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 import requests
-from rsmcm.apps.io import datasets
+from rsmcm.apps.experiments import datasets
 
 
 @pytest.fixture(autouse=True)

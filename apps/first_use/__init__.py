@@ -1,1 +1,0 @@
-"""What is done once on a machine: loops are compiled."""
