@@ -4,6 +4,7 @@ from .finished_run import FinishedRun, RunFrame
 from .for_supervision import to_key_points, to_supervision
 from .movement import movement_dataset, to_movement
 from .track_table import TrackTableWriter, read_tracks_table
+from .video import to_video
 
 __all__ = [
     "FinishedRun",
@@ -16,4 +17,5 @@ __all__ = [
     "to_key_points",
     "to_movement",
     "to_supervision",
+    "to_video",
 ]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from zipfile import BadZipFile
 
 import av
 import cv2
@@ -46,7 +47,10 @@ def to_video(run: str | Path, out: str | Path) -> str:
     finished = FinishedRun.of(run, *_DRAWINGS)
     if not (finished.folder / FILM).exists() or not (finished.folder / ROWS).exists():
         raise ValueError(f"{finished.folder}: holds no film, expected {FILM} and {ROWS}")
-    film = read_film(finished.folder)
+    try:
+        film = read_film(finished.folder)
+    except (av.FFmpegError, BadZipFile, KeyError, ValueError) as error:
+        raise ValueError(f"{finished.folder}: got a damaged film ({error})") from None
     if finished.summary.get("relabelled"):
         poses = read_arrays(finished.folder / "poses.npz", "expected the poses of a body")
         film = with_final_names(film, poses)

@@ -98,13 +98,13 @@ class DrawnPlot {
       const [column, row] = at;
       parts.push(svg("text", { x: column, y: row, ...attributes }, value));
     };
-    const whole = lines.every(({ values }) => values.every((value) => Number.isInteger(value) || Number.isNaN(value)));
-    for (const value of ticks(Math.min(y0, y1), Math.max(y0, y1), high / 28, whole)) {
+    const areWhole = (arrays) => arrays.every((values) => values.every((value) => Number.isInteger(value) || Number.isNaN(value)));
+    for (const value of ticks(Math.min(y0, y1), Math.max(y0, y1), high / 28, areWhole(lines.map(({ values }) => values)))) {
       parts.push(svg("path", { class: "grid", d: `M${left} ${y(value).toFixed(1)}h${inner}` }));
       text(short(value), [left - 6, y(value) + 4], { "text-anchor": "end" });
     }
     const bottom = ROOM.top + high;
-    for (const value of ticks(x0, x1, inner / 70, data.over === "frame" && this.plot.axis === null)) {
+    for (const value of ticks(x0, x1, inner / 70, areWhole(xs))) {
       parts.push(svg("path", { class: "grid", d: `M${x(value).toFixed(1)} ${bottom}v4` }));
       text(short(value), [x(value), bottom + 16], { "text-anchor": "middle" });
     }
