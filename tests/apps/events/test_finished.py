@@ -168,7 +168,7 @@ def test_what_is_wrong_is_one_line_and_loses_nothing(
 
 
 def test_the_page_on_a_phone(results: Path, film: Path, tmp_path: Path) -> None:
-    """Tables and plots are wider, and scroll by themselves; a plot's letters stay large enough."""
+    """Tables are wider, and scroll by themselves; a plot's letters stay large enough."""
     copy = shutil.copytree(results, tmp_path / "copy")
     assert run("events", copy, "--zones", film / "zones.toml") == 0
     with browsing() as browser, browser.page(copy / "events.html", PHONE) as page:
@@ -176,5 +176,5 @@ def test_the_page_on_a_phone(results: Path, film: Path, tmp_path: Path) -> None:
         mains, headings = landmarks(page)
         assert mains == 1
         assert headings[1:] == ["Zones and lines"]
-        width = page.evaluate("document.querySelector('figure > svg').getBoundingClientRect().width")
-        assert width > 640, "letters of 10 pt on 11 inches have more than 8 px"
+        height = page.evaluate("document.querySelector('.plot text').getBoundingClientRect().height")
+        assert height > 8, "letters can be read"
