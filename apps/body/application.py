@@ -17,11 +17,22 @@ from ...chains.body.dynamics import BodyDynamics
 from ...chains.body.fixed_lag import BLOCK, FixedLag, TimedSamples, WaitingFrame
 from ...chains.body.flesh_tracker import FleshTracker
 from ...chains.body.samples import moments
+from ...chains.body.start import (
+    BodyStart,
+    ClickedJoints,
+    SavedPerson,
+    followed,
+    shows_whom,
+    start_from_faces,
+    start_from_head,
+    start_from_keypoints,
+    with_lengths,
+)
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...inference.engine.recursive_bp import RunState
 from ...models.body.parts import CALIBRATION_FRAMES, BodyParts
 from ...models.body.upper_body import JOINTS, PARTS, UpperBody
-from ...models.core.frame import Frame
+from ...models.core.frame import BoundingBox, Frame
 from ..drawing.overlay import Draw
 from ..io.film import SeenFrames
 from ..io.keypoints import Keypoints, given_keypoints, with_keypoints
@@ -34,12 +45,10 @@ from ..view.film import Film
 from ..view.page import Page
 from .hypotheses import hypotheses
 from .job import LAG, BodyJob
-from .joint_files import ClickedJoints, read_joints
-from .keypoint_start import followed, shows_whom, start_from_keypoints, with_lengths
+from .joint_files import read_joints
 from .page import body_page, drawing, drawn_of, with_final_names
 from .record import PART_JOINTS, BodyRecord
 from .relabelling import relabelled
-from .start import BodyStart, SavedPerson, read_head, start_from_faces, start_from_head
 
 _log = logging.getLogger(__name__)
 
@@ -86,6 +95,23 @@ def run_body(job: BodyJob) -> Outcome:
     Frames that are missing, unreadable or blank (black, saturated) are predicted.
     """
     return run_film(Body(job, None if job.joints is None else read_joints(job.joints)))
+
+
+def read_head(text: str) -> BoundingBox:
+    """Read `x,y,width,height` px of a head.
+
+    Raises
+    ------
+    ValueError
+        if it is no such text, or the box is empty.
+    """
+    try:
+        x, y, width, height = (float(number) for number in text.split(","))
+    except ValueError:
+        raise ValueError(f"--head: got {text!r}, expected x,y,width,height in px") from None
+    if not (np.isfinite([x, y]).all() and 0 < width < np.inf and 0 < height < np.inf):
+        raise ValueError(f"--head: got {text!r}, expected a width and height above 0 px")
+    return x, y, width, height
 
 
 class SmoothedBelief(Belief):

@@ -3,12 +3,12 @@
 import csv
 import io
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...chains.body.start import ClickedJoints
 from ...models.body.upper_body import JOINTS
 from ...models.files import LAST_FRAME, MOST_SETTINGS, read_text
 from ..io.point_files import FARTHEST
@@ -16,25 +16,6 @@ from ..io.point_files import FARTHEST
 Array = NDArray[np.float64]
 
 COLUMNS = ["frame", "joint", "x", "y"]
-
-
-@dataclass(frozen=True, eq=False)
-class ClickedJoints:
-    """Where joints are in a few frames.
-
-    Parameters
-    ----------
-    path
-        of their file.
-    frames
-        `(n_frames,)` int64: numbers of the frames, from 1, in order.
-    places
-        `(n_frames, 8, 2)` px, in the order of `JOINTS`, NaN where a joint was not clicked.
-    """
-
-    path: Path
-    frames: NDArray[np.int64]
-    places: Array
 
 
 def read_joints(path: Path) -> ClickedJoints:

@@ -13,10 +13,11 @@ import numpy as np
 from cyclopts import App, Parameter
 from numpy.typing import NDArray
 
+from ...chains.body.start import ClickedJoints
 from ...models.body.upper_body import JOINTS
 from ..body.application import run_body
 from ..body.job import BodyJob
-from ..body.joint_files import ClickedJoints, read_joints
+from ..body.joint_files import read_joints
 from ..body.measures import APART, SOON, exchanged_hands, longest_exchange
 from ..runs.parallel import chosen_workers, in_parallel, working
 from .expectations import Expectation, over_seeds

@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ...chains.face.gflow import GFlow
+from ...chains.face.start import FaceStart, start_from_landmarks
 from ...inference import MultiChain, RecursiveBP
 from ...inference.sfm.nonrigid.learning import learn_shape
 from ...models.core.frame import Frame
 from ...models.core.pictures import grey_of
 from ...models.face.model_files import read_correspondences, read_model
 from ...models.pixels.pixel_labels import PixelLabels
-from ..face.start import FaceStart, start_from_landmarks
 from ..io.sources.open_source import open_source
 from ..runs.progress import Progress
 from .datasets import data_folder

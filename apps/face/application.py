@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...chains.face.gflow import GFlow
 from ...chains.face.recovery import DetectedFace, Finder
+from ...chains.face.start import FaceStart, find_face, start_from_box, start_from_landmarks
 from ...inference import Belief, MultiChain
 from ...models.core.frame import Frame
 from ...models.face.built_in_model import face_model
@@ -32,7 +33,6 @@ from .job import FaceJob
 from .landmark_files import GivenLandmarks
 from .page import FaceDrawing, face_page
 from .record import FaceRecord
-from .start import FaceStart, find_face, start_from_box, start_from_landmarks
 from .texture import vertices_on_texture, write_textures
 
 _log = logging.getLogger(__name__)

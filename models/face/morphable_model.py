@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.short_repr import PickledByFields, short_repr
 from ..numerics.rotations import cross_matrices
-from .landmark_fit import LANDMARK_NOISE, fit_points
 from .pose import RIGID, Poses
 from .surface_points import SurfacePoints
 
@@ -148,67 +147,6 @@ class MorphableModel(PickledByFields):
                 f"{(self.landmarks >= 0).sum()} of landmarks 1 to {len(self.landmarks)}"
             )
         return SurfacePoints.of_vertices(vertices)
-
-    def fit(
-        self,
-        landmarks: Array,
-        points: SurfacePoints | None = None,
-        start: Poses | None = None,
-        noise: float = LANDMARK_NOISE,
-    ) -> Poses:
-        """Find the poses in which points of the object are seen at landmarks: the most probable ones.
-
-        Landmarks have Gaussian noise, and shapes are as probable as c_j / c_1 being standard normal for
-        j > 1; nothing is known of where and how turned the object is. All frames are fitted at once, each
-        for itself.
-
-        Parameters
-        ----------
-        landmarks
-            `(n_landmarks, 2)` or `(n_frames, n_landmarks, 2)` px, NaN where missing; at least four a frame,
-            with fewer than six or seven an object may come out turned as its mirror image in depth would be.
-        points
-            of the object at the landmarks. By default the model's own landmarks, if there are as many (those
-            without a vertex are passed over), or else its vertices.
-        start
-            poses to start from, one a frame or one for all. By default each frame starts from closed forms.
-        noise
-            standard deviation of a landmark, each coordinate, in units of c_1.
-
-        Returns
-        -------
-        Poses
-            one a frame.
-
-        Raises
-        ------
-        ValueError
-            if landmarks are not as many as points, are infinite or too few in a frame, or lie all at one
-            place; if start or noise do not fit.
-        """
-        given = np.asarray(landmarks, np.float64)
-        if given.ndim not in (2, 3) or given.shape[-1] != 2:
-            raise ValueError(
-                f"landmarks: got {given.shape}, expected (n_landmarks, 2) or (n_frames, n_landmarks, 2) px"
-            )
-        given = given.reshape(-1, *given.shape[-2:])
-        if points is None:
-            if self.landmarks is not None and len(self.landmarks) == given.shape[1]:
-                present = self.landmarks >= 0
-                points, given = SurfacePoints.of_vertices(self.landmarks[present]), given[:, present]
-            elif given.shape[1] == self.n_vertices:
-                points = SurfacePoints.of_vertices(np.arange(self.n_vertices))
-            else:
-                own = "no landmarks" if self.landmarks is None else f"{len(self.landmarks)} landmarks"
-                raise ValueError(
-                    f"landmarks: got {given.shape[1]}, but the model has {own} of its own and "
-                    f"{self.n_vertices} vertices: say which points of it they are"
-                )
-        if len(points) != given.shape[1]:
-            raise ValueError(
-                f"landmarks: got {given.shape[1]}, expected one for each of {len(points)} points"
-            )
-        return fit_points(self.of_points(points), given, start, noise)
 
     def personalised(self, morphs: Array) -> "MorphableModel":
         """The model of one person: what the identity bases say goes into the typical shape.

@@ -8,7 +8,6 @@ import numpy as np
 from rsmcm.apps.background.application import build_model
 from rsmcm.apps.background.parameters import read_parameters, with_defaults
 from rsmcm.apps.body.joint_files import read_joints
-from rsmcm.apps.body.start import start_from_head
 from rsmcm.apps.evaluation.scoring import Scoring
 from rsmcm.apps.evaluation.tracks import track_rows
 from rsmcm.apps.evaluation.validity import report_validity
@@ -23,6 +22,7 @@ from rsmcm.apps.io.sources.open_source import IMAGE_SUFFIXES, open_source
 from rsmcm.apps.runs.region import read_region
 from rsmcm.apps.structure.application import read_film
 from rsmcm.apps.structure.job import StructureJob
+from rsmcm.chains.body.start import start_from_head
 from rsmcm.inference import RecursiveBP
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.detectors import default_faces

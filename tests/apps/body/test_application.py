@@ -12,17 +12,17 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.body import application
 from rsmcm.apps.body import record as body_record
-from rsmcm.apps.body import start as body_start
-from rsmcm.apps.body.application import ANGLE_NAMES, N_DRAWN
+from rsmcm.apps.body.application import ANGLE_NAMES, N_DRAWN, read_head
 from rsmcm.apps.body.hypotheses import HANDS, Hypotheses
 from rsmcm.apps.body.record import RARELY_SEEN, BodyRecord
-from rsmcm.apps.body.start import SavedPerson, read_head, start_from_faces, start_from_head
 from rsmcm.apps.io import film as films
 from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.runs import loop
 from rsmcm.apps.scenes import SignerScene, signer
+from rsmcm.chains.body import start as body_start
 from rsmcm.chains.body.hand_labelling import HandLabels
+from rsmcm.chains.body.start import SavedPerson, start_from_faces, start_from_head
 from rsmcm.models import Frame
 from rsmcm.models.body.parts import HEAD_OF_BOX
 from rsmcm.models.body.upper_body import JOINTS, PARTS, UpperBody
@@ -669,7 +669,7 @@ def test_of_several_faces_the_one_that_is_pointed_at(
     def faces(_: Frame) -> NDArray[np.float64]:
         return np.array([(20.0, 20.0, 60.0, 60.0), (x, y + 0.1 * height, 0.75 * height, 0.75 * height)])
 
-    monkeypatch.setattr("rsmcm.apps.body.start.default_faces", lambda path: faces)
+    monkeypatch.setattr("rsmcm.chains.body.start.default_faces", lambda path: faces)
     largest = start_from_faces("film", images, Path("any.onnx"), None)
     meant = start_from_faces("film", images, Path("any.onnx"), None, own)
     assert largest.parts.head_height == pytest.approx(HEAD_OF_BOX * 60)

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rsmcm.apps.body.joint_files import ClickedJoints
 from rsmcm.apps.experiments.body_film import FilmTrial, cells_of, expectations_of
 from rsmcm.apps.io.files import write_image
 from rsmcm.apps.scenes import signer
+from rsmcm.chains.body.start import ClickedJoints
 from rsmcm.models.body.upper_body import JOINTS
 
 HANDS = [JOINTS.index("left_hand"), JOINTS.index("right_hand")]

@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.face import application
 from rsmcm.apps.face.record import ANGLES, FaceRecord, angles
-from rsmcm.apps.face.start import find_face, start_from_box, start_from_landmarks
 from rsmcm.apps.io import film as films
 from rsmcm.apps.scenes import face
 from rsmcm.chains.face.recovery import WIDTH_OF_FACE
+from rsmcm.chains.face.start import find_face, start_from_box, start_from_landmarks
 from rsmcm.models import Frame
 from rsmcm.models.face import detectors
 from rsmcm.models.face.built_in_model import face_model

@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains.face.recovery import AROUND, FACE, UprightView, poses_in_boxes
 from ...models.core.frame import BoundingBox, Frame
 from ...models.face.detectors import PartDetector, for_height, of_any_pose
-from ...models.face.landmark_fit import LANDMARK_NOISE
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
 from ...models.face.surface_points import SurfacePoints
+from .landmark_fit import LANDMARK_NOISE, fit_landmarks
+from .recovery import AROUND, FACE, UprightView, poses_in_boxes
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -97,9 +97,9 @@ def start_from_landmarks(
             f"landmarks: got {np.count_nonzero(known)} in the first frame that the model has as well, "
             f"expected {FEWEST_LANDMARKS} or more"
         )
-    fitted = model.fit(places, points)
+    fitted = fit_landmarks(model, places, points)
     person = model.personalised(fitted.morphs[0])
-    pose = person.fit(places, points)
+    pose = fit_landmarks(person, places, points)
     missed = (points.project(person, pose)[0] - places)[known]
     error = float(np.sqrt((missed**2).sum(axis=1).mean()))
     present = ~np.isnan(landmarks[:, 0])

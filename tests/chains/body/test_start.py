@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.body.keypoint_start import MOST_FRAMES, followed
 from rsmcm.apps.io import read_keypoints
 from rsmcm.apps.scenes import SignerScene, signer
+from rsmcm.chains.body.start import MOST_FRAMES, followed
 from rsmcm.models import GivenKeypoints
 from rsmcm.models.body.upper_body import JOINTS
 

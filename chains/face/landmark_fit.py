@@ -1,14 +1,11 @@
 """Poses from landmarks: closed forms for a rigid object, then Gauss-Newton with all morphs."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
-from .pose import RIGID, Poses
-
-if TYPE_CHECKING:
-    from .morphable_model import MorphableModel
+from ...models.face.morphable_model import MorphableModel
+from ...models.face.pose import RIGID, Poses
+from ...models.face.surface_points import SurfacePoints
 
 Array = NDArray[np.float64]
 
@@ -30,18 +27,70 @@ _DEPTH_DOUBT = 0.05
 """How far a point may be from where the typical shape has it, in units of c_1, at the start."""
 
 
-def fit_points(points: "MorphableModel", landmarks: Array, start: Poses | None, noise: float) -> Poses:
-    """Fit poses to landmarks, as `MorphableModel.fit` documents it.
+def fit_landmarks(
+    model: MorphableModel,
+    landmarks: Array,
+    points: SurfacePoints | None = None,
+    start: Poses | None = None,
+    noise: float = LANDMARK_NOISE,
+) -> Poses:
+    """Return the most probable poses in which points of the object are seen at landmarks.
+
+    Landmarks have Gaussian noise, and shapes are as probable as c_j / c_1 being standard normal for
+    j > 1; nothing is known of where and how turned the object is. All frames are fitted at once, each
+    for itself.
 
     Parameters
     ----------
-    points
-        the model whose vertices are the points at the landmarks.
+    model
+        of the object.
     landmarks
-        `(n_frames, n_points, 2)` px, NaN where missing.
-    start, noise
-        as of `MorphableModel.fit`.
+        `(n_landmarks, 2)` or `(n_frames, n_landmarks, 2)` px, NaN where missing; at least four a frame,
+        with fewer than six or seven an object may come out turned as its mirror image in depth would be.
+    points
+        of the object at the landmarks. By default the model's own landmarks, if there are as many (those
+        without a vertex are passed over), or else its vertices.
+    start
+        poses to start from, one a frame or one for all. By default each frame starts from closed forms.
+    noise
+        standard deviation of a landmark, each coordinate, in units of c_1.
+
+    Returns
+    -------
+    Poses
+        one a frame.
+
+    Raises
+    ------
+    ValueError
+        if landmarks are not as many as points, are infinite or too few in a frame, or lie all at one
+        place; if start or noise do not fit.
     """
+    given = np.asarray(landmarks, np.float64)
+    if given.ndim not in (2, 3) or given.shape[-1] != 2:
+        raise ValueError(
+            f"landmarks: got {given.shape}, expected (n_landmarks, 2) or (n_frames, n_landmarks, 2) px"
+        )
+    given = given.reshape(-1, *given.shape[-2:])
+    if points is None:
+        if model.landmarks is not None and len(model.landmarks) == given.shape[1]:
+            present = model.landmarks >= 0
+            points, given = SurfacePoints.of_vertices(model.landmarks[present]), given[:, present]
+        elif given.shape[1] == model.n_vertices:
+            points = SurfacePoints.of_vertices(np.arange(model.n_vertices))
+        else:
+            own = "no landmarks" if model.landmarks is None else f"{len(model.landmarks)} landmarks"
+            raise ValueError(
+                f"landmarks: got {given.shape[1]}, but the model has {own} of its own and "
+                f"{model.n_vertices} vertices: say which points of it they are"
+            )
+    if len(points) != given.shape[1]:
+        raise ValueError(f"landmarks: got {given.shape[1]}, expected one for each of {len(points)} points")
+    return _fit(model.of_points(points), given, start, noise)
+
+
+def _fit(points: MorphableModel, landmarks: Array, start: Poses | None, noise: float) -> Poses:
+    """Fit poses to landmarks `(n_frames, n_points, 2)` px of a model whose vertices are the points there."""
     if not noise > 0:
         raise ValueError(f"noise: got {noise}, expected a positive share of the object's size")
     landmarks, seen = _checked(landmarks)
@@ -83,7 +132,7 @@ def _checked(landmarks: Array) -> tuple[Array, NDArray[np.bool_]]:
     return landmarks, seen
 
 
-def _rigid_poses(points: "MorphableModel", landmarks: Array, seen: NDArray[np.bool_], noise: float) -> Poses:
+def _rigid_poses(points: MorphableModel, landmarks: Array, seen: NDArray[np.bool_], noise: float) -> Poses:
     """Poses of the typical shape: the best that Gauss-Newton finds from three closed forms.
 
     They are the scaled rotation nearest to the affine camera that fits best, the same seen with depth turned
@@ -121,7 +170,7 @@ def _rigid_poses(points: "MorphableModel", landmarks: Array, seen: NDArray[np.bo
 
 
 def _peak(
-    points: "MorphableModel", landmarks: Array, seen: NDArray[np.bool_], poses: Poses, noise: float
+    points: MorphableModel, landmarks: Array, seen: NDArray[np.bool_], poses: Poses, noise: float
 ) -> tuple[Poses, Array]:
     """The poses nearby of the highest posterior density, and their costs (twice its negative logarithm).
 
@@ -155,7 +204,7 @@ def _peak(
 
 
 def _cost(
-    points: "MorphableModel", landmarks: Array, seen: NDArray[np.bool_], poses: Poses, sigma: Array
+    points: MorphableModel, landmarks: Array, seen: NDArray[np.bool_], poses: Poses, sigma: Array
 ) -> Array:
     """Squared residuals of landmarks and of c_j / c_1, in their standard deviations; `(n_frames,)`."""
     away = ((landmarks - points.project(poses)) ** 2).sum(axis=2)
@@ -166,7 +215,7 @@ def _cost(
 
 
 def _normal_equations(
-    points: "MorphableModel", landmarks: Array, seen: NDArray[np.bool_], poses: Poses, sigma: Array
+    points: MorphableModel, landmarks: Array, seen: NDArray[np.bool_], poses: Poses, sigma: Array
 ) -> tuple[Array, Array]:
     """J^T e `(n_frames, dimension)` and J^T J of the residuals of `_cost`."""
     n = len(poses)

@@ -1,23 +1,43 @@
 """Who is to be tracked: size, skin colour and lengths of a person, from some frames."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.body.keypoints import head_places, joints_of, largest
 from ...models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
 from ...models.body.person import ClothesColour, OtherFaces
 from ...models.body.skin import SkinColour, static_skin
-from ...models.body.upper_body import UpperBody
+from ...models.body.upper_body import PROPORTIONS, UpperBody
 from ...models.core.frame import BoundingBox, Frame
+from ...models.core.keypoints import GivenKeypoints
 from ...models.face.detectors import HaarFaces, PartDetector, default_faces
-from .joint_files import ClickedJoints
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class ClickedJoints:
+    """Where joints are in a few frames.
+
+    Parameters
+    ----------
+    path
+        of their file.
+    frames
+        `(n_frames,)` int64: numbers of the frames, from 1, in order.
+    places
+        `(n_frames, 8, 2)` px, in the order of `JOINTS`, NaN where a joint was not clicked.
+    """
+
+    path: Path
+    frames: NDArray[np.int64]
+    places: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,23 +166,6 @@ class SavedPerson:
         return BodyStart(parts, self.body, self.origin)
 
 
-def read_head(text: str) -> BoundingBox:
-    """Read `x,y,width,height` px of a head.
-
-    Raises
-    ------
-    ValueError
-        if it is no such text, or the box is empty.
-    """
-    try:
-        x, y, width, height = (float(number) for number in text.split(","))
-    except ValueError:
-        raise ValueError(f"--head: got {text!r}, expected x,y,width,height in px") from None
-    if not (np.isfinite([x, y]).all() and 0 < width < np.inf and 0 < height < np.inf):
-        raise ValueError(f"--head: got {text!r}, expected a width and height above 0 px")
-    return x, y, width, height
-
-
 def start_from_faces(
     name: str,
     images: Sequence[Image],
@@ -273,3 +276,107 @@ def _start(parts: BodyParts, origin: str, clicked: ClickedJoints | None) -> Body
         )
     origin = f"Fitted to joints that were clicked in {n_frames} frames; what they leave open is as usual."
     return BodyStart(parts, body, origin)
+
+
+MOST_FRAMES = 200
+"""From which lengths are taken, evenly spread over all."""
+
+
+class FilmKeypoints(Protocol):
+    """Key points of the persons in a film."""
+
+    @property
+    def path(self) -> Path:
+        """File from which they are."""
+
+    def frames(self) -> Iterable[tuple[int, GivenKeypoints]]:
+        """Numbers of frames with the persons found there, in order."""
+
+
+def shows_whom(frame: Frame) -> bool:
+    """Whether head, neck or both shoulders of the largest person in a frame were found."""
+    given = frame.keypoints
+    return (
+        given is not None
+        and len(given) > 0
+        and bool(np.isfinite(head_places(given, 0.0)[largest(given)]).all())
+    )
+
+
+def start_from_keypoints(
+    first: Frame, keypoints: FilmKeypoints, images: Sequence[NDArray[np.uint8]], clicked: ClickedJoints | None
+) -> BodyStart:
+    """Learn size, lengths and colour from the points of the largest person in a frame.
+
+    Parameters
+    ----------
+    first
+        the frame, which has an image, and of which `shows_whom` holds.
+    keypoints
+        of the whole film.
+    images
+        of the same size, from all over the film.
+    clicked
+        joints from which the lengths are taken, if there are any.
+
+    Raises
+    ------
+    ValueError
+        if the points do not tell how large the person is, or the head is not in the picture.
+    """
+    given = first.keypoints
+    assert given is not None
+    joints = followed(keypoints, first.number)
+    try:
+        height = UpperBody.fit(joints).head_height
+    except ValueError as error:
+        raise ValueError(f"{keypoints.path}: {error}: mark the head in the first frame with --head") from None
+    (x, y), width = head_places(given, height)[largest(given)].tolist(), PROPORTIONS["head_width"] * height
+    try:
+        start = start_from_head(first, (x - width / 2, y - height / 2, width, height), images, clicked)
+    except ValueError as error:
+        raise ValueError(f"{keypoints.path}, frame {first.number}: {error}") from None
+    return start if clicked else with_lengths(start, joints)
+
+
+def with_lengths(start: BodyStart, joints: Array) -> BodyStart:
+    """The same person with lengths from joints `(n, 8, 2)` px, if these tell lengths that a person has."""
+    try:
+        body = UpperBody.fit(joints, np.full(len(joints), start.parts.head_height))
+    except ValueError:
+        return start
+    n_frames = len(joints)
+    origin = f"Fitted to keypoints in {n_frames} frames; what they leave open is as usual."
+    return replace(start, body=body, origin=origin)
+
+
+def followed(keypoints: FilmKeypoints, first: int, head: Array | None = None) -> Array:
+    """Joints of one person in some frames, from a frame on: of who is nearest to where the head was before.
+
+    Parameters
+    ----------
+    keypoints
+        of the film.
+    first
+        number of the first frame.
+    head
+        `(2,)` px: where the person's head is there; the largest person, if it is not known.
+
+    Returns
+    -------
+    NDArray
+        `(n, 8, 2)` px, NaN where a joint was not found.
+    """
+    found = []
+    for number, given in keypoints.frames():
+        if number < first:
+            continue
+        places = head_places(given, 0.0)
+        apart = np.full(len(given), np.inf) if head is None else np.linalg.norm(places - head, axis=1)
+        apart = np.where(np.isnan(apart), np.inf, apart)
+        person = largest(given) if head is None else int(apart.argmin())
+        if head is None or np.isfinite(apart[person]):
+            found.append(GivenKeypoints(given.positions[person, None], given.scores[person, None]))
+            head = places[person] if np.isfinite(places[person]).all() else head
+    chosen = np.unique(np.linspace(0, len(found) - 1, min(len(found), MOST_FRAMES)).round().astype(int))
+    return np.concatenate([np.zeros((0, 8, 2)), *(joints_of(found[number]) for number in chosen)])

@@ -1,0 +1,198 @@
+"""Poses from landmarks: the fit against finite differences, closed forms and known poses."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.chains.face.landmark_fit import fit_landmarks
+from rsmcm.models.face.built_in_model import face_model
+from rsmcm.models.face.model_files import read_correspondences, read_model
+from rsmcm.models.face.morphable_model import MorphableModel
+from rsmcm.models.face.pose import Poses
+from rsmcm.models.face.surface_points import SurfacePoints
+
+Array = NDArray[np.float64]
+
+
+def random_poses(model: MorphableModel, n: int, seed: int, turn: float = 0.4, morphs: float = 0.7) -> Poses:
+    random = np.random.default_rng(seed)
+    poses = Poses.upright(random.uniform(50, 200, (n, 2)), random.uniform(20, 90, n), model.n_bases)
+    changes = np.zeros((n, poses.dimension))
+    changes[:, :3] = turn * random.normal(size=(n, 3))
+    changes[:, 6:] = morphs * poses.sizes[:, None] * random.normal(size=(n, model.n_bases - 1))
+    return poses.moved(changes)
+
+
+def known() -> MorphableModel:
+    """The built-in face with landmarks, the first two of its deformations said to be identity."""
+    return replace(
+        face_model(), identity=2, landmarks=np.array([3, -1, 8, 15, 20, 28, 33, 41, -1, 50, 57, 62])
+    )
+
+
+# --- projection ---------------------------------------------------------------------------------------------
+
+
+# --- what is refused ----------------------------------------------------------------------------------------
+
+
+# --- fits ---------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 10**6))
+def test_poses_are_found_from_all_vertices(seed: int) -> None:
+    model = face_model()
+    poses = random_poses(model, 4, seed)
+    found = fit_landmarks(model, model.project(poses), noise=1e-5)
+    np.testing.assert_allclose(model.project(found), model.project(poses), atol=1e-2)
+    assert np.abs(found.changes_from(poses)[:, :3]).max() < 1e-3
+    np.testing.assert_allclose(found.morphs, poses.morphs, atol=0.1)
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 10**6))
+def test_the_fit_is_where_the_posterior_is_highest(seed: int) -> None:
+    model, random = face_model(), np.random.default_rng(seed)
+    poses = random_poses(model, 1, seed)
+    points = SurfacePoints.of_vertices(random.choice(model.n_vertices, 12, replace=False))
+    landmarks = points.project(model, poses)[0] + random.normal(size=(12, 2))
+    found = fit_landmarks(model, landmarks, points, noise=0.02)
+    # gradients of both parts of the cost point against each other, and their ratio is the noise's variance
+    away = landmarks - points.project(model, found)[0]
+    jacobian = model.of_points(points).jacobian(found)[0].reshape(24, -1)
+    of_landmarks = jacobian.T @ away.ravel()
+    shares = found.morphs[0, 1:] / found.sizes[0]
+    of_prior = np.zeros_like(of_landmarks)
+    of_prior[5] = (shares**2).sum() / found.sizes[0]
+    of_prior[6:] = -shares / found.sizes[0]
+    ratio = -(of_landmarks @ of_prior) / (of_prior @ of_prior)  # the variance of a landmark
+    assert np.sqrt(ratio) / found.sizes[0] == pytest.approx(0.02, rel=0.01)
+    np.testing.assert_allclose(of_landmarks, -ratio * of_prior, atol=1e-4 * np.abs(of_landmarks).max() + 1e-4)
+
+
+def test_frames_are_fitted_each_for_itself() -> None:
+    model = face_model()
+    poses = random_poses(model, 300, 5, turn=0.3)  # more than one batch
+    points = SurfacePoints.of_vertices(np.arange(0, model.n_vertices, 6))
+    landmarks = points.project(model, poses)
+    landmarks += np.random.default_rng(0).normal(size=landmarks.shape)
+    landmarks[7, :5] = np.nan
+    landmarks[8, 4, 1] = np.nan  # one coordinate alone says nothing
+    found = fit_landmarks(model, landmarks, points)
+    for frame in (0, 7, 8, 299):
+        alone = fit_landmarks(model, landmarks[frame], points)
+        np.testing.assert_allclose(found[frame].changes_from(alone), 0, atol=1e-3)
+    kept = np.arange(len(points)) >= 5
+    some = SurfacePoints(points.vertices[kept], points.weights[kept], points.offsets[kept])
+    np.testing.assert_allclose(
+        found[7].changes_from(fit_landmarks(model, landmarks[7, kept], some)), 0, atol=1e-3
+    )
+
+
+def test_seven_landmarks_and_many_bases() -> None:
+    random = np.random.default_rng(3)
+    face = face_model()
+    smooth = np.cos(face.bases[0] @ random.normal(size=(3, 70)) + random.uniform(0, 6, 70))
+    more = 0.02 * smooth.T[:, :, None] * random.normal(size=(70, 1, 3))
+    model = MorphableModel(np.concatenate([face.bases[:1], more]), face.triangles)
+    poses = random_poses(model, 60, 1, turn=0.3)
+    far = np.argsort(face.bases[0, :, 0] + 0.3 * face.bases[0, :, 1])[:: model.n_vertices // 6][:7]
+    points = SurfacePoints.of_vertices(far)
+    found = fit_landmarks(model, points.project(model, poses), points, noise=0.02)
+    angles = np.degrees(np.linalg.norm(found.changes_from(poses)[:, :3], axis=1))
+    assert np.median(angles) < 12
+    assert np.median(np.abs(found.sizes / poses.sizes - 1)) < 0.1
+    away = np.linalg.norm(points.project(model, found) - points.project(model, poses), axis=2)
+    assert (away.mean(axis=1) < 0.05 * poses.sizes).all()
+
+
+def test_a_start_is_used() -> None:
+    model = face_model()
+    poses = random_poses(model, 3, 2)
+    landmarks = model.project(poses)
+    away = poses.moved(np.full((1, poses.dimension), 0.05))
+    start_copy = (away.rotations.copy(), away.translations.copy(), away.morphs.copy())
+    found = fit_landmarks(model, landmarks, start=away)
+    np.testing.assert_allclose(model.project(found), landmarks, atol=0.2)
+    for given_, before in zip((away.rotations, away.translations, away.morphs), start_copy, strict=True):
+        np.testing.assert_array_equal(given_, before)
+    np.testing.assert_allclose(
+        found.changes_from(fit_landmarks(model, landmarks, start=away[0])), 0, atol=0.01
+    )
+    with pytest.raises(ValueError, match="start: got 2 poses of 6 bases, expected one or 3 of 6"):
+        fit_landmarks(model, landmarks, start=away[:2])
+
+
+def test_the_models_own_landmarks() -> None:
+    model = known()
+    assert model.landmarks is not None
+    poses = random_poses(model, 2, 4, turn=0.2)
+    landmarks = np.full((2, 12, 2), 1e3)  # anything where the model has no vertex
+    present = model.landmarks >= 0
+    points = model.landmark_points(np.flatnonzero(present) + 1)
+    np.testing.assert_array_equal(points.vertices[:, 0], model.landmarks[present])
+    landmarks[:, present] = points.project(model, poses)
+    np.testing.assert_allclose(
+        fit_landmarks(model, landmarks).changes_from(fit_landmarks(model, landmarks[:, present], points)),
+        0,
+        atol=1e-9,
+    )
+
+
+@pytest.mark.parametrize(
+    ("landmarks", "message"),
+    [
+        (np.zeros((5, 3)), r"landmarks: got \(5, 3\), expected \(n_landmarks, 2\) or"),
+        (np.zeros((5, 2)), "got 5, but the model has 12 landmarks of its own and"),
+        (np.zeros((12, 2)), "frame 0: got all landmarks at one place"),
+        (np.full((12, 2), np.nan), "frame 0: got 0 landmarks, expected at least 4"),
+        (np.full((12, 2), np.inf), "landmark 0 of frame 0: got infinity"),
+    ],
+)
+def test_landmarks_that_do_not_match(landmarks: Array, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        fit_landmarks(known(), landmarks)
+
+
+def test_other_things_that_a_fit_refuses() -> None:
+    model = known()
+    landmarks = np.random.default_rng(0).normal(size=(12, 2))
+    with pytest.raises(ValueError, match="got 12, expected one for each of 2 points"):
+        fit_landmarks(model, landmarks, SurfacePoints.of_vertices([1, 2]))
+    with pytest.raises(ValueError, match=r"noise: got 0\.0"):
+        fit_landmarks(model, landmarks, noise=0.0)
+    with pytest.raises(ValueError, match="got a first morph coefficient that is not positive"):
+        fit_landmarks(model, landmarks, start=Poses.upright(np.zeros((1, 2)), np.zeros(1), model.n_bases))
+    with pytest.raises(
+        ValueError, match="landmark 13: the model has no vertex there; it has 10 of landmarks"
+    ):
+        model.landmark_points([1, 13])
+    with pytest.raises(ValueError, match="landmark 2: the model has no vertex there"):
+        model.landmark_points([1, 2])
+    with pytest.raises(ValueError, match="no list of landmarks"):
+        face_model().landmark_points([1])
+
+
+# --- persons ------------------------------------------------------------------------------------------------
+
+
+def test_a_face_in_real_video(data_folder: Path) -> None:
+    folder = data_folder / "talking-face"
+    if not folder.is_dir() or not (data_folder / "surrey-face").is_dir():
+        pytest.skip("no talking face or no Surrey model")
+    landmarks = np.load(folder / "landmarks_0000-1999.npy")[::10]
+    pupils = np.linalg.norm(landmarks[0, 31] - landmarks[0, 36])
+    model = read_model(data_folder / "surrey-face")
+    pairs = read_correspondences(folder / "fgnet_to_ibug.txt")
+    points, first = model.landmark_points(pairs[:, 1]), landmarks[0, pairs[:, 0]]
+    person = model.personalised(fit_landmarks(model, first, points).morphs[0])
+    attached = SurfacePoints.attached(person, fit_landmarks(person, first, points), landmarks[0])
+    found = attached.project(person, fit_landmarks(person, landmarks, attached))
+    error = np.linalg.norm(found - landmarks, axis=2).mean(axis=1) / pupils
+    assert error.mean() < 0.045
+    assert error.max() < 0.08
