@@ -20,13 +20,11 @@ from ..evaluation.scoring import Scoring, scoring_of
 from ..events.report import Happened
 from ..events.watch import EVENTS, EventLog, EventWriter, rounded, write_events
 from ..events.zones import Zones, read_zones
-from ..exports.track_table import HEADER, TABLE, columns_of, mot_lines, table_lines
 from ..io.detections import Detections, given_boxes, with_boxes
 from ..io.files import write_image
-from ..io.masks import MaskWriter
-from ..io.mot import LineWriter, TrackedObject
-from ..io.segments import segment_pattern
+from ..io.growing_files import LineWriter, MaskWriter, segment_pattern
 from ..io.sources.open_source import Source
+from ..io.tracks import HEADER, TABLE, TrackedObject, columns_of, mot_lines, table_lines
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.loop import Application, Columns, Engine, Filter, Output, Sink, Start, run_film
 from ..runs.memory import BACKGROUND

@@ -12,7 +12,7 @@ from ..drawing.overlay import css_colour, draw_zones, identity_colour
 from ..events.report import Happened
 from ..events.watch import Event
 from ..events.zones import Zones
-from ..io.mot import TrackedObject
+from ..io.tracks import TrackedObject
 from ..runs.frame_lists import listed
 from ..view.film import LONGEST_SIDE, Film, Row
 from ..view.page import (

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from ...models.body.upper_body import JOINTS
 from ...models.core.frame import Frame
 from ..events.zones import Zones
-from ..io.segmented_video import PLAYABLE, SegmentedVideo
-from ..io.worker import Worker
+from ..io.growing_files import PLAYABLE, SegmentedVideo, Worker
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

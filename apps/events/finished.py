@@ -7,9 +7,9 @@ import numpy as np
 
 from ...models.files import write_text
 from ..drawing.overlay import draw_zones
-from ..exports.finished_run import SUMMARY, FinishedRun
-from ..exports.track_table import TABLE, read_tracks_table
+from ..exports.finished_run import SUMMARY, FinishedRun, read_tracks_table
 from ..io.files import write_json
+from ..io.tracks import TABLE
 from ..runs.output_folder import output_folder
 from ..view.page import Page, Section, picture, write_page
 from .report import Happened

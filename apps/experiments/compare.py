@@ -24,8 +24,8 @@ from ..drawing.mosaic import fitting, mosaic
 from ..evaluation.scoring import Scoring, scoring_of
 from ..io.detections import given_boxes, with_boxes
 from ..io.files import write_json
-from ..io.mot import TrackedBox
 from ..io.sources.open_source import open_source
+from ..io.tracks import TrackedBox
 from ..runs.interruption import Interruption, Outcome
 from ..runs.progress import Progress
 from ..runs.region import inside, read_region

@@ -1,15 +1,13 @@
 from .coco import to_coco
 from .cvat import to_cvat
-from .finished_run import FinishedRun, RunFrame
+from .finished_run import FinishedRun, RunFrame, read_tracks_table
 from .for_supervision import to_key_points, to_supervision
 from .movement import movement_dataset, to_movement
-from .track_table import TrackTableWriter, read_tracks_table
 from .video import to_video
 
 __all__ = [
     "FinishedRun",
     "RunFrame",
-    "TrackTableWriter",
     "movement_dataset",
     "read_tracks_table",
     "to_coco",

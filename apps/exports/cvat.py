@@ -4,7 +4,7 @@ import zipfile
 from pathlib import Path
 
 from ...models.files import write_atomically
-from ..io.mot import box_columns
+from ..io.tracks import box_columns
 from .finished_run import FinishedRun
 
 LABEL = "object"

@@ -2,7 +2,9 @@
 
 import errno
 import json
+import math
 import os
+from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby, islice
@@ -14,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.files import LAST_FRAME, read_text
-from ..io.mot import TrackedBox
 from ..io.sources.images import images_among, read_grey
+from ..io.tables import Row, lines_of
+from ..io.tracks import COLUMNS, HEADER, TABLE, TrackedBox, check_box
 from ..runs.output_folder import application_of
-from .track_table import TABLE, table_rows
 
 SUMMARY = "summary.json"
 
@@ -203,6 +205,65 @@ class FinishedRun:
             f"{self.folder / SUMMARY}: got no {name} ({expected}), expected the summary of rsmcm "
             f"{self.application}"
         )
+
+
+def read_tracks_table(path: str | Path) -> dict[str, NDArray[Any]]:
+    """Read `tracks.csv` as columns, of which `pandas.DataFrame` and `polars.DataFrame` make a table.
+
+    Parameters
+    ----------
+    path
+        of the file, or of the folder of a run that holds it.
+
+    Returns
+    -------
+    dict
+        `(n_rows,)` arrays by the names and of the types of `COLUMNS`, in the order of the file.
+
+    Raises
+    ------
+    ValueError
+        naming file and line, if it is no such table.
+    OSError
+        if the file cannot be read.
+    """
+    path = Path(path)
+    numbers = array("d")
+    for row in table_rows(path / TABLE if path.is_dir() else path):
+        numbers.extend(row)
+    table = np.frombuffer(numbers, np.float64).reshape(-1, len(COLUMNS))
+    return {name: table[:, k].astype(kind) for k, (name, kind) in enumerate(COLUMNS.items())}
+
+
+def table_rows(path: Path) -> Iterator[list[float]]:
+    """Rows of `tracks.csv` one by one, with the values of `COLUMNS`; raises as `read_tracks_table`."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        lines = lines_of(file)
+        header = next(lines, "").strip()
+        if header != HEADER:
+            raise ValueError(f"{path}, line 1: got {header[:60]!r}, expected {HEADER}")
+        last_frame, last_time = 0.0, -math.inf
+        for place, line in enumerate(lines, start=2):
+            row = Row(path, "line", place, {})
+            try:
+                values = [float(field or math.nan) for field in line.rstrip("\n").split(",")]
+            except ValueError:
+                values = []
+            if len(values) != len(COLUMNS) or not math.isfinite(sum(values[:8])):  # velocities may be unknown
+                raise row.wrong(f"{line.strip()[:60]!r}", f"numbers {HEADER}")
+            frame, time, identity, seen = *values[:3], values[-1]
+            check_box(row, "id", frame, identity, values[3:7])
+            if abs(time) > LAST_FRAME:
+                raise row.wrong(f"time {time:g}", f"s up to {LAST_FRAME}")
+            if seen not in (0, 1):
+                raise row.wrong(f"seen {seen:g}", "0 or 1")
+            if frame < last_frame or time < last_time:
+                raise row.wrong(
+                    f"frame {frame:.0f} at {time:g} s after frame {last_frame:.0f} at {last_time:g} s",
+                    "frames and times that ascend",
+                )
+            last_frame, last_time = frame, time
+            yield values
 
 
 def _is_count(value: object) -> bool:

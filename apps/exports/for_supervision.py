@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..io.mot import TrackedObject
+from ..io.tracks import TrackedObject
 from ..options.libraries import needed
 from .coco import object_masks
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from ...models.body.upper_body import PARTS
 from ...models.files import MOST_NUMBERS, write_atomically
 from ..options.libraries import needed
-from .finished_run import FinishedRun
-from .track_table import read_tracks_table
+from .finished_run import FinishedRun, read_tracks_table
 
 if TYPE_CHECKING:
     import xarray

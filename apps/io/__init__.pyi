@@ -1,10 +1,10 @@
 from .detections import Detections, read_detections, with_boxes
 from .ground_truth import BoxTruth, MaskTruth, read_ground_truth
+from .growing_files import MaskWriter
 from .keypoints import Keypoints, read_keypoints, with_keypoints
-from .masks import MaskWriter
-from .mot import TrackWriter, read_tracks
 from .point_files import frames_of_tracks, read_points
 from .sources.open_source import Source, open_source
+from .tracks import TrackTableWriter, TrackWriter, read_tracks
 
 __all__ = [
     "BoxTruth",
@@ -13,6 +13,7 @@ __all__ = [
     "MaskTruth",
     "MaskWriter",
     "Source",
+    "TrackTableWriter",
     "TrackWriter",
     "frames_of_tracks",
     "open_source",

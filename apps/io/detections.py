@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from ...models.core.frame import Frame, GivenBoxes
 from ...models.core.short_repr import short_repr
 from ..options.complaints import meant
-from .mot import mot_rows
 from .point_files import FARTHEST
 from .sources.open_source import Source
 from .tables import Column, JsonStream, Pictures, Row, csv_rows, first_line, image_id, rows_of_frame
+from .tracks import mot_rows
 
 COLUMNS = {
     "frame": Column(("frame", "frame_number"), "frame"),

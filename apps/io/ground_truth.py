@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from ...models.array_files import ARCHIVE, PACKED
 from ...models.core.short_repr import short_repr
 from ...models.files import MOST_SETTINGS, MOST_TEXT, read_text
-from .mot import mot_rows, mot_rows_of
 from .sources.images import read_grey
 from .tables import Row, rows_of_frame
+from .tracks import mot_rows, mot_rows_of
 
 SHADOW, OUTSIDE, UNKNOWN, FOREGROUND = 50, 85, 170, 255
 """CDnet's labels of a pixel; 0 is background."""

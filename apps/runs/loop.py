@@ -24,7 +24,7 @@ from ...models.numerics.threads import thread_count
 from ..drawing.overlay import Draw, OverlayVideo
 from ..io.files import write_json
 from ..io.film import SeenFrames
-from ..io.segments import segments_of
+from ..io.growing_files import segments_of
 from ..io.sources.open_source import Source, describe, open_source
 from ..live.address import read_address
 from ..live.running import Running

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..io.mot import TrackedObject
 from ..io.sources.images import read_grey
+from ..io.tracks import TrackedObject
 
 Mask = NDArray[np.uint8]
 

@@ -13,9 +13,15 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
 from ...models.files import sync, write_atomically
-from ..io.segmented_video import PLAYABLE, SegmentedVideo
-from ..io.segments import drop_segments, join_segments, segment_name, segments_of
-from ..io.worker import Worker
+from ..io.growing_files import (
+    PLAYABLE,
+    SegmentedVideo,
+    Worker,
+    drop_segments,
+    join_segments,
+    segment_name,
+    segments_of,
+)
 
 Image = NDArray[np.uint8]
 Row = Mapping[str, NDArray[Any]]

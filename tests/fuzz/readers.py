@@ -16,9 +16,9 @@ from rsmcm.apps.exports import to_coco, to_cvat, to_movement
 from rsmcm.apps.io.detections import read_detections
 from rsmcm.apps.io.ground_truth import BoxTruth, read_ground_truth
 from rsmcm.apps.io.keypoints import read_keypoints
-from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.point_files import read_points
 from rsmcm.apps.io.sources.open_source import IMAGE_SUFFIXES, open_source
+from rsmcm.apps.io.tracks import read_tracks
 from rsmcm.apps.runs.region import read_region
 from rsmcm.apps.structure.application import read_film
 from rsmcm.apps.structure.job import StructureJob

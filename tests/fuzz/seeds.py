@@ -14,8 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rsmcm.apps.evaluation.predictions import FILE, PairRecord, ScoreRecord, write_predictions
-from rsmcm.apps.exports.track_table import TABLE, TrackTableWriter
-from rsmcm.apps.io.mot import TrackedBox
+from rsmcm.apps.io.tracks import TABLE, TrackedBox, TrackTableWriter
 from rsmcm.inference import RecursiveBP
 from rsmcm.inference.validity import RecordedPredictions
 from rsmcm.models.body.upper_body import JOINTS

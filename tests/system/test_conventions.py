@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.io.mot import TrackedBox, TrackWriter, read_tracks
+from rsmcm.apps.io.tracks import TrackedBox, TrackWriter, read_tracks
 from rsmcm.chains import AdaptiveBackground
 from rsmcm.chains.objects.blobs import Blob
 from rsmcm.inference import MultiChain, RecursiveBP

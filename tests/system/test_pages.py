@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from rsmcm.apps.background.demo import N_FRAMES, write_scene
 from rsmcm.apps.experiments import EXPERIMENTS
-from rsmcm.apps.exports.track_table import COLUMNS
+from rsmcm.apps.io.tracks import COLUMNS
 from rsmcm.apps.scenes import sleeping_man
 
 from ..support.newcomer import write_demo, write_film

@@ -20,7 +20,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps import command_line
 from rsmcm.apps.background.application import build_model
-from rsmcm.apps.io.mot import read_tracks
+from rsmcm.apps.io.tracks import read_tracks
 from rsmcm.apps.runs.interruption import Interruption
 from rsmcm.apps.scenes import cylinder, face, signer, sleeping_man
 from rsmcm.apps.scenes.signing.signer import SignerScene

@@ -22,12 +22,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.apps.background.application import build_model
-from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.sources import live_reader, video_reader
 from rsmcm.apps.io.sources import open_source as sources
 from rsmcm.apps.io.sources.live_reader import FILLED_SECONDS, LiveReader
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.io.sources.reader import Selection
+from rsmcm.apps.io.tracks import read_tracks
 from rsmcm.apps.runs import loop
 from rsmcm.apps.scenes import face, sleeping_man
 from rsmcm.inference import RecursiveBP

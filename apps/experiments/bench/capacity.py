@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ...background.application import run_background
 from ...background.job import BackgroundJob
-from ...io.segmented_video import PLAYABLE, SegmentedVideo
+from ...io.growing_files import PLAYABLE, SegmentedVideo
 from ...io.sources.open_source import open_source
 from ...runs.parallel import Workers, in_parallel, working
 from ...runs.saved_run import STATE

@@ -22,8 +22,8 @@ from rsmcm.apps.evaluation.scoring import Scoring
 from rsmcm.apps.evaluation.tracks import track_rows
 from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.io.ground_truth import MaskTruth, read_ground_truth
-from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.sources.open_source import open_source
+from rsmcm.apps.io.tracks import read_tracks
 from rsmcm.apps.runs.interruption import Interruption
 from rsmcm.apps.runs.region import read_region, stands_inside
 from rsmcm.apps.scenes import sleeping_man

@@ -13,7 +13,7 @@ from rsmcm.apps.background.moving_camera import MOVES, CameraWatch
 from rsmcm.apps.experiments import compare
 from rsmcm.apps.experiments.compare import PRIORS, run_compare
 from rsmcm.apps.io.files import write_image
-from rsmcm.apps.io.mot import read_tracks
+from rsmcm.apps.io.tracks import read_tracks
 from rsmcm.apps.scenes import ShakenFilm, shaken, sleeping_man
 from rsmcm.inference import Belief, RecursiveBP
 from rsmcm.models import Frame

@@ -14,7 +14,7 @@ from rsmcm.apps.drawing.overlay import identity_colour
 from rsmcm.apps.events.report import Happened
 from rsmcm.apps.events.watch import Event, Kind, Moment
 from rsmcm.apps.events.zones import Zones
-from rsmcm.apps.io.mot import TrackedBox
+from rsmcm.apps.io.tracks import TrackedBox
 from rsmcm.apps.view.film import Film, Row
 from rsmcm.apps.view.page import PREDICTED, SEEN, write_page
 from rsmcm.models.core.frame import GivenBoxes

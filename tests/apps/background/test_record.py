@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from rsmcm.apps.background.record import MOST_POINTS, RunRecord
-from rsmcm.apps.exports.track_table import columns_of
-from rsmcm.apps.io.mot import TrackedBox
+from rsmcm.apps.io.tracks import TrackedBox, columns_of
 
 from ...support.records import log_of, recorded
 

@@ -18,8 +18,8 @@ from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.background.whole_film import warmed_up
 from rsmcm.apps.exports import read_tracks_table
-from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.sources.open_source import Source
+from rsmcm.apps.io.tracks import read_tracks
 from rsmcm.apps.runs.interruption import Interrupted, Interruption
 from rsmcm.apps.runs.loop import Columns
 from rsmcm.apps.scenes import sleeping_man

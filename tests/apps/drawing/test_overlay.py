@@ -21,7 +21,7 @@ from rsmcm.apps.drawing.overlay import (
     enlargement,
     identity_colour,
 )
-from rsmcm.apps.io.mot import TrackedBox
+from rsmcm.apps.io.tracks import TrackedBox
 from rsmcm.models.core.frame import Frame, GivenBoxes
 
 from ...support.film import frame, read_video

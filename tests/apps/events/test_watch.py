@@ -24,9 +24,9 @@ from rsmcm.apps.events import (
     read_events,
 )
 from rsmcm.apps.events.watch import COLUMNS, ERROR, EventLog, line_of, rounded, sightings_of, write_events
-from rsmcm.apps.exports import TrackTableWriter, read_tracks_table
-from rsmcm.apps.exports.track_table import columns_of
-from rsmcm.apps.io.mot import TrackedBox
+from rsmcm.apps.exports import read_tracks_table
+from rsmcm.apps.io import TrackTableWriter
+from rsmcm.apps.io.tracks import TrackedBox, columns_of
 from rsmcm.apps.runs.row_log import RowLog
 
 SIZE = (320, 240)

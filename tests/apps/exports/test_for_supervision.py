@@ -8,7 +8,7 @@ import pytest
 import supervision
 from rsmcm.apps.exports import FinishedRun, to_key_points, to_supervision
 from rsmcm.apps.exports.coco import object_masks
-from rsmcm.apps.io.mot import TrackedBox
+from rsmcm.apps.io.tracks import TrackedBox
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.inference import MultiChain, RecursiveBP

@@ -1,4 +1,4 @@
-"""A video is whole at any moment, and a resumed run ends up with that of an uninterrupted one."""
+"""Files that grow with the frames: videos, masks and lines, whatever happens to their process."""
 
 import errno
 import signal
@@ -11,10 +11,9 @@ import av
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.io import segmented_video
-from rsmcm.apps.io.masks import MaskWriter
-from rsmcm.apps.io.mot import TrackWriter
-from rsmcm.apps.io.segmented_video import LOSSLESS_GRAY, PLAYABLE, SegmentedVideo
+from rsmcm.apps.io import growing_files
+from rsmcm.apps.io.growing_files import LOSSLESS_GRAY, PLAYABLE, MaskWriter, SegmentedVideo
+from rsmcm.apps.io.tracks import TrackWriter
 from rsmcm.apps.runs.output_folder import output_folder
 
 from ...support.film import HEIGHT, WIDTH, add, boxes, mask, names, overlay_of, read_video, write_overlay
@@ -92,7 +91,7 @@ def test_video_that_cannot_be_completed_leaves_nothing(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(segmented_video.os, "replace", full)
+    monkeypatch.setattr(growing_files.os, "replace", full)
     with pytest.raises(OSError, match=r"overlay\.mp4"):
         video.close(finished=False)
     assert not list(tmp_path.iterdir())
@@ -114,8 +113,8 @@ def test_kill_loses_only_what_follows_the_last_checkpoint(tmp_path: Path) -> Non
         from pathlib import Path
         sys.path.insert(0, sys.argv[2])
         from film import add, boxes, mask, overlay_of
-        from rsmcm.apps.io.masks import MaskWriter
-        from rsmcm.apps.io.mot import TrackWriter
+        from rsmcm.apps.io.growing_files import MaskWriter
+        from rsmcm.apps.io.tracks import TrackWriter
         folder = Path(sys.argv[1])
         overlay, tracks = overlay_of(folder / "overlay.mp4"), TrackWriter(folder / "tracks.txt")
         masks, video = MaskWriter(folder, "png", 10), MaskWriter(folder, "video", 10)
@@ -167,3 +166,11 @@ def test_kill_loses_only_what_follows_the_last_checkpoint(tmp_path: Path) -> Non
     for number in range(1, 21):
         png = cv2.imread(str(tmp_path / "foreground" / f"bin{number:06d}.png"), cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(png, mask(number))
+
+
+def test_masks_none_and_unknown(tmp_path: Path) -> None:
+    with MaskWriter(tmp_path, "none", 10) as writer:
+        writer.write(mask(1), 1, 0.0)
+    assert names(tmp_path) == set()
+    with pytest.raises(ValueError, match="masks: got 'gif', expected none, png or video"):
+        MaskWriter(tmp_path, "gif", 10)  # type: ignore[arg-type]

@@ -1,19 +1,42 @@
-"""Boxes in MOT format: tracks as they are found, and tracks, detections and ground truth that are read."""
+"""Tracks of objects as boxes in the frames of a film: `tracks.csv`, and files in MOT format."""
 
 import math
-import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
-from typing import Protocol, Self, TextIO
+from typing import Any, Protocol, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import BoundingBox
-from ...models.files import LAST_FRAME, naming, write_text
+from ...models.files import LAST_FRAME
+from .growing_files import LineWriter
 from .point_files import FARTHEST
 from .tables import Row, is_frame, lines_of
+
+TABLE = "tracks.csv"
+
+COLUMNS: dict[str, type] = {
+    "frame": np.int64,
+    "time": np.float64,
+    "id": np.int64,
+    "x": np.float64,
+    "y": np.float64,
+    "width": np.float64,
+    "height": np.float64,
+    "confidence": np.float64,
+    "vx": np.float64,
+    "vy": np.float64,
+    "seen": np.bool_,
+}
+"""Frames and identities count from 1; times are in s, places and sizes in px from 0, velocities in px/s."""
+
+HEADER = ",".join(COLUMNS)
+
+OF_OBJECTS = tuple(COLUMNS)[2:]
+"""Columns that are an object's own."""
 
 LAST_IDENTITY = 1 << 53
 """Whole numbers up to it are exact among those that are read."""
@@ -67,67 +90,6 @@ class TrackedBox:
     velocity: tuple[float, float] = (math.nan, math.nan)
     seen: bool = True
     position_covariance: tuple[tuple[float, float], tuple[float, float]] = ((math.nan,) * 2,) * 2
-
-
-class LineWriter:
-    """A text file of lines that begin with the number of their frame, and survives the end of its process.
-
-    Parameters
-    ----------
-    path
-        of the file; what is there is replaced.
-    header
-        its first line, without the line's end; "" for none.
-    resume_after
-        number of the frame up to which lines that are there are kept; 0 for none.
-    """
-
-    def __init__(self, path: str | Path, header: str = "", resume_after: int = 0) -> None:
-        self._path = path = Path(path)
-        first = f"{header}\n" if header else ""
-        kept = _lines_until(path, first, resume_after) if resume_after and path.exists() else ""
-        write_text(path, first + kept)
-        with naming(path):
-            self._file = path.open("a", encoding="utf-8", newline="\n")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def append(self, lines: Iterable[str]) -> None:
-        """Append lines, of the frame after those before."""
-        with naming(self._path):
-            self._file.write("".join(f"{line}\n" for line in lines))
-
-    def checkpoint(self) -> None:
-        """Return when everything is on disk."""
-        with naming(self._path):
-            self._file.flush()
-            os.fsync(self._file.fileno())
-
-    def close(self) -> None:
-        """Complete the file; when the disk is full, up to the last whole line."""
-        try:
-            with naming(self._path):
-                self._file.close()
-        except OSError:
-            os.truncate(self._path, self._path.read_bytes().rfind(b"\n") + 1)
-            raise
-
-
-def _lines_until(path: Path, header: str, number: int) -> str:
-    """Return the whole lines up to a frame; frames ascend, and a last line may be cut off."""
-    kept = []
-    with path.open(encoding="utf-8", newline="\n") as file:
-        file.seek(len(header.encode()))
-        for line in file:
-            frame = line.partition(",")[0]
-            if not line.endswith("\n") or not frame.isdecimal() or int(frame) > number:
-                break
-            kept.append(line)
-    return "".join(kept)
 
 
 class TrackWriter(LineWriter):
@@ -240,3 +202,54 @@ def check_box(row: Row, name: str, frame: float, identity: float, box: Sequence[
             f"a box of {width:g} x {height:g} pixels at {left:g}, {top:g}",
             f"a size that is not negative and px up to {FARTHEST:g}",
         )
+
+
+class TrackTableWriter(LineWriter):
+    """`tracks.csv`, with the columns of `COLUMNS`; seen is 1 or 0, a velocity that is not known is empty.
+
+    Parameters
+    ----------
+    path
+        of the file.
+    resume_after
+        number of the frame after which this run goes on; 0 for a new one.
+    """
+
+    def __init__(self, path: str | Path, resume_after: int = 0) -> None:
+        super().__init__(path, HEADER, resume_after)
+
+    def write(self, number: int, time: float, tracks: Sequence[TrackedObject]) -> None:
+        """Append the objects of frame `number` (from 1) at `time` (s)."""
+        self.append(table_lines(number, time, columns_of(tracks)))
+
+
+def columns_of(tracks: Sequence[TrackedObject]) -> dict[str, NDArray[Any]]:
+    """The columns of `COLUMNS` but frame and time, `(n,)` an object."""
+    rows = [(track.identity, *track.box, track.confidence, *track.velocity, track.seen) for track in tracks]
+    return {
+        name: np.array(values, COLUMNS[name])
+        for name, values in zip(OF_OBJECTS, zip(*rows, strict=True) if rows else repeat(()), strict=False)
+    }
+
+
+def table_lines(number: int, time: float, objects: Mapping[str, NDArray[Any]]) -> list[str]:
+    """Lines of `tracks.csv` of a frame, whose objects have these columns."""
+    rows = zip(*(objects[name].tolist() for name in OF_OBJECTS), strict=True)
+    return [
+        f"{number},{time:.6f},{identity},{x:.2f},{y:.2f},{width:.2f},{height:.2f},{confidence:.4f},"
+        f"{_known(vx)},{_known(vy)},{seen:d}"
+        for identity, x, y, width, height, confidence, vx, vy, seen in rows
+    ]
+
+
+def mot_lines(number: int, objects: Mapping[str, NDArray[Any]]) -> list[str]:
+    """Lines of `tracks.txt` (see `TrackWriter`) of a frame, whose objects have these columns."""
+    rows = zip(*(objects[name].tolist() for name in OF_OBJECTS[:6]), strict=True)
+    return [
+        f"{number},{identity},{x + 1:.2f},{y + 1:.2f},{width:.2f},{height:.2f},{confidence:.4f},-1,-1,-1"
+        for identity, x, y, width, height, confidence in rows
+    ]
+
+
+def _known(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.2f}"
