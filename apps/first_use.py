@@ -37,7 +37,7 @@ SAID = "compiling loops for this machine, which happens once"
 
 LIST = Path(__file__).parent / "kernels.json"
 
-RECORDS = ("chains.objects.kernels.records:RECORD", "models.pixels.kernels.layers:LAYER")
+RECORDS = ("chains.objects.kernels.blobs:RECORD", "models.pixels.kernels:LAYER")
 """Types of records, of which loops are given arrays."""
 
 PACKAGE = "rsmcm."

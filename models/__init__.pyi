@@ -9,8 +9,7 @@ from .face.morphable_model import MorphableModel
 from .face.pose import Poses
 from .objects.object_boxes import ObjectBoxes
 from .pixels.layers import Layer, LayerStack
-from .pixels.pixel_labels import PixelLabels, PixelMessage
-from .pixels.scene_pixels import ScenePixels
+from .pixels.pixel_labels import PixelLabels, PixelMessage, ScenePixels
 from .points.point_tracks import PointTracks
 
 __all__ = [

@@ -23,7 +23,7 @@ from ...models.core.short_repr import short_repr
 from ...models.face.pose import Poses
 from ...models.face.visibility import Box, visible
 from ...models.numerics.threads import over_bands
-from ...models.pixels.kernels.gaussian import ODDS_STEPS
+from ...models.pixels.kernels import ODDS_STEPS
 from ...models.pixels.pixel_labels import PixelMessage
 from .image_pyramid import DARKEST, FINE_LIGHT_REACH, MIDDLE_GREY, blurred
 from .kernels import textures as background_map_kernels

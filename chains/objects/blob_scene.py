@@ -1,23 +1,21 @@
-"""A frame as blobs need it: what it teaches them, and what it shows that nobody explains."""
+"""A frame as blobs need it: where it shows them, what it teaches them, and what nobody explains."""
 
 from dataclasses import replace
 from functools import partial
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ...models.numerics.threads import side_by_side, thread_count
-from ...models.objects.box_detector import HEIGHT, WIDTH
-from ...models.objects.box_message import BoxMessage
-from ...models.pixels.layers import LayerStack
+from ...models.objects.box_message import HEIGHT, WIDTH, BoxMessage
+from ...models.pixels.kernels import LAYER, Pools
+from ...models.pixels.layers import LayerSheet, LayerStack, log_density_ratio, log_uniform
 from ...models.pixels.pixel_labels import PixelMessage
-from .blob_table import Blobs
-from .blobs import Map, Pair
+from .blobs import Blob, Blobs, Map, Pair
+from .kernels.blobs import MARGIN, Patch, Picture, colour_newborn, cover_by, find_spots, gather
 from .kernels.learning import THINNEST, Learning, Scene, fit, learn_all, scratch_for_learning
-from .kernels.patches import Patch, colour_newborn, cover_by, gather
-from .kernels.records import MARGIN
-from .kernels.spots import find_spots
-from .registration import picture_of
+from .kernels.registration import Matching, deal, register, scratch_for_search
 
 Spot = list[int]
 """Top, left, bottom, right px."""
@@ -27,6 +25,77 @@ BLOCKS = 192
 
 MOST_SPOTS = 256
 """In one frame."""
+
+VIEW_TIME = 0.4
+"""s over which a view is averaged: masks err for a while in the same way."""
+
+
+def picture_of(pixels: PixelMessage) -> Picture:
+    """A frame, with an image and a background, as loops over blobs need it."""
+    assert pixels.image is not None
+    assert pixels.background is not None
+    assert pixels.subtraction is not None
+    image = np.ascontiguousarray(pixels.image)
+    image = image if image.ndim == 3 else image[:, :, None]
+    odds = pixels.subtraction.smoothed.reshape(image.shape[:2])
+    return Picture(image, odds, np.float32(pixels.background.prior))
+
+
+def registered(blobs: Blobs, pixels: PixelMessage, outliers: float, temper: float, elapsed: float) -> Blobs:
+    """Blobs with place and velocity updated by the pixels that nothing in front covers.
+
+    Parameters
+    ----------
+    blobs
+        predicted, front to back.
+    pixels
+        with an image and a background.
+    outliers
+        share of a blob's pixels that look otherwise.
+    temper
+        how many independent observations one pixel is worth.
+    elapsed
+        s since the last frame.
+    """
+    if not len(blobs):
+        return blobs
+    table, terms = blobs.table.copy(), Matching(log_uniform(blobs.channels), outliers, temper, elapsed)
+    picture, room = picture_of(pixels), scratch_for_search(table, blobs.channels)
+    lots, count = np.zeros(len(table), np.int64), min(thread_count(), len(table))
+    if count > 1:
+        deal(table, count, lots)
+
+    def work(lot: int) -> None:
+        register(table, blobs.pools, picture, terms, lots, lot, np.empty(room, np.float32))
+
+    side_by_side([partial(work, lot) for lot in range(count)])
+    return blobs.with_table(table)
+
+
+def front_to_back(blobs: Blobs) -> Blobs:
+    """What stands lower in the picture is nearer."""
+    return blobs.taken(np.lexsort((blobs.table["identity"], -blobs.feet)))
+
+
+def layers_of(blobs: Blobs, outliers: float, strength: float, ghost_evidence: float) -> LayerSheet:
+    """Blobs, front to back, as layers; a ghost says that there is no object where it is, nor beside it."""
+    known, table = blobs.table, np.empty(len(blobs), LAYER)
+    table["top"], table["left"] = np.floor(known["position"] + 0.5).T
+    for name in ("rows", "columns", "start", "coloured", "spread"):
+        table[name] = known[name]
+    table["log_ratio"] = log_density_ratio(blobs.channels, known["spread"])
+    table["outliers"], table["strength"] = outliers, strength
+    table["ghost"] = blobs.ghost_evidence >= ghost_evidence
+    masks = blobs.masks
+    for k in np.flatnonzero(table["ghost"]).tolist():
+        shape = _around(blobs[k].mask)
+        table["start"][k] = len(masks)
+        masks = np.concatenate([masks, shape.reshape(-1)])
+    return LayerSheet(table, Pools(masks, blobs.colours), blobs.channels)
+
+
+def _around(mask: Map) -> Map:
+    return np.asarray(cv2.dilate((mask > 0.25).astype(np.float32), np.ones((5, 5), np.uint8)), np.float32)
 
 
 class BlobScene:
@@ -130,3 +199,12 @@ class BlobScene:
         )  # fmt: skip
         spots: list[Spot] = found[:count, :4].tolist()
         return spots
+
+
+def inherited(blob: Blob, others: Blobs) -> float:
+    """Evidence (nats) that a newborn has from what it touches: it is as likely as not a part of that."""
+    x, y, width, height = blob.box
+    left, top, columns, rows = others.boxes.T
+    touched = (x - MARGIN < left + columns) & (left < x + width + MARGIN)
+    touched &= (y - MARGIN < top + rows) & (top < y + height + MARGIN)
+    return float(np.min(0.5 * others.table["past_views"][touched], initial=0.0)) if touched.any() else 0.0

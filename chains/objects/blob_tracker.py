@@ -27,15 +27,11 @@ from ...models.objects.box_message import BoxMessage
 from ...models.objects.object_boxes import ObjectBoxes
 from ...models.pixels.layers import LayerStack, log_uniform
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
-from ..objects import detections
-from .blob_geometry import likely_size
-from .blob_scene import BlobScene
-from .blob_table import Blobs, BlobState
-from .blobs import Blob
-from .ghosts import VIEW_TIME, inherited
+from . import detections
+from .blob_scene import VIEW_TIME, BlobScene, front_to_back, inherited, layers_of, registered
+from .blobs import Blob, Blobs, BlobState, likely_size
 from .groups import alone, fragment_times, halves, merged, parting_columns, with_parts
 from .kernels.learning import Learning
-from .registration import front_to_back, layers_of, registered
 
 POSITIVE = (
     "smallest", "mask_time", "colour_time", "spread", "strength", "temper", "acceleration", "first_speed",
@@ -82,7 +78,7 @@ class BlobTracker:
         s for which an object must have been seen before it is reported, in every frame.
     ghost_evidence
         nats from which on a blob is taken for a ghost: log ratio of an outline that is an edge of the
-        background's picture and one that is an edge of the image (see `chains.objects.ghosts`).
+        background's picture and one that is an edge of the image (see `chains.objects.kernels.learning`).
     parting_time
         s for which a blob must have had a waist, or the width of two people, before it becomes two.
     size_time

@@ -21,13 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...inference.kalman import kinematic
 from ...models.core.gaussian_message import GaussianMessage
-from ...models.objects.box_detector import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH
-from ...models.objects.box_message import BoxMessage, LogOdds
-from .blob_geometry import box_densities, paste
-from .blob_table import Blobs
-from .blobs import Blob, DetectedBox, Map, Pair
-from .kernels.motion import move
-from .kernels.records import FRESH, MARGIN
+from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage, LogOdds
+from .blobs import Blob, Blobs, DetectedBox, Map, Pair, box_densities, paste
+from .kernels.blobs import FRESH, MARGIN, move
 
 ACCELERATION = 0.4
 """Heights/s^2, standard deviation of what moves a person out of the straight way; it lasts half a second."""

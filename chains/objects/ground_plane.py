@@ -16,23 +16,127 @@ both together predict every object's box. What they predict comes from the past 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ...inference.engine.protocols import Incoming, Port
 from ...inference.kalman import kinematic
 from ...models.core.frame import Frame
+from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
-from ...models.objects.box_detector import HEIGHT, WIDTH
-from ...models.objects.box_message import BoxMessage
+from ...models.objects.box_message import BOX, HEIGHT, WIDTH, BoxMessage, Newcomers
 from ...models.objects.object_boxes import ObjectBoxes
-from .ground_model import GroundState, Numbers
-from .kernels.ground_plane import GroundModel, Objects, Observed, observe
+from .kernels.ground_plane import GroundModel, Objects, Observed, box_densities, observe
+
+Numbers = NDArray[np.float64]
 
 FIRST_TRUST, MOST_TRUST = 1.4, 4.0
 """Log odds that an object stands on the plane: before its first observation, and as sure as one can get."""
 
 MOST_ASPECTS = 50.0
 """Observations that are remembered of everybody's width over height."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class GroundState:
+    """Perspective of the scene and the objects in it.
+
+    With its foot in row y, object k is scene[0] + scene[1] (y - middle) + scene[2 + k] heights[k] high: what
+    the plane makes of everybody, and how much taller or shorter this one is.
+
+    Parameters
+    ----------
+    size
+        `(height, width)` px of the picture; `middle` is its middle row.
+    variation
+        standard deviation of heights over what the plane predicts, as a share of that.
+    scene
+        `(2 + n_objects,)`: px height with the foot in the middle row, px it grows with each row, and each
+        object's share.
+    scene_covariance
+        `(2 + n_objects, 2 + n_objects)`.
+    everybody
+        `(3,)`: weight, mean and variance of the width over height of all who were seen.
+    identities
+        `(n_objects,)` int64, increasing.
+    feet
+        `(n_objects, 2, 2)`: along x and y, position px and velocity px/s.
+    feet_covariance
+        `(n_objects, 2, 2, 2)`: along x and y, of position and velocity.
+    heights
+        `(n_objects,)` px, the scale on which an object moves and varies.
+    aspects, aspect_variances
+        `(n_objects,)` width over height.
+    trust
+        `(n_objects,)` log odds that the object stands on the plane.
+    unseen
+        `(n_objects,)` s since it was last heard of.
+    """
+
+    size: tuple[int, int]
+    variation: float
+    scene: Numbers
+    scene_covariance: Numbers
+    everybody: Numbers
+    identities: NDArray[np.int64]
+    feet: Numbers
+    feet_covariance: Numbers
+    heights: Numbers
+    aspects: Numbers
+    aspect_variances: Numbers
+    trust: Numbers
+    unseen: Numbers
+
+    @property
+    def middle(self) -> float:
+        """px, middle row of the picture."""
+        return 0.5 * self.size[0]
+
+    def newcomers(self) -> Newcomers:
+        """Box of somebody new; as long as nobody was seen, heights deviate by about the picture's."""
+        _, aspect, variance = self.everybody.tolist()
+        return Newcomers(
+            self.size, self.scene[:2], self.scene_covariance[:2, :2], self.variation, aspect, variance
+        )
+
+    def expected_height(self, foot_y: ArrayLike) -> tuple[Numbers, Numbers]:
+        """Mean and standard deviation px of the height of somebody new, with feet in these rows."""
+        return self.newcomers().height(foot_y)
+
+    @property
+    def objects(self) -> Objects:
+        """What loops know of the objects."""
+        return Objects(
+            self.feet,
+            self.feet_covariance,
+            self.heights,
+            self.aspects,
+            self.aspect_variances,
+            self.trust,
+            self.unseen,
+        )
+
+    def boxes(self, spread: float, foot_spread: float) -> GaussianMessage:
+        """Density N(x) N(y) N(height; plane's at y) N(width; aspect * height) of every object's box.
+
+        Of the perspective, which all objects share, each gets its own marginal, with the slope at its mean.
+
+        Parameters
+        ----------
+        spread
+            standard deviation of one person's height about their own mean, as a share.
+        foot_spread
+            heights: standard deviation of the bottom edge's middle about the point on the ground.
+        """
+        count = len(self.identities)
+        message = GaussianMessage(
+            self.identities, np.empty((count, BOX, BOX)), np.empty((count, BOX)), np.empty(count)
+        )
+        box_densities(
+            self.middle, spread, foot_spread, self.scene, self.scene_covariance, self.objects,
+            message.information, message.vector, message.log_scale,
+        )  # fmt: skip
+        return message
 
 
 @short_repr

@@ -6,14 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...models.objects.box_message import Newcomers
-from .blob_geometry import likely_size
 from .blob_scene import BlobScene
-from .blob_table import Blobs, union
-from .blobs import Blob, Map, Pair, around
-from .kernels.masks import shape_of
-from .kernels.motion import next_piece
-from .kernels.patches import UNKNOWN_COLOUR
-from .kernels.records import FRESH
+from .blobs import Blob, Blobs, Map, Pair, around, likely_size, union
+from .kernels.blobs import FRESH, UNKNOWN_COLOUR, next_piece, shape_of
 
 UPRIGHT = 0.75
 """Width over height below which anybody is upright, and stands beside others."""

@@ -11,20 +11,337 @@ both ways, joins tracks over gaps into one identity (all at once, as an assignme
 first frame in which it was seen, and leaves out what was not seen for long enough to be believed.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import BatchIncoming, Port, Smoothed
+from ...inference.kalman import PointStates, filter_tracks, kinematic, smooth
+from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
-from ...models.objects.box_detector import FOOT_Y, HEIGHT, WIDTH
-from ...models.objects.box_message import BoxMessage
+from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage
 from ...models.objects.object_boxes import ObjectBoxes
 from .blobs import Track, middle_covariance
-from .trajectories import Boxes, Comings, Motion, Smooth, joined, joins, messages_of, smoothed
+
+Numbers = NDArray[np.float64]
+
+KNOWN = 0.25
+"""Widths: standard deviation of a place up to which somebody out of sight is reported there."""
+
+EDGE = 0.25
+"""Heights within which the picture's edge is near."""
+
+FROM_EDGE = 0.9
+"""Share of those who come that come from the picture's edge, not out of a door or a crowd."""
+
+GOES_ON, GOES_ON_AT_EDGE = 0.5, 0.05
+"""Probability that a track's end is not the object's, inside the picture and at its edge."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Boxes of objects in the frames of a film, one a row, ordered by object and then by time.
+
+    Parameters
+    ----------
+    frames
+        `(n,)` int64, index of the frame.
+    identities
+        `(n,)` int64.
+    means, variances
+        `(n, 4)` px and px^2, in the order of `ObjectBoxes`.
+    """
+
+    frames: NDArray[np.int64]
+    identities: NDArray[np.int64]
+    means: Numbers
+    variances: Numbers
+
+    @classmethod
+    def of(cls, messages: Iterable[GaussianMessage]) -> "Boxes":
+        """Boxes of messages, one a frame."""
+        parts = []
+        for index, message in enumerate(messages):
+            known, mean, covariance = message.moments
+            frames = np.full(len(known), index, np.int64)
+            identities, variances = np.asarray(known, np.int64), covariance.diagonal(axis1=1, axis2=2)
+            parts.append(Boxes(frames, identities, mean.reshape(-1, BOX), variances.reshape(-1, BOX)))
+        return cls.together(parts)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def sorted(self) -> Self:
+        """By object and time."""
+        return self[np.lexsort((self.frames, self.identities))]
+
+    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Self:
+        return replace(
+            self,
+            frames=self.frames[rows],
+            identities=self.identities[rows],
+            means=self.means[rows],
+            variances=self.variances[rows],
+        )
+
+    def mask(self, size: tuple[int, int], room: float) -> NDArray[np.bool_]:
+        """`(height, width)`: where any of the boxes is, with a share of its size around it."""
+        inside = np.zeros(size, bool)
+        for x, y, width, height in self.means.tolist():
+            top, bottom = y - (1 + room) * height, y + room * height
+            left, right = x - (0.5 + room) * width, x + (0.5 + room) * width
+            spans = [(top, bottom), (left, right)]
+            rows, columns = (slice(max(round(first), 0), max(round(end), 0)) for first, end in spans)
+            inside[rows, columns] = True
+        return inside
+
+    def tracks(self) -> list[Self]:
+        """Those of each object."""
+        edges = np.flatnonzero(np.diff(self.identities)) + 1
+        starts = [0, *edges.tolist(), len(self)]
+        return [self[start:end] for start, end in pairwise(starts) if end > start]
+
+    @classmethod
+    def together(cls, tracks: Sequence["Boxes"]) -> "Boxes":
+        """All of them in one."""
+        empty = Boxes(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, BOX)), np.zeros((0, BOX)))
+        parts = [empty, *tracks]
+        return Boxes(
+            np.concatenate([part.frames for part in parts]),
+            np.concatenate([part.identities for part in parts]),
+            np.concatenate([part.means for part in parts]),
+            np.concatenate([part.variances for part in parts]),
+        ).sorted()
+
+
+def messages_of(boxes: Boxes, n_frames: int) -> list[BoxMessage]:
+    """What boxes say in each of the frames."""
+    order = np.argsort(boxes.frames, kind="stable")
+    edges = np.searchsorted(boxes.frames[order], np.arange(n_frames + 1))
+    rows = [order[start:end] for start, end in pairwise(edges)]
+    return [
+        BoxMessage(
+            GaussianMessage.from_moments(
+                boxes.identities[some], boxes.means[some], boxes.variances[some][:, :, None] * np.eye(BOX)
+            )
+        )
+        if len(some)
+        else BoxMessage()
+        for some in rows
+    ]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How objects move and change, in units of their own height.
+
+    Parameters
+    ----------
+    acceleration
+        heights^2/s^3, spectral density of what moves feet out of their straight way.
+    growth
+        heights^2/s^3, of what changes the growth of their width and height.
+    first_speed
+        heights/s, standard deviation of a velocity.
+    """
+
+    acceleration: float
+    growth: float
+    first_speed: float
+
+
+@dataclass(frozen=True, eq=False)
+class Smooth:
+    """One object's trajectory in all frames from first to last.
+
+    Parameters
+    ----------
+    first
+        index of the first frame.
+    identity
+        of the object.
+    height
+        px, its usual one.
+    seen
+        `(n_frames,)` bool, whether it was seen there.
+    feet, sizes
+        states in every frame, of one point each: the foot, and width and height.
+    """
+
+    first: int
+    identity: int
+    height: float
+    seen: NDArray[np.bool_]
+    feet: PointStates
+    sizes: PointStates
+
+    @property
+    def last(self) -> int:
+        """Index of the last frame."""
+        return self.first + len(self.seen) - 1
+
+    def boxes(self) -> Boxes:
+        """In every frame."""
+        means = np.concatenate([self.feet.mean[:, :2], self.sizes.mean[:, :2]], axis=1)
+        parts = (self.feet.covariance, self.sizes.covariance)
+        variances = np.concatenate([part.diagonal(axis1=1, axis2=2)[:, :2] for part in parts], axis=1)
+        frames = np.arange(self.first, self.last + 1)
+        return Boxes(frames, np.full(len(frames), self.identity), means, variances)
+
+    def known(self) -> NDArray[np.bool_]:
+        """`(n_frames,)`: whether it was seen there, or is known to be there all the same."""
+        boxes = self.boxes()
+        unsure = np.sqrt(boxes.variances[:, [FOOT_X, FOOT_Y]].max(axis=1))
+        return np.asarray(self.seen | (unsure < KNOWN * boxes.means[:, WIDTH]))
+
+
+def smoothed(track: Boxes, times: Numbers, motion: Motion) -> Smooth:
+    """A track given all that was seen of it, before and after, by Rauch, Tung and Striebel's recursion.
+
+    Parameters
+    ----------
+    track
+        of one object.
+    times
+        `(n_frames,)` s of all frames.
+    motion
+        of objects.
+    """
+    first, last = int(track.frames[0]), int(track.frames[-1])
+    seconds, place = times[first : last + 1], track.frames - first
+    height = float(np.median(track.means[:, HEIGHT]))
+    seen = np.zeros(len(seconds), bool)
+    seen[place] = True
+
+    def states(columns: tuple[int, int], density: float, speed: float) -> PointStates:
+        information, vector = np.zeros((len(seconds), 1, 2, 2)), np.zeros((len(seconds), 1, 2))
+        for axis, column in enumerate(columns):
+            information[place, 0, axis, axis] = 1 / track.variances[:, column]
+            vector[place, 0, axis] = track.means[:, column] / track.variances[:, column]
+        prior = PointStates.at_rest(track.means[:1, columns], (10 * height) ** 2, speed * height)
+        filtered = filter_tracks(prior, seconds, information, vector, density * height**2)
+        both = smooth(filtered, seconds, density * height**2)
+        return PointStates(both.mean[:, 0], both.covariance[:, 0])
+
+    feet = states((FOOT_X, FOOT_Y), motion.acceleration, motion.first_speed)
+    sizes = states((WIDTH, HEIGHT), motion.growth, 0.2 * motion.first_speed)
+    return Smooth(first, int(track.identities[0]), height, seen, feet, sizes)
+
+
+@dataclass(frozen=True)
+class Comings:
+    """How objects come and go.
+
+    Parameters
+    ----------
+    size
+        `(height, width)` px of the picture.
+    rate
+        1/s, at which new ones come.
+    patience
+        s, the longest time for which one may be out of sight and still be known.
+    """
+
+    size: tuple[int, int]
+    rate: float
+    patience: float
+
+    def at_edge(self, track: Smooth, place: int) -> bool:
+        """Whether the picture's edge cuts off a track's box, or nearly so, in its frame `place`."""
+        x, y = track.feet.mean[place, :2]
+        width, height = track.sizes.mean[place, :2]
+        near = EDGE * track.height
+        rows, columns = self.size
+        inside = near < x - 0.5 * width and x + 0.5 * width < columns - near
+        return not (inside and near < y - height and y < rows - near)
+
+    def log_new(self, track: Smooth) -> float:
+        """Log density (1/s/px^2) of somebody new where a track begins."""
+        area = float(self.size[0] * self.size[1])
+        strip = min(2 * EDGE * track.height * sum(self.size), area)
+        place = FROM_EDGE / strip if self.at_edge(track, 0) else (1 - FROM_EDGE) / area
+        return float(np.log(self.rate * place))
+
+    def log_back(self, track: Smooth) -> float:
+        """Log density (1/s) of a track that ends going on after a gap."""
+        back = GOES_ON_AT_EDGE if self.at_edge(track, -1) else GOES_ON
+        return float(np.log(back / self.patience))
+
+
+def joins(tracks: Sequence[Smooth], times: Numbers, motion: Motion, comings: Comings) -> dict[int, int]:
+    """Which tracks go on as which others, all decided at once.
+
+    A track that ends and one that begins soon after are one object if that is likelier than that somebody is
+    gone and somebody else is new: the end, predicted to where the other begins, is a Gaussian over place,
+    velocity and size; a newcomer comes at some rate, mostly at the picture's edge.
+
+    Parameters
+    ----------
+    tracks
+        of all objects.
+    times, motion
+        as of `smoothed`.
+    comings
+        of objects.
+
+    Returns
+    -------
+    next_of
+        index of the track that goes on by index of the one that ends.
+    """
+    if len(tracks) < 2:
+        return {}
+    scores = np.zeros((len(tracks), len(tracks)))
+    for row, one in enumerate(tracks):
+        for column, other in enumerate(tracks):
+            gap = times[other.first] - times[one.last]
+            if row != column and 0 < gap <= comings.patience:
+                one_object = comings.log_back(one) + _log_same(one, other, gap, motion)
+                scores[row, column] = max(one_object - comings.log_new(other), 0.0)
+    from scipy.optimize import linear_sum_assignment  # slow to import, and only whole films need it
+
+    rows, columns = linear_sum_assignment(-scores)
+    return {int(row): int(column) for row, column in zip(rows, columns, strict=True) if scores[row, column]}
+
+
+def _log_same(one: Smooth, other: Smooth, gap: float, motion: Motion) -> float:
+    """Log density of the place where a track begins if it is what another one was, `gap` s before.
+
+    Velocity and size count by their densities over those of anybody's.
+    """
+    height = 0.5 * (one.height + other.height)
+    mean, covariance = one.feet.mean[-1], one.feet.covariance[-1]
+    start, start_covariance = other.feet.mean[0], other.feet.covariance[0]
+    moved, spread = kinematic(2, gap).along(2).moved(mean, covariance, motion.acceleration * height**2)
+    speed = (motion.first_speed * height) ** 2
+    anybody = _log_gaussian(start[2:], np.eye(2) * speed + start_covariance[2:, 2:])
+    sizes = np.log(other.sizes.mean[0, :2].clip(1) / one.sizes.mean[-1, :2].clip(1))
+    same, any_size = np.diag([0.3**2, 0.15**2]), np.diag([0.6**2, 0.5**2])
+    alike = _log_gaussian(sizes, same) - _log_gaussian(sizes, any_size)
+    return _log_gaussian(start - moved, spread + start_covariance) - anybody + alike
+
+
+def _log_gaussian(off: Numbers, covariance: Numbers) -> float:
+    _, log_volume = np.linalg.slogdet(2 * np.pi * covariance)
+    return float(-0.5 * (off @ np.linalg.solve(covariance, off) + log_volume))
+
+
+def joined(boxes: Boxes, tracks: Sequence[Smooth], next_of: dict[int, int]) -> Boxes:
+    """Boxes of these tracks, with one identity, that of the first, for all of a chain of `joins`."""
+    names: dict[int, int] = {}
+    for row in sorted(range(len(tracks)), key=lambda row: tracks[row].first):
+        name = names.setdefault(row, tracks[row].identity)
+        if row in next_of:
+            names[next_of[row]] = name
+    renamed = {tracks[row].identity: name for row, name in names.items()}
+    kept = boxes[np.isin(boxes.identities, list(renamed))]
+    identities = np.array([renamed[identity] for identity in kept.identities.tolist()], np.int64)
+    return replace(kept, identities=identities).sorted()
 
 
 @short_repr

@@ -30,12 +30,10 @@ from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import BoxMessage
 from ...models.objects.object_boxes import ObjectBoxes
-from ...models.pixels.empty_scene import EmptyScene
+from ...models.pixels.background import EmptyScene
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
-from .blob_geometry import box_densities
-from .blob_table import BlobState
-from .blobs import Box
-from .trajectories import Boxes, messages_of
+from .blobs import BlobState, Box, box_densities
+from .object_trajectories import Boxes, messages_of
 
 Numbers = NDArray[np.float64]
 
@@ -224,7 +222,7 @@ class SceneFilter:
         blank = Frame(np.zeros(empty.shape, np.uint8), time, 1)
         states: dict[str, Any] = {name: chain.initial(blank) for name, chain in self.model.chains.items()}
         name = self._background() or ""
-        states[name] = empty.known_to(states[name])
+        states[name] = self.model.chains[name].in_scene(states[name], empty)
         return RunState(states, 0, math.nextafter(time, -math.inf), empty.shape)
 
 

@@ -23,16 +23,21 @@ from ...inference.engine.protocols import Cavity, Incoming, Port
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.pixels import colour
-from ...models.pixels.empty_scene import EmptyScene
-from ...models.pixels.gaussian import BackgroundPrediction, fixed_point, stored_planes
-from ...models.pixels.kernels.gaussian import Gaussians
-from ...models.pixels.kernels.second_colours import SETTLED, SecondColours, Settling, learn_second_colours
-from ...models.pixels.kernels.sway import Sway
-from ...models.pixels.light import LightField, followed, light_grid, share_of_blocks
+from ...models.pixels.background import EmptyScene
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
+from .background_prediction import (
+    BackgroundPrediction,
+    LightField,
+    fixed_point,
+    followed,
+    light_grid,
+    share_of_blocks,
+    stored_planes,
+)
 from .empty_scene import empty_scene
-from .kernels.behind import update_behind
-from .sway import learned_rates, reach
+from .kernels.gaussian import Gaussians, Light
+from .kernels.second_colours import SETTLED, SecondColours, Settling, learn_second_colours, update_behind
+from .kernels.sway import Sway, count_moved, learn_rates
 
 Planes = NDArray[np.float32]
 
@@ -59,6 +64,18 @@ LONG = 60.0
 
 MOST_NOISE_SHARE = 0.1
 """Of a single observation in a pixel's noise, however long ago the one before was."""
+
+SWAY_REACH = 0.01
+"""Share of the picture's longer side within which leaves sway."""
+
+SWAY_TIME = 10.0
+"""s for which it is remembered that something swayed: a lull is longer than somebody's passing."""
+
+CALM_TIME = 1.0
+"""s for which it is taken for granted in the beginning that nothing sways."""
+
+LEAST_SEEN = 4
+"""Pixels of a block that tell how much of it sways."""
 
 
 @short_repr
@@ -293,9 +310,14 @@ class AdaptiveBackground:
             scene = empty_scene(images, times, fields, self.noise, covered)
         return scene
 
+    def in_scene(self, state: BackgroundState, scene: EmptyScene) -> BackgroundState:
+        """Return the state that knows the empty scene."""
+        pixels = fixed_point(scene.mean, scene.variance, scene.noise)
+        return replace(state, **pixels._asdict(), light=scene.light)
+
     def _light(self, scene: EmptyScene, image: NDArray[np.uint8]) -> LightField:
         """The light of an image of the scene, with all the time to follow it."""
-        state = self.predict(scene.known_to(self.initial(Frame(image, 0.0, 1))), LONG)
+        state = self.predict(self.in_scene(self.initial(Frame(image, 0.0, 1)), scene), LONG)
         return self._prediction(state, image if self.follow_light else None).light
 
     def _predicted(self, state: BackgroundState, incoming: Incoming) -> BackgroundPrediction:
@@ -319,5 +341,41 @@ class AdaptiveBackground:
             pooling=self.pooling,
             second=SecondColours(state.candidate, state.seen),
             tolerance=8.0 * len(state.mean) * self.noise,
-            sway=Sway(state.sway, reach(state.size)),
+            sway=Sway(state.sway, sway_reach(state.size)),
         )
+
+
+def sway_reach(size: tuple[int, int]) -> int:
+    """px within which the scene of `size` `(height, width)` sways."""
+    return max(math.ceil(SWAY_REACH * max(size)), 3)
+
+
+def learned_rates(
+    sway: Sway,
+    image: NDArray[np.uint8],
+    before: Gaussians,
+    light: Light,
+    log_odds: NDArray[np.int8],
+    covered: NDArray[np.uint8],
+    times: tuple[float, float],
+) -> NDArray[np.float32]:
+    """Rates after a frame; what is `covered` `(n_pixels,)` tells nothing of them.
+
+    Parameters
+    ----------
+    sway, before, light
+        predicted.
+    image
+        uint8 `(height, width[, 3])`.
+    log_odds
+        `(n_pixels,)` int8, of each pixel by itself.
+    times
+        s for which the scene has been seen, and s since the frame before.
+    """
+    counts = np.empty((*sway.rates.shape, 4), np.float32)
+    count_moved(np.ascontiguousarray(image).reshape(-1), before, light, log_odds, covered, sway.reach, counts)
+    age, elapsed = times
+    share = 1 - math.exp(-elapsed / (min(age, SWAY_TIME) + CALM_TIME))
+    rates: NDArray[np.float32] = np.empty_like(sway.rates)
+    learn_rates(counts, sway.rates, np.float32(share), LEAST_SEEN, rates)
+    return rates

@@ -22,8 +22,7 @@ from ...inference.engine.protocols import Incoming, Port
 from ...models.camera.moving_camera import UNKNOWNS, View
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
-from ...models.pixels.pixel_labels import PixelMessage
-from ...models.pixels.scene_pixels import ScenePixels
+from ...models.pixels.pixel_labels import PixelMessage, ScenePixels
 
 PICTURE_TIME = 10.0
 """s in which the scene's picture follows what is seen of the background: long, since each frame is put where

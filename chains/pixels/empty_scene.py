@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.numerics.threads import over_bands
-from ...models.pixels.empty_scene import EmptyScene
-from ...models.pixels.kernels.gaussian import HIGHEST_NOISE, HIGHEST_VARIANCE, LOWEST_NOISE, LOWEST_VARIANCE
-from ...models.pixels.light import LightField
+from ...models.pixels.background import EmptyScene
+from .background_prediction import LightField
+from .kernels.gaussian import HIGHEST_NOISE, HIGHEST_VARIANCE, LOWEST_NOISE, LOWEST_VARIANCE
 from .kernels.modes import Modes, find_modes
 
 Image = NDArray[np.uint8]

@@ -1,6 +1,7 @@
-"""What chains and detectors say to each other about the boxes of objects."""
+"""What chains and detectors say to each other about the boxes of objects, and how a detector behaves."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -8,10 +9,89 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.gaussian_message import GaussianMessage
 from ..core.short_repr import short_repr
-from .association import Association
-from .box_detector import BOX, FOOT_Y, HEIGHT, WIDTH, BoxDetector
 
 Numbers = NDArray[np.float64]
+
+FOOT_X, FOOT_Y, WIDTH, HEIGHT = range(4)
+"""Order of a box's numbers (px): middle of its bottom edge, as column and row, then its size."""
+
+BOX = 4
+
+
+@short_repr
+@dataclass(frozen=True)
+class Scores:
+    """Scores of true and of false boxes: Gaussians with one deviation, so that log odds are linear.
+
+    Parameters
+    ----------
+    true, false
+        mean score of boxes that show an object, and of those that do not.
+    deviation
+        of either about its mean.
+    """
+
+    true: float
+    false: float
+    deviation: float
+
+    def log_ratio(self, scores: Numbers) -> Numbers:
+        """`(n,)` nats: log of p(score | true box) over p(score | false box)."""
+        off: Numbers = scores - 0.5 * (self.true + self.false)
+        return (self.true - self.false) / self.deviation**2 * off
+
+
+@short_repr
+@dataclass(frozen=True)
+class BoxDetector:
+    """A detector of boxes, and how it errs.
+
+    Parameters
+    ----------
+    found
+        probability that it finds an object of which everything can be seen.
+    clutter
+        1/px^2: false boxes in a frame, for each pixel of the picture.
+    position, size
+        standard deviations of a box's foot and of its sides, as shares of the box's own size: of the root of
+        its area, and of each side.
+    doubles
+        share of found objects of which there is a second box, less exact than the first.
+    newcomers
+        objects that are found in a frame for the first time, on average.
+    scores
+        what they mean; `None` as long as they mean nothing.
+
+    Raises
+    ------
+    ValueError
+        if a number is out of its range.
+    """
+
+    found: float = 0.9
+    clutter: float = 1e-6
+    position: float = 0.08
+    size: float = 0.15
+    doubles: float = 0.1
+    newcomers: float = 0.1
+    scores: Scores | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < self.found < 1:
+            raise ValueError(f"found: got {self.found}, expected a probability between 0 and 1")
+        for name in ("clutter", "position", "size", "doubles", "newcomers"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
+
+    def noise(self, boxes: Numbers) -> Numbers:
+        """`(n, 4)` px^2: variances of what is found of such boxes `(n, 4)`."""
+        width, height = np.maximum(boxes[:, WIDTH], 1.0), np.maximum(boxes[:, HEIGHT], 1.0)
+        place = self.position**2 * width * height
+        return np.stack([place, place, (self.size * width) ** 2, (self.size * height) ** 2], axis=1)
+
+    def log_score_ratio(self, scores: Numbers | None, n_boxes: int) -> Numbers:
+        """`(n_boxes,)` nats: what the scores say for a true box and against a false one."""
+        return np.zeros(n_boxes) if self.scores is None or scores is None else self.scores.log_ratio(scores)
 
 
 @short_repr
@@ -95,6 +175,77 @@ class Newcomers:
         density: Numbers = -0.5 * (off + np.log(2 * np.pi * variance) + np.log(2 * np.pi * across))
         density -= np.log(float(self.size[0] * self.size[1]))
         return density
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class Association:
+    """What the boxes of a frame are, given the objects that are known.
+
+    Parameters
+    ----------
+    boxes
+        `(n_boxes, 4)` px that the detector has found: foot x, foot y, width, height.
+    noise
+        `(n_boxes, 4)` px^2: their variances.
+    scores
+        `(n_boxes,)` of the detector, all 1 where it gives none.
+    identities
+        `(n_objects,)` int64: who was expected.
+    pairs
+        `(n_objects, n_boxes)` probability that the object exists and this is its box.
+    expected
+        `(n_objects,)` probability with which the object, if it exists, would be found.
+    missed
+        `(n_objects,)` probability that the object exists and has no box.
+    visible
+        `(n_objects,)` share of each that is in sight.
+    new
+        `(n_boxes,)` probability that the box is of somebody not known before.
+    double
+        `(n_boxes,)` probability that the box is a second one of somebody who has another.
+    log_evidence
+        log density of all boxes together, given who was expected.
+    outlines
+        `(n_boxes, height, width)` bool over the picture, if the detector gives them.
+    """
+
+    boxes: Numbers
+    noise: Numbers
+    scores: Numbers
+    identities: NDArray[np.int64]
+    pairs: Numbers
+    expected: Numbers
+    missed: Numbers
+    visible: Numbers
+    new: Numbers
+    double: Numbers
+    log_evidence: float
+    outlines: NDArray[np.bool_] | None = None
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+    @cached_property
+    def drawn(self) -> tuple[Numbers, Numbers]:
+        """Where the boxes draw each object: `(n_objects, 4)` 1/px^2 and, times it, px; 0 if it was missed.
+
+        That is the mean of the likelihood's logarithm over all assignments.
+        """
+        exists = np.maximum(self.pairs.sum(axis=1) + self.missed, 1e-30)
+        share = self.pairs / exists[:, None]
+        return share @ (1 / self.noise), share @ (self.boxes / self.noise)
+
+    @property
+    def in_sight(self) -> float:
+        """How many objects were missed though they could be seen."""
+        return float((self.missed * self.visible).sum())
+
+    @property
+    def true(self) -> Numbers:
+        """`(n_boxes,)` probability that a box is the one box of an object, known or new."""
+        true: Numbers = self.pairs.sum(axis=0) + self.new
+        return true
 
 
 NO_BOXES = GaussianMessage.uniform(BOX)

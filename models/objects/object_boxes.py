@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from ..core.frame import Frame
 from ..core.pictures import FARTHEST, draw_region
 from ..core.short_repr import short_repr
-from .box_detector import BoxDetector
-from .box_likelihood import associate
-from .box_message import BoxMessage
+from .association import associate
+from .box_message import BoxDetector, BoxMessage
 
 COLOUR = (255, 190, 40)
 """BGR, of boxes that are drawn."""

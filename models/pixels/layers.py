@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.short_repr import short_repr
-from ..pixels import colour
-from .kernels.layers import LAYER, Composition, Pools, apart, compose, shift_of
+from . import colour
+from .kernels import LAYER, Composition, Pools, apart, compose, shift_of
 
 Map = NDArray[np.float32]
 PixelBox = tuple[int, int, int, int]

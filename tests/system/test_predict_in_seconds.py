@@ -25,7 +25,7 @@ from rsmcm.chains import (
 )
 from rsmcm.chains.body.condensation import Condensation
 from rsmcm.chains.body.samples import BodySamples
-from rsmcm.chains.objects.blob_table import Blobs
+from rsmcm.chains.objects.blobs import Blobs
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import Frame, ObjectBoxes, PixelLabels, PointTracks, ScenePixels
 from rsmcm.models.body.upper_body import UpperBody

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....models.numerics.compiled import compiled, inlined
-from ....models.objects.box_detector import FOOT_X, FOOT_Y, HEIGHT, WIDTH
+from ....models.objects.box_message import FOOT_X, FOOT_Y, HEIGHT, WIDTH
 
 Numbers = NDArray[np.float64]
 

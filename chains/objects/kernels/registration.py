@@ -5,9 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ....models.numerics.compiled import compiled, exponential, inlined, logarithm, put
-from ....models.pixels.kernels.layers import Sprite
-from .patches import cover_by, gather, patch_in
-from .records import FRESH, colours_of, corner_of, length_of, mask_of
+from ....models.pixels.kernels import Sprite
+from .blobs import FRESH, colours_of, corner_of, cover_by, gather, length_of, mask_of, patch_in
 
 _f4 = np.float32
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....models.numerics.compiled import compiled, exponential, logarithm
-from ....models.pixels.kernels.gaussian import HIGHEST_NOISE, LOWEST_NOISE, ODDS_STEPS
+from ....models.pixels.kernels import ODDS_STEPS
+from .gaussian import HIGHEST_NOISE, LOWEST_NOISE
 
 _f4 = np.float32
 

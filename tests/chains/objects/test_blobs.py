@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from rsmcm.chains.objects.blob_table import Blobs, BlobState
-from rsmcm.chains.objects.blobs import Blob, DetectedBox, Track, middle_covariance
+from rsmcm.chains.objects.blobs import Blob, Blobs, BlobState, DetectedBox, Track, middle_covariance
 from rsmcm.models.camera.moving_camera import AffineMap
 
 

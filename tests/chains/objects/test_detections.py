@@ -8,13 +8,11 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.chains import AdaptiveBackground, BlobTracker, DetectorRates, GroundPlane
 from rsmcm.chains.objects import detections
-from rsmcm.chains.objects.blob_table import Blobs
-from rsmcm.chains.objects.blobs import Blob, DetectedBox
+from rsmcm.chains.objects.blobs import Blob, Blobs, DetectedBox
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.engine.recursive_bp import Belief
 from rsmcm.models import Frame, GivenBoxes, ObjectBoxes, PixelLabels
-from rsmcm.models.objects.association import Association
-from rsmcm.models.objects.box_message import BoxMessage, LogOdds
+from rsmcm.models.objects.box_message import Association, BoxMessage, LogOdds
 
 DT = 0.08
 HEIGHT, WIDTH = 120, 160

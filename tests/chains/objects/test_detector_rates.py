@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains import BlobTracker, DetectorRates, GroundPlane
-from rsmcm.chains.objects.detector_memory import ScoreMoments
+from rsmcm.chains.objects.detector_rates import ScoreMoments
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.engine.recursive_bp import Belief
 from rsmcm.models import Frame, GivenBoxes, ObjectBoxes, PixelLabels

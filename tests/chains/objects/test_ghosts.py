@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from rsmcm.chains.objects import ghosts
-from rsmcm.chains.objects.blob_table import Blobs
-from rsmcm.chains.objects.blobs import Blob
-from rsmcm.chains.objects.kernels.learning import MOST_EVIDENCE, Learning, weigh
-from rsmcm.chains.objects.kernels.outlines import outline_evidence
-from rsmcm.chains.objects.kernels.records import box_of, length_of
-from rsmcm.models.pixels.kernels.gaussian import StoredPlanes
+from rsmcm.chains.objects import blob_scene
+from rsmcm.chains.objects.blobs import Blob, Blobs
+from rsmcm.chains.objects.kernels.blobs import box_of, length_of
+from rsmcm.chains.objects.kernels.learning import MOST_EVIDENCE, Learning, outline_evidence, weigh
+from rsmcm.models.pixels.kernels import StoredPlanes
 
 F4 = np.float32
 SIZE = (60, 50)
@@ -72,7 +70,7 @@ def test_an_outline_that_others_hide_tells_nothing():
 
 def rule(elapsed):
     names = dict.fromkeys(Learning._fields, 0.0)
-    return Learning(**{**names, "elapsed": elapsed, "view_share": -np.expm1(-elapsed / ghosts.VIEW_TIME)})
+    return Learning(**{**names, "elapsed": elapsed, "view_share": -np.expm1(-elapsed / blob_scene.VIEW_TIME)})
 
 
 def moving(speed, origin_x):
@@ -120,6 +118,6 @@ def test_a_view_is_a_function_of_time():
 def test_a_newborn_that_touches_somebody_is_as_likely_as_not_a_part_of_them():
     walker = moving(30, 200.0).changed(past_views=-16.0)
     beside = moving(0, 18.0).changed(position=np.array([0.0, 18.0]))
-    assert ghosts.inherited(beside, Blobs.of([walker], 3)) == -8
-    assert ghosts.inherited(beside.changed(position=np.array([0.0, 60.0])), Blobs.of([walker], 3)) == 0
-    assert ghosts.inherited(beside, Blobs.none(3)) == 0
+    assert blob_scene.inherited(beside, Blobs.of([walker], 3)) == -8
+    assert blob_scene.inherited(beside.changed(position=np.array([0.0, 60.0])), Blobs.of([walker], 3)) == 0
+    assert blob_scene.inherited(beside, Blobs.none(3)) == 0

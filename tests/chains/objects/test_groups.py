@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from rsmcm.chains.objects.blob_table import Blobs, BlobState
-from rsmcm.chains.objects.blobs import Blob
+from rsmcm.chains.objects.blobs import Blob, Blobs, BlobState
 from rsmcm.chains.objects.groups import (
     alone,
     fragment_times,
@@ -15,7 +14,7 @@ from rsmcm.chains.objects.groups import (
     thinnest_column,
     with_parts,
 )
-from rsmcm.chains.objects.kernels.records import MARGIN
+from rsmcm.chains.objects.kernels.blobs import MARGIN
 from rsmcm.models.objects.box_message import Newcomers
 
 F4 = np.float32

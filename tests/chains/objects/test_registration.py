@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.apps.scenes.crowd import crowd
 from rsmcm.chains import AdaptiveBackground, BlobTracker
-from rsmcm.chains.objects import registration
-from rsmcm.chains.objects.kernels.records import RECORD
+from rsmcm.chains.objects import blob_scene
+from rsmcm.chains.objects.kernels.blobs import RECORD
 from rsmcm.chains.objects.kernels.registration import deal, patch_bounds
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import PixelLabels
@@ -40,13 +40,13 @@ def test_blobs_that_may_meet_are_in_one_lot(seed: int, n_blobs: int, count: int)
 @pytest.mark.parametrize("count", [2, 3, 4])
 def test_lots_may_be_done_in_any_order(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     frames, results = list(crowd(10, 30, (240, 320))), []
-    monkeypatch.setattr(registration, "thread_count", lambda: count)
+    monkeypatch.setattr(blob_scene, "thread_count", lambda: count)
     for order in (1, -1):
         monkeypatch.setattr(
-            registration, "side_by_side", lambda works, order=order: [w() for w in works[::order]]
+            blob_scene, "side_by_side", lambda works, order=order: [w() for w in works[::order]]
         )
         results.append(states_of(frames))
-    monkeypatch.setattr(registration, "thread_count", lambda: 1)
+    monkeypatch.setattr(blob_scene, "thread_count", lambda: 1)
     assert results[0] == results[1] == states_of(frames)
 
 

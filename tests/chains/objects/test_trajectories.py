@@ -5,7 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.objects.trajectories import Boxes, Comings, Motion, joined, joins, messages_of, smoothed
+from rsmcm.chains.objects.object_trajectories import (
+    Boxes,
+    Comings,
+    Motion,
+    joined,
+    joins,
+    messages_of,
+    smoothed,
+)
 
 MOTION = Motion(0.4, 0.1, 1.0)
 SIZE = (400, 600)

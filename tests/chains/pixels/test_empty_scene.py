@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rsmcm.chains.pixels.background_prediction import LightField
 from rsmcm.chains.pixels.empty_scene import PRIOR_FRAMES, empty_scene
 from rsmcm.models.pixels import colour
-from rsmcm.models.pixels.light import LightField
 
 SIZE = (17, 23)
 NOISE = 30.0

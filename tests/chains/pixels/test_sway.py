@@ -4,14 +4,13 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.chains import AdaptiveBackground, BlobTracker
-from rsmcm.chains.pixels.sway import learned_rates, reach
+from rsmcm.chains.pixels.adaptive_background import learned_rates, sway_reach
+from rsmcm.chains.pixels.background_prediction import LightField, fixed_point, log_prior_odds, stored_planes
+from rsmcm.chains.pixels.kernels.gaussian import PixelModel
+from rsmcm.chains.pixels.kernels.sway import LEAST_RATE, Sway, recall_moved
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import PixelLabels
 from rsmcm.models.pixels import colour
-from rsmcm.models.pixels.gaussian import fixed_point, log_prior_odds, stored_planes
-from rsmcm.models.pixels.kernels.gaussian import PixelModel
-from rsmcm.models.pixels.kernels.sway import LEAST_RATE, Sway, recall_moved
-from rsmcm.models.pixels.light import LightField
 
 SIZE = (60, 80)
 GRID = (3, 4)
@@ -34,7 +33,7 @@ def light():
 
 
 def rates_after(images, covered=None, seconds=5.0, dt=0.04):
-    sway, age = Sway(np.zeros(GRID, np.float32), reach(SIZE)), 0.0
+    sway, age = Sway(np.zeros(GRID, np.float32), sway_reach(SIZE)), 0.0
     covered = np.zeros(SIZE, np.uint8) if covered is None else covered
     unsure = np.zeros(covered.size, np.int8)
     for k in range(round(seconds / dt)):

@@ -10,9 +10,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models import Frame, GivenBoxes, ObjectBoxes
 from rsmcm.models.core.gaussian_message import GaussianMessage
-from rsmcm.models.objects.box_detector import BoxDetector, Scores, feet, log_anywhere
-from rsmcm.models.objects.box_likelihood import DOUBLE, NOTICED, UNNOTICED, associate, visible_share
-from rsmcm.models.objects.box_message import BoxMessage, LogOdds, Newcomers
+from rsmcm.models.objects.association import (
+    DOUBLE,
+    NOTICED,
+    UNNOTICED,
+    associate,
+    feet,
+    log_anywhere,
+    visible_share,
+)
+from rsmcm.models.objects.box_message import BoxDetector, BoxMessage, LogOdds, Newcomers, Scores
 from scipy.special import expit
 from scipy.stats import multivariate_normal, norm
 

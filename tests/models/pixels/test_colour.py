@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.models.pixels.gaussian import colour
+from rsmcm.chains.pixels.background_prediction import colour
 
 
 def image_of(seed, shape):

@@ -7,15 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rsmcm.chains import AdaptiveBackground, BlobTracker
-from rsmcm.chains.objects.blob_table import Blobs
-from rsmcm.chains.pixels.kernels.behind import REVEALED, update_behind
+from rsmcm.chains.objects.blobs import Blobs
+from rsmcm.chains.pixels.background_prediction import BackgroundPrediction, LightField, colour, fixed_point
+from rsmcm.chains.pixels.kernels.gaussian import Gaussians
+from rsmcm.chains.pixels.kernels.second_colours import KNOWN, REVEALED, SecondColours, update_behind
+from rsmcm.chains.pixels.kernels.sway import Sway
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.numerics.threads import set_threads, thread_count
-from rsmcm.models.pixels.gaussian import BackgroundPrediction, LightField, colour, fixed_point
-from rsmcm.models.pixels.kernels.gaussian import Gaussians
-from rsmcm.models.pixels.kernels.second_colours import KNOWN, SecondColours
-from rsmcm.models.pixels.kernels.sway import Sway
 from rsmcm.models.pixels.layers import Layer, LayerStack
 from rsmcm.models.pixels.pixel_labels import PixelMessage
 from scipy.special import logsumexp

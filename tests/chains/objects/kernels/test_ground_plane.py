@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.objects.kernels.ground_plane import HALF_HIDDEN, GroundModel, Objects, Observed, observe
-from rsmcm.models.objects.box_detector import FOOT_X, FOOT_Y, HEIGHT, WIDTH
+from rsmcm.models.objects.box_message import FOOT_X, FOOT_Y, HEIGHT, WIDTH
 
 Numbers = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from rsmcm.chains.objects.kernels import learning as kernels
-from rsmcm.chains.objects.kernels.patches import UNKNOWN_COLOUR, Patch
+from rsmcm.chains.objects.kernels.blobs import UNKNOWN_COLOUR, Patch
 
 from ....support.blob_patches import F4, density_of, sprite, textured
 

@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from rsmcm.chains.objects.kernels.masks import fade_beyond, shape_of, without_crumbs
+from rsmcm.chains.objects.kernels.blobs import fade_beyond, shape_of, without_crumbs
 
 F4 = np.float32
 

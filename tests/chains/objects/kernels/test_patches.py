@@ -3,8 +3,8 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rsmcm.chains.objects.kernels import patches as kernels
-from rsmcm.models.pixels.gaussian import colour
+from rsmcm.chains.objects.kernels import blobs as kernels
+from rsmcm.chains.pixels.background_prediction import colour
 
 F4 = np.float32
 

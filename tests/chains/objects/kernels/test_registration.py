@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rsmcm.chains.objects.kernels import registration as kernels
-from rsmcm.chains.objects.kernels.patches import Patch
-from rsmcm.chains.objects.kernels.records import RECORD
+from rsmcm.chains.objects.kernels.blobs import RECORD, Patch
 
 from ....support.blob_patches import F4, density_of, sprite, textured
 

@@ -2,13 +2,18 @@
 
 import numpy as np
 import pytest
+from rsmcm.chains.pixels.background_prediction import (
+    BackgroundPrediction,
+    LightField,
+    fixed_point,
+    rounding_of,
+    stored_planes,
+)
+from rsmcm.chains.pixels.kernels import gaussian as kernels
+from rsmcm.chains.pixels.kernels import second_colours as seconds
+from rsmcm.chains.pixels.kernels.sway import Sway
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from rsmcm.models.pixels import colour
-from rsmcm.models.pixels.gaussian import BackgroundPrediction, fixed_point, rounding_of, stored_planes
-from rsmcm.models.pixels.kernels import gaussian as kernels
-from rsmcm.models.pixels.kernels import second_colours as seconds
-from rsmcm.models.pixels.kernels.sway import Sway
-from rsmcm.models.pixels.light import LightField
 from scipy.integrate import quad
 from scipy.stats import norm
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...numerics.compiled import compiled, logarithm, put
+from ....models.numerics.compiled import compiled, logarithm, put
 from .gaussian import mean_of
 
 _f4 = np.float32
@@ -47,7 +47,7 @@ def beyond(blocks):
 
 
 class Following(NamedTuple):
-    """How light may move within a frame; numbers are those of `models.pixels.light`, for its time.
+    """How light may move within a frame; numbers are those of `followed`, for its time.
 
     `fastest` is the log of the most that it changes; below a `steady` one only the share `slowly` is
     followed, and the share `hidden` is what a block that is not seen takes from those around it.

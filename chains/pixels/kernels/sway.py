@@ -5,18 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...numerics.compiled import compiled, inlined, logarithm
-from .gaussian import (
-    MOST_RECALLED,
-    ODDS_STEPS,
-    SPAN,
-    SURE,
-    foreground_spans,
-    light_beside,
-    mean_of,
-    noise_of,
-    variance_of,
-)
+from ....models.numerics.compiled import compiled, inlined, logarithm
+from ....models.pixels.kernels import ODDS_STEPS, SPAN, foreground_spans
+from .gaussian import MOST_RECALLED, SURE, light_beside, mean_of, noise_of, variance_of
 
 _f4 = np.float32
 

@@ -3,10 +3,15 @@
 import cv2
 import numpy as np
 import pytest
+from rsmcm.chains.pixels.background_prediction import (
+    LightField,
+    fixed_point,
+    followed,
+    light_grid,
+    share_of_blocks,
+)
+from rsmcm.chains.pixels.kernels.light import LUMA_NOISE, light_ratios
 from rsmcm.models.pixels import colour
-from rsmcm.models.pixels.gaussian import fixed_point
-from rsmcm.models.pixels.kernels.light import LUMA_NOISE, light_ratios
-from rsmcm.models.pixels.light import LightField, followed, light_grid, share_of_blocks
 from scipy.stats import norm
 
 SIZE = (120, 160)

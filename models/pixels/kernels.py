@@ -1,11 +1,13 @@
-"""Loops over the boxes of objects: layers composed front to back."""
+"""Loops over pixels that every chain needs: layers of objects composed front to back, runs of foreground."""
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...numerics.compiled import compiled, exponential, inlined, logarithm
+from ..numerics.compiled import compiled, exponential, inlined, logarithm
+
+Planes = NDArray[np.float32]
 
 _f4 = np.float32
 
@@ -25,6 +27,14 @@ LAYER = np.dtype(
 Its mask begins at `start` of those of all layers, its colours, if it is `coloured`, at `channels * start`;
 with `log_ratio` the density of its own colour is relative to the uniform one.
 """
+
+ODDS_STEPS = 20.0
+"""Steps of the stored log odds per nat; they saturate at +-6 nats."""
+
+SPAN = 64
+"""Pixels that are looked at together for whether any of them needs more than most pixels do."""
+
+_SIGNS = np.uint64(0x8080808080808080)
 
 
 class Pools(NamedTuple):
@@ -172,3 +182,42 @@ def shift_of(clear, explained, shift):
     """Log ratio of what layers say for background and for objects, `(n,)` each."""
     for i in range(clear.size):
         shift[i] = logarithm(max(clear[i], _LEAST)) - logarithm(max(explained[i], _LEAST))
+
+
+class StoredPlanes(NamedTuple):
+    """Colours of a whole picture as they are stored: `values` of so many grey levels (`step`) each.
+
+    `values` is `(channels, height, width)` of any type of numbers, in the planes of `colour`.
+    """
+
+    values: NDArray[np.int16] | Planes
+    step: np.float32
+
+    def grey_levels(self) -> Planes:
+        """`(channels, height, width)` float32."""
+        levels: Planes = self.values * self.step
+        return levels
+
+
+@inlined
+def _any_negative(words, first):
+    """Whether any of the 64 numbers in eight words is negative."""
+    signs = np.uint64(0)
+    for k in range(8):
+        signs |= words[first + k]
+    return signs & _SIGNS != np.uint64(0)
+
+
+@compiled
+def foreground_spans(log_odds, spans):
+    """Starts of the runs of `SPAN` pixels in which there is foreground; returns how many there are.
+
+    Most of a picture is background, and looking at 64 signs at once costs little more than looking at one.
+    """
+    words = log_odds[: log_odds.size // 8 * 8].view(np.uint64)
+    count = 0
+    for start in range(0, log_odds.size, SPAN):
+        if start + SPAN > log_odds.size or _any_negative(words, start // 8):
+            spans[count] = start
+            count += 1
+    return count

@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...numerics.compiled import compiled, exponential, inlined, logarithm, sigmoid
+from ....models.numerics.compiled import compiled, exponential, inlined, logarithm, sigmoid
+from ....models.pixels.kernels import ODDS_STEPS
+
+Planes = NDArray[np.float32]
 
 _f4, _i4 = np.float32, np.int32
 
-ODDS_STEPS = 20.0
-"""Steps of the stored log odds per nat; they saturate at +-6 nats."""
 
 LOWEST_VARIANCE, HIGHEST_VARIANCE = 0.5, 60.0
 LOWEST_NOISE, HIGHEST_NOISE = 20.0, 400.0
@@ -34,18 +35,12 @@ ROUNDING = 65536.0
 ROUNDING_PERIOD = 256
 """Rows of pixels are rounded by one table, each from another place in it."""
 
-SPAN = 64
-"""Pixels that are looked at together for whether any of them needs more than most pixels do."""
 
-_SIGNS = np.uint64(0x8080808080808080)
 SURE = np.int8(6 * ODDS_STEPS)
 """Log odds at their bound, which only a pixel's own Gaussian gives."""
 
 MOST_RECALLED = 5.95
 """Nats at most, of pixels that are background for another reason: a step less than `SURE`."""
-
-
-Planes = NDArray[np.float32]
 
 
 class Gaussians(NamedTuple):
@@ -59,21 +54,6 @@ class Gaussians(NamedTuple):
     mean: NDArray[np.int16]
     variance: NDArray[np.uint16]
     noise: NDArray[np.uint16]
-
-
-class StoredPlanes(NamedTuple):
-    """Colours of a whole picture as they are stored: `values` of so many grey levels (`step`) each.
-
-    `values` is `(channels, height, width)` of any type of numbers, in the planes of `colour`.
-    """
-
-    values: NDArray[np.int16] | Planes
-    step: np.float32
-
-    def grey_levels(self) -> Planes:
-        """`(channels, height, width)` float32."""
-        levels: Planes = self.values * self.step
-        return levels
 
 
 class Light(NamedTuple):
@@ -288,27 +268,3 @@ def log_evidence(pixels, before, light_field, model, shift):
             in_row += max(odds, _f4(0.0)) + logarithm(_f4(1.0) + exponential(-abs(odds)))
         total += in_row
     return total
-
-
-@inlined
-def _any_negative(words, first):
-    """Whether any of the 64 numbers in eight words is negative."""
-    signs = np.uint64(0)
-    for k in range(8):
-        signs |= words[first + k]
-    return signs & _SIGNS != np.uint64(0)
-
-
-@compiled
-def foreground_spans(log_odds, spans):
-    """Starts of the runs of `SPAN` pixels in which there is foreground; returns how many there are.
-
-    Most of a picture is background, and looking at 64 signs at once costs little more than looking at one.
-    """
-    words = log_odds[: log_odds.size // 8 * 8].view(np.uint64)
-    count = 0
-    for start in range(0, log_odds.size, SPAN):
-        if start + SPAN > log_odds.size or _any_negative(words, start // 8):
-            spans[count] = start
-            count += 1
-    return count

@@ -1,0 +1,594 @@
+"""Blobs as records of one table, and loops over them, their masks, and the picture where they are.
+
+Masks of all blobs lie one after the other in one flat array, and so do their colours: of a blob with a patch
+of `rows` x `columns` px they begin at `start`, and at `channels * start`, plane by plane. A patch is a small
+array; `(top, left)` places it in the picture, over whose edges it may reach.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....models.numerics.compiled import compiled
+from ....models.pixels.kernels import ODDS_STEPS, Pools, foreground_spans
+
+_PLACES = (
+    "top", "left", "bottom", "right", "faint_top", "faint_left", "faint_bottom", "faint_right", "waist",
+)  # fmt: skip
+
+RECORD = np.dtype(
+    [
+        ("identity", np.int64),
+        ("position", np.float64, (2,)),
+        ("velocity", np.float64, (2,)),
+        ("covariance", np.float64, (2, 2)),
+        *((name, np.float64) for name in ("spread", "seen", "unseen", "still", "confidence", "view")),
+        *((name, np.float64) for name in ("past_views", "fragment_time")),
+        ("whole", np.int64),
+        ("origin", np.float64, (4,)),
+        ("parting", np.float64),
+        ("size", np.float64, (2,)),
+        ("existence", np.float64),
+        ("noticed", np.float64),
+        ("detected", np.int64),
+        ("box_mean", np.float64, (4,)),
+        ("box_variance", np.float64, (4,)),
+        ("unfound", np.float64),
+        ("coloured", np.int64),
+        ("start", np.int64),
+        ("rows", np.int64),
+        ("columns", np.int64),
+        ("mass", np.float64),
+        *((name, np.int64) for name in _PLACES),
+        ("waist_depth", np.float64),
+    ]
+)
+"""All that is known of a blob but its pixels, in words of 8 bytes; `Blob` says what it means.
+
+`detected` and `coloured` are 0 or 1. From `mass` on it is measured of the mask (see `MaskShape`).
+"""
+
+FRESH = 0.5
+"""s for which a blob was seen, below which it may still be a part of another."""
+
+MARGIN = 6
+"""px of empty border in a blob's patch, into which its mask can grow."""
+
+_f4 = np.float32
+
+LIKELY = 0.45
+"""Probability of cover from which on a pixel counts as part of an object's box."""
+
+COVERED, CRUMB = 0.3, 0.1
+"""Probability of cover from which on pixels make a spot, and share of the largest that crumbs have not."""
+
+FAINT = 0.25
+"""Probability of cover from which on a mask's patch must leave room around a pixel."""
+
+UNKNOWN_COLOUR = -1e4
+"""In an appearance: no colour is known of this pixel."""
+
+
+class Picture(NamedTuple):
+    """A frame: `(height, width, channels)` uint8, int8 log odds of background `(height, width)`, P(B=1)."""
+
+    image: NDArray[np.uint8]
+    log_odds: NDArray[np.int8]
+    prior: np.float32
+
+
+@compiled
+def corner_of(blob):
+    """Top and left px of a blob's patch, as it is rendered."""
+    return int(np.floor(blob.position[0] + 0.5)), int(np.floor(blob.position[1] + 0.5))
+
+
+@compiled
+def mask_of(blob, pools):
+    """The mask `(rows, columns)` of a blob."""
+    return pools.masks[blob.start : blob.start + blob.rows * blob.columns].reshape(blob.rows, blob.columns)
+
+
+@compiled
+def colours_of(blob, pools, channels):
+    """The colours `(channels, rows, columns)` of a blob; no channels of one whose colours nobody knows."""
+    known = channels if blob.coloured else 0
+    start, size = channels * blob.start, blob.rows * blob.columns
+    return pools.colours[start : start + known * size].reshape(known, blob.rows, blob.columns)
+
+
+@compiled
+def box_of(blob):
+    """x, y, width, height px of what the mask likely covers, or else of its patch."""
+    y, x = blob.position[0], blob.position[1]
+    if blob.bottom == 0 or blob.right == 0:
+        return x, y, float(blob.columns), float(blob.rows)
+    return x + blob.left, y + blob.top, float(blob.right - blob.left), float(blob.bottom - blob.top)
+
+
+@compiled
+def reported_box_of(blob):
+    """x, y, width, height px: as detections have it, or else as the mask."""
+    if not blob.detected:
+        return box_of(blob)
+    x, y, width, height = blob.box_mean
+    return blob.position[1] + x - 0.5 * width, blob.position[0] + y - height, width, height
+
+
+@compiled
+def length_of(blob):
+    """px, the longer side of the box."""
+    _, _, width, height = reported_box_of(blob)
+    return max(width, height)
+
+
+@compiled
+def fill_boxes(blobs, boxes, reported):
+    """Boxes of all blobs, `(n, 4)` each: of their masks, and as they are reported."""
+    for k in range(blobs.size):
+        boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3] = box_of(blobs[k])
+        reported[k, 0], reported[k, 1], reported[k, 2], reported[k, 3] = reported_box_of(blobs[k])
+
+
+@compiled
+def overlap(box, other):
+    """Whether two boxes x, y, width, height have a place in common."""
+    x, y, width, height = box
+    left, top, columns, rows = other
+    return x < left + columns and left < x + width and y < top + rows and top < y + height
+
+
+class MaskShape(NamedTuple):
+    """What is known of a mask at a glance; rows and columns count within its patch, ends are exclusive.
+
+    `mass` is its sum. The box holds the pixels that it likely covers (at least two in a row or column), the
+    faint box all that it may cover; without any, they are empty (ends at 0). The waist is the column where it
+    is narrowest between two upright parts, `waist_depth` its height there as a share of theirs (1: there is
+    none).
+    """
+
+    mass: float
+    top: int
+    left: int
+    bottom: int
+    right: int
+    faint_top: int
+    faint_left: int
+    faint_bottom: int
+    faint_right: int
+    waist: int
+    waist_depth: float
+
+
+@compiled
+def measure(blob, mask, scratch):
+    """Write a mask's shape (see `MaskShape`) into a blob's record; `scratch` has room for five rows of it."""
+    rows, columns = mask.shape
+    sums = scratch[: 5 * columns].reshape(5, columns)
+    sums[:] = _f4(0)
+    per_column, likely, faint, smooth, highest = sums[0], sums[1], sums[2], sums[3], sums[4]
+    top, bottom, faint_top, faint_bottom = rows, 0, rows, 0
+    for y in range(rows):
+        row = mask[y]
+        in_row = faint_in_row = _f4(0)
+        for x in range(columns):
+            value = row[x]
+            per_column[x] += value
+            is_likely = _f4(1) if value > _f4(LIKELY) else _f4(0)
+            is_faint = _f4(1) if value > _f4(FAINT) else _f4(0)
+            likely[x] += is_likely
+            faint[x] += is_faint
+            in_row += is_likely
+            faint_in_row += is_faint
+        if in_row > 1:
+            top, bottom = min(top, y), y + 1
+        if faint_in_row > 0:
+            faint_top, faint_bottom = min(faint_top, y), y + 1
+    left, right, faint_left, faint_right = columns, 0, columns, 0
+    for x in range(columns):
+        if likely[x] > 1:
+            left, right = min(left, x), x + 1
+        if faint[x] > 0:
+            faint_left, faint_right = min(faint_left, x), x + 1
+    for x in range(columns):
+        before, after = per_column[max(x - 1, 0)], per_column[min(x + 1, columns - 1)]
+        smooth[x] = (before + per_column[x] + after) * _f4(1 / 3)
+    most = _f4(0)
+    for x in range(columns - 1, -1, -1):
+        most = max(most, smooth[x])
+        highest[x] = most
+    waist, depth, most = 0, _f4(1), _f4(0)
+    for x in range(columns):
+        most = max(most, smooth[x])
+        beside = min(most, highest[x])
+        if beside > _f4(0.25) * rows and smooth[x] < depth * beside:
+            waist, depth = x, smooth[x] / beside
+    mass = 0.0
+    for x in range(columns):
+        mass += per_column[x]
+    blob.mass, blob.waist, blob.waist_depth = mass, waist, depth
+    blob.top, blob.left, blob.bottom, blob.right = top, left, bottom, right
+    blob.faint_top, blob.faint_left = faint_top, faint_left
+    blob.faint_bottom, blob.faint_right = faint_bottom, faint_right
+
+
+@compiled
+def measure_all(blobs, pools, scratch):
+    """Measure the masks of blobs (see `measure`)."""
+    for k in range(blobs.size):
+        measure(blobs[k], mask_of(blobs[k], pools), scratch)
+
+
+def shape_of(mask: NDArray[np.float32]) -> MaskShape:
+    """Measure a mask `(height, width)` float32."""
+    record, nothing = np.zeros(1, RECORD), np.zeros(0, np.float32)
+    record["rows"], record["columns"] = mask.shape
+    flat = np.ascontiguousarray(mask).reshape(-1)
+    measure_all(record, Pools(flat, nothing), np.empty(5 * mask.shape[1], np.float32))
+    return MaskShape(*(record[name].item() for name in MaskShape._fields))
+
+
+@compiled
+def without_crumbs(mask, memory):
+    """Take spots away, in place, that are apart from a mask's main part and less than a tenth of its largest.
+
+    `memory` int64 has room for three numbers a pixel. Gives whether there were any.
+    """
+    rows, columns = mask.shape
+    spots, waiting, areas = memory[: mask.size], memory[mask.size : 2 * mask.size], memory[2 * mask.size :]
+    spots[:] = 0
+    flat, found, largest = mask.reshape(-1), 0, 0
+    for first in range(mask.size):
+        if spots[first] or flat[first] <= _f4(COVERED):
+            continue
+        found += 1
+        spots[first], waiting[0], count, area = found, first, 1, 0
+        while count:
+            count, area = count - 1, area + 1
+            y = waiting[count] // columns
+            x = waiting[count] - y * columns
+            for j in range(max(y - 1, 0), min(y + 2, rows)):
+                for i in range(max(x - 1, 0), min(x + 2, columns)):
+                    k = j * columns + i
+                    if spots[k] == 0 and flat[k] > _f4(COVERED):
+                        spots[k], waiting[count], count = found, k, count + 1
+        areas[found - 1], largest = area, max(largest, area)
+    changed = False
+    for k in range(mask.size):
+        if spots[k] and areas[spots[k] - 1] < CRUMB * largest:
+            flat[k], changed = _f4(0), True
+    return changed
+
+
+@compiled
+def sweep(blobs, pools, due, memory, scratch):
+    """Free the masks of those blobs that are `due` `(n,)` of crumbs, and measure them again.
+
+    `memory` int64 has room for three numbers a pixel of the largest mask, `scratch` as for `measure`.
+    """
+    for k in range(blobs.size):
+        if due[k] and without_crumbs(mask_of(blobs[k], pools), memory):
+            measure(blobs[k], mask_of(blobs[k], pools), scratch)
+
+
+@compiled
+def fade_beyond(mask, height, width, kept, scratch):
+    """Scale a mask by `kept`, in place, further from its median than half of `height`, `width` px and 2.
+
+    `scratch` has room for a row and a column of it.
+    """
+    rows, columns = mask.shape
+    per_row, per_column = scratch[:rows], scratch[rows : rows + columns]
+    scratch[: rows + columns] = _f4(0)
+    for y in range(rows):
+        row = mask[y]
+        in_row = _f4(0)
+        for x in range(columns):
+            in_row += row[x]
+            per_column[x] += row[x]
+        per_row[y] = in_row
+    middle_y, middle_x = _median(per_row), _median(per_column)
+    for y in range(rows):
+        far_row = abs(y - middle_y) > 0.5 * height + 2
+        for x in range(columns):
+            if far_row or abs(x - middle_x) > 0.5 * width + 2:
+                mask[y, x] *= kept
+
+
+@compiled
+def _median(masses):
+    half = 0.5 * masses.sum()
+    total = 0.0
+    for k in range(masses.size):
+        total += masses[k]
+        if total >= half:
+            return k
+    return masses.size - 1
+
+
+class Patch(NamedTuple):
+    """A box cut out of the picture, all float32.
+
+    `(channels, height, width)` planes, and `(height, width)` each: log odds of background in nats, and what
+    nothing else covers (0 outside the picture).
+    """
+
+    planes: NDArray[np.float32]
+    log_odds: NDArray[np.float32]
+    free: NDArray[np.float32]
+
+
+@compiled
+def patch_in(scratch, channels, rows, columns):
+    """A patch whose memory is the beginning of `scratch` `(n,)`; also what of that is left."""
+    size = rows * columns
+    planes = scratch[: channels * size].reshape(channels, rows, columns)
+    odds = scratch[channels * size : (channels + 1) * size].reshape(rows, columns)
+    free = scratch[(channels + 1) * size : (channels + 2) * size].reshape(rows, columns)
+    return Patch(planes, odds, free), scratch[(channels + 2) * size :]
+
+
+@compiled
+def gather(image, log_odds, top, left, patch):
+    """Cut a box out of a picture `(height, width, channels)` and int8 log odds `(height, width)`."""
+    planes, odds, free = patch
+    height, width, channels = image.shape
+    rows, columns = free.shape
+    first, end = min(max(0, -left), columns), max(min(columns, width - left), 0)
+    first_row, end_row = min(max(0, -top), rows), max(min(rows, height - top), 0)
+    if first >= end:
+        end_row = first_row
+    for row in range(rows):
+        if row < first_row or row >= end_row or end - first < columns:
+            free[row] = _f4(0)
+            odds[row] = _f4(0)
+            planes[:, row] = _f4(0)
+    pixels, steps = image.reshape(-1), log_odds.reshape(-1)
+    # Rows inside the picture only. Compiled code looks first whether all that the loop reads is apart from
+    # what it writes, and goes another way, with other last digits, if it is not. With rows beyond the picture
+    # that would depend on what lies behind it in memory.
+    for row in range(first_row, end_row):
+        free[row, first:end] = _f4(1)
+        start, count = np.uint64((top + row) * width + left + first), np.uint64(end - first)
+        out = odds[row, first:end]
+        for x in range(count):
+            out[x] = _f4(steps[start + x]) * _f4(1 / ODDS_STEPS)
+        luma = planes[0, row, first:end]
+        if channels == 3:
+            red, blue = planes[1, row, first:end], planes[2, row, first:end]
+            for x in range(count):
+                k = np.uint64(3) * (start + x)
+                b, g, r = _f4(pixels[k]), _f4(pixels[k + np.uint64(1)]), _f4(pixels[k + np.uint64(2)])
+                grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
+                luma[x] = grey
+                red[x] = _f4(1.426) * (r - grey)
+                blue[x] = _f4(1.128) * (b - grey)
+        else:
+            for x in range(count):
+                luma[x] = _f4(pixels[start + x])
+
+
+@compiled
+def cover(free, top, left, mask):
+    """Take away from `free` what a mask placed at `(top, left)` in it covers."""
+    rows, columns = free.shape
+    first, end = max(0, -left), min(mask.shape[1], columns - left)
+    for row in range(max(0, -top), min(mask.shape[0], rows - top)):
+        for x in range(first, end):
+            free[top + row, left + x] *= _f4(1) - mask[row, x]
+
+
+@compiled
+def cover_by(free, top, left, blobs, pools):
+    """Take away from `free`, placed at `(top, left)` in the picture, what blobs cover."""
+    rows, columns = free.shape
+    for k in range(blobs.size):
+        y, x = corner_of(blobs[k])
+        down, right = y - top, x - left
+        if -blobs[k].rows < down < rows and -blobs[k].columns < right < columns:
+            cover(free, down, right, mask_of(blobs[k], pools))
+
+
+@compiled
+def colour_newborn(blob, pools, image):
+    """Give a blob the colours that the picture shows where it likely is."""
+    height, width, channels = image.shape
+    top, left = corner_of(blob)
+    blob.coloured = 1
+    mask, colours = mask_of(blob, pools), colours_of(blob, pools, channels)
+    pixels = image.reshape(-1)
+    for row in range(blob.rows):
+        for x in range(blob.columns):
+            inside = 0 <= top + row < height and 0 <= left + x < width
+            likely = mask[row, x] > _f4(0.2)
+            k = channels * ((top + row) * width + left + x)
+            if inside and likely and channels == 3:
+                b, g, r = _f4(pixels[k]), _f4(pixels[k + 1]), _f4(pixels[k + 2])
+                grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
+                colours[0, row, x] = grey
+                colours[1, row, x] = _f4(1.426) * (r - grey)
+                colours[2, row, x] = _f4(1.128) * (b - grey)
+            else:
+                shown = _f4(pixels[k]) if inside else _f4(0)
+                colours[:, row, x] = shown if likely else _f4(UNKNOWN_COLOUR)
+
+
+@compiled
+def move(blobs, dt, noise, acceleration, detected_acceleration):
+    """Places and velocities `dt` s on, in place: velocity stays, but for a random force of own lengths/s^2.
+
+    `noise` `(2, 2)` is the covariance of the step for a density of 1 (see `kalman.kinematic`).
+    """
+    for k in range(blobs.size):
+        blob = blobs[k]
+        force = (detected_acceleration if blob.detected else acceleration) * length_of(blob)
+        density = 0.5 * force * force  # px^2/s^3
+        blob.position[0] += dt * blob.velocity[0]
+        blob.position[1] += dt * blob.velocity[1]
+        place, both, speed = blob.covariance[0, 0], blob.covariance[0, 1], blob.covariance[1, 1]
+        blob.covariance[0, 0] = place + 2 * dt * both + dt * dt * speed + density * noise[0, 0]
+        blob.covariance[0, 1] = blob.covariance[1, 0] = both + dt * speed + density * noise[0, 1]
+        blob.covariance[1, 1] = speed + density * noise[1, 1]
+
+
+@compiled
+def _are_pieces(one, other):
+    """Whether two blobs, the second seen for no longer, are parts of one object.
+
+    What touches a blob right after it was born belongs to it if it is above, below or small, and the two
+    together are not much larger than the larger (or the first is as new); so do blobs that have stood still
+    above each other for a while, or that move alike above each other and make one upright body together. What
+    a detector has found is whole.
+    """
+    if one.detected and other.detected:
+        return False
+    x, y, width, height = box_of(one)
+    other_x, other_y, other_width, other_height = box_of(other)
+    gap_y = max(y, other_y) - min(y + height, other_y + other_height)
+    gap_x = max(x, other_x) - min(x + width, other_x + other_width)
+    if max(gap_x, gap_y) > 3:
+        return False
+    wide = max(x + width, other_x + other_width) - min(x, other_x)
+    tall = max(y + height, other_y + other_height) - min(y, other_y)
+    stacked = -gap_x > 0.7 * min(width, other_width)
+    if other.seen >= FRESH:
+        apart = np.hypot(one.velocity[0] - other.velocity[0], one.velocity[1] - other.velocity[1])
+        one_body = -gap_y < 0.2 * min(height, other_height) and tall < 3.2 * wide and apart < 0.2 * tall
+        return stacked and (one_body or min(one.still, other.still) > 1.5)
+    modest = tall < 1.6 * max(height, other_height) and wide < 1.6 * max(width, other_width)
+    larger = max(width * height, other_width * other_height)
+    small = min(width * height, other_width * other_height) < 0.35 * larger
+    return (stacked or small) and (one.seen < FRESH or modest)
+
+
+@compiled
+def next_piece(blobs, first):
+    """The first blob from `first` on that is a piece of one before it, and that one; how many, if none is."""
+    for k in range(first, blobs.size):
+        for j in range(k):
+            if _are_pieces(blobs[j], blobs[k]):
+                return k, j
+    return blobs.size, blobs.size
+
+
+@compiled
+def count_foreground(log_odds, width, scale, counts, memory):
+    """Number of foreground pixels (negative log odds) in every block of `scale` x `scale` px.
+
+    `memory` is room for a number for every 64 pixels, one more, and one for every column.
+    """
+    counts[:] = 0
+    columns, spans = memory[:width], memory[width:]
+    for x in range(width):
+        columns[x] = x // scale
+    for k in range(foreground_spans(log_odds, spans)):
+        i, end = spans[k], min(spans[k] + 64, log_odds.size)
+        while i < end:
+            y = i // width
+            x = i - y * width
+            row, last = counts[y // scale], min(end, i - x + width)
+            for j in range(i, last):
+                row[columns[x + j - i]] += np.int32(log_odds[j] < 0)
+            i = last
+
+
+@compiled
+def clear_blocks(counts, top, left, mask, scale, most):
+    """Set blocks of `scale` px to 0 that a mask placed at `(top, left)` touches, and those beside them.
+
+    `most` has room for a row of the mask.
+    """
+    block_rows, block_columns = counts.shape
+    rows, columns = mask.shape
+    first, end = max(left // scale, 0), min((left + columns - 1) // scale + 1, block_columns)
+    for block_y in range(max(top // scale, 0), min((top + rows - 1) // scale + 1, block_rows)):
+        highest = most[:columns]
+        highest[:] = _f4(0)
+        for y in range(max(block_y * scale - top, 0), min((block_y + 1) * scale - top, rows)):
+            for x in range(columns):
+                highest[x] = max(highest[x], mask[y, x])
+        for block_x in range(first, end):
+            touched = False
+            for x in range(max(block_x * scale - left, 0), min((block_x + 1) * scale - left, columns)):
+                touched |= highest[x] > _f4(0.2)
+            if touched:
+                for y in range(max(block_y - 1, 0), min(block_y + 2, block_rows)):
+                    for x in range(max(block_x - 1, 0), min(block_x + 2, block_columns)):
+                        counts[y, x] = 0
+
+
+@compiled
+def _take_spot(counts, row, column, least, waiting):
+    """Follow a spot of blocks, which are set to 0: its first and end row and column, and how many pixels.
+
+    Blocks touch along sides and at corners, and have `least` pixels each. `waiting` has room for all blocks.
+    """
+    rows, columns = counts.shape
+    top, left, bottom, right, area = row, column, row + 1, column + 1, counts[row, column]
+    counts[row, column] = 0
+    waiting[0], count = row * columns + column, 1
+    while count:
+        count -= 1
+        y = waiting[count] // columns
+        x = waiting[count] - y * columns
+        top, left, bottom, right = min(top, y), min(left, x), max(bottom, y + 1), max(right, x + 1)
+        for j in range(max(y - 1, 0), min(y + 2, rows)):
+            for i in range(max(x - 1, 0), min(x + 2, columns)):
+                if counts[j, i] >= least:
+                    area += counts[j, i]
+                    counts[j, i] = 0
+                    waiting[count], count = j * columns + i, count + 1
+    return top, left, bottom, right, area
+
+
+@compiled
+def find_spots(log_odds, size, scale, blobs, pools, smallest, thinnest, counts, memory, found):
+    """Spots of blocks a quarter of which or more is foreground, and none of a blob's or beside it.
+
+    Parameters
+    ----------
+    log_odds
+        `(n_pixels,)` int8, of background, of a picture of this `size`.
+    scale
+        px, side of a block.
+    blobs, pools
+        records, and pixels.
+    smallest, thinnest
+        least area, px, and least share of the squared length.
+    counts
+        `(block_rows, block_columns)` int32, to be filled.
+    memory
+        int64, room for one number for every 64 pixels, for every column, and for every block.
+    found
+        `(n, 5)` int64, to be filled: top, left, bottom, right, area px.
+
+    Returns
+    -------
+    count
+        of the rows of `found` that were filled.
+    """
+    count_foreground(log_odds, size[1], scale, counts, memory)
+    widest = 0
+    for k in range(blobs.size):
+        widest = max(widest, blobs[k].columns)
+    most = np.empty(widest, np.float32)
+    for k in range(blobs.size):
+        top, left = corner_of(blobs[k])
+        clear_blocks(counts, top, left, mask_of(blobs[k], pools), scale, most)
+    least, count = -(-scale * scale // 4), 0
+    for row in range(counts.shape[0]):
+        in_row = counts[row]
+        highest = np.int32(0)
+        for column in range(in_row.size):
+            highest = max(highest, in_row[column])
+        for column in range(in_row.size if highest >= least else 0):
+            if in_row[column] < least or count == len(found):
+                continue
+            top, left, bottom, right, area = _take_spot(counts, row, column, least, memory)
+            length = scale * max(bottom - top, right - left)
+            if area >= max(smallest, thinnest * length * length):
+                found[count, 0], found[count, 1], found[count, 2] = scale * top, scale * left, scale * bottom
+                found[count, 3], found[count, 4] = scale * right, area
+                count += 1
+    return count

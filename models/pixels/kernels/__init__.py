@@ -1,1 +1,0 @@
-"""Compiled loops over all pixels of a frame."""
