@@ -7,7 +7,7 @@ from typing import Self, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.engine.sequence import LazyFrames
+from ...inference.engine.protocols import LazyFrames
 from ...models.core.frame import Frame
 from ...models.core.pictures import grey_of
 from .sources.open_source import Source

@@ -22,10 +22,9 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.engine.forward_pass import ForwardPass
 from ...inference.engine.graph import MultiChain
 from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
-from ...inference.engine.recursive_bp import Belief, RecursiveBP, RunState
+from ...inference.engine.recursive_bp import Belief, ForwardPass, RecursiveBP, RunState
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import BoxMessage

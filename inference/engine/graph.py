@@ -115,7 +115,7 @@ class MultiChain:
             raise ValueError(f"connect: {chain.name!r} and {feature.name!r} are connected already")
         port = self._free_port(chain, feature)
         if feedback and port.sole is not None:
-            for other in self.senders(feature.name):
+            for other in self.senders.get(feature.name, ()):
                 if self._port(other, feature.name).sole == port.sole:
                     raise ValueError(
                         f"connect: got {chain.name!r} for the {port.sole} of {feature.name!r}, which "
@@ -125,21 +125,21 @@ class MultiChain:
         self.graph.add_node(feature.name, kind="feature", node=feature)
         self.graph.add_edge(IMAGE, feature.name)
         self.graph.add_edge(chain.name, feature.name, feedback=feedback, port=port)
-        for derived in ("chains", "features", "_features_of", "_senders", "_message_kinds"):
+        for derived in ("chains", "features", "features_of", "senders", "cavities", "message_kinds"):
             self.__dict__.pop(derived, None)
         return self
 
     def __repr__(self) -> str:
         edges = [
-            f"{chain} {'--' if chain in self.senders(feature) else '<-'} {feature}"
+            f"{chain} {'--' if chain in self.senders[feature] else '<-'} {feature}"
             for chain in self.chains
-            for feature in self.features_of(chain)
+            for feature in self.features_of[chain]
         ]
         return f"MultiChain({', '.join(edges)})"
 
     def _repr_svg_(self) -> str:
         """The graph, for notebooks."""
-        from .graph_drawing import svg  # matplotlib is slow to import
+        from .drawing import svg  # matplotlib is slow to import
 
         return svg(self)
 
@@ -159,7 +159,7 @@ class MultiChain:
 
         def turn(name: str) -> tuple[Cavity, bool, str]:
             cut = not all(edge["feedback"] for edge in self.graph[name].values())
-            return max(self.cavity(name, feature) for feature in self.graph[name]), cut, name
+            return max(self.cavities[name, feature] for feature in self.graph[name]), cut, name
 
         return {name: chains[name] for name in sorted(chains, key=turn)}
 
@@ -168,17 +168,33 @@ class MultiChain:
         """Feature nodes by name, in the order of names."""
         return dict(sorted(self._nodes("feature").items()))
 
-    def features_of(self, chain: str) -> tuple[str, ...]:
-        """Names of the features that the chain reads, in order."""
-        return self._features_of[chain]
+    @cached_property
+    def features_of(self) -> dict[str, tuple[str, ...]]:
+        """Names of the features that each chain reads, in order."""
+        return {name: tuple(sorted(self.graph[name])) for name in self.chains}
 
-    def senders(self, feature: str) -> tuple[str, ...]:
-        """Names of the chains that send messages to the feature, in the order in which they speak."""
-        return self._senders.get(feature, ())
+    @cached_property
+    def senders(self) -> dict[str, tuple[str, ...]]:
+        """Names of the chains that send messages to each feature, in the order in which they speak."""
+        senders = {}
+        for feature in self.features:
+            found = [name for name, edge in self.graph[feature].items() if edge.get("feedback")]
+            senders[feature] = tuple(sorted(found, key=lambda name: (self.cavities[name, feature], name)))
+        return senders
 
-    def cavity(self, chain: str, feature: str) -> Cavity:
-        """What the chain wants to find at the feature before it speaks there."""
-        return self._port(chain, feature).cavity
+    @cached_property
+    def cavities(self) -> dict[tuple[str, str], Cavity]:
+        """What each chain wants to find at a feature before it speaks there."""
+        return {
+            (name, feature): self._port(name, feature).cavity
+            for name in self._nodes("chain")
+            for feature in self.graph[name]
+        }
+
+    @cached_property
+    def message_kinds(self) -> dict[str, type]:
+        """Class of each feature's messages."""
+        return {name: type(node.uniform()) for name, node in self.features.items()}
 
     def copy(self) -> "MultiChain":
         """The same chains and features; further connections of one do not show in the other."""
@@ -188,24 +204,16 @@ class MultiChain:
 
     def components(self) -> list[list[str]]:
         """Features that influence each other: the parts that remain when cut edges are removed."""
-        edges = [(name, feature) for feature in self.features for name in self.senders(feature)]
+        edges = [(name, feature) for feature in self.features for name in self.senders[feature]]
         parts = nx.connected_components(nx.Graph(edges))
         return sorted([name for name in self.features if name in part] for part in parts)
 
-    def require_message(self, sender: str, feature: str, message: object) -> None:
-        """Make sure that a message is one of the feature's.
-
-        Raises
-        ------
-        TypeError
-            if it is not.
-        """
-        kind = self._message_kinds[feature]
-        if not isinstance(message, kind):
-            raise TypeError(
-                f"message from {sender!r} to {feature!r}: got {type(message).__name__}, "
-                f"expected {kind.__name__}"
-            )
+    def wrong_message(self, sender: str, feature: str, message: object) -> TypeError:
+        """The error about a message that is none of the feature's `message_kinds`."""
+        return TypeError(
+            f"message from {sender!r} to {feature!r}: got {type(message).__name__}, "
+            f"expected {self.message_kinds[feature].__name__}"
+        )
 
     def check_complete(self) -> None:
         """Make sure that every chain is connected to what it cannot do without.
@@ -220,7 +228,7 @@ class MultiChain:
             for port in chain.ports:
                 if not port.optional and port not in met:
                     raise ValueError(
-                        f"model: {name!r} is connected to {', '.join(self.features_of(name))}, "
+                        f"model: {name!r} is connected to {', '.join(self.features_of[name])}, "
                         f"expected a {port.kind.__name__} too, which it needs"
                     )
 
@@ -265,9 +273,9 @@ class MultiChain:
         self.check()
         needs = self._dependencies()
         for feature in self.features:
-            senders = self.senders(feature)
-            early = [(name, feature) for name in senders if self.cavity(name, feature) == Cavity.NOTHING]
-            late = [(name, feature) for name in senders if self.cavity(name, feature) != Cavity.NOTHING]
+            senders = self.senders[feature]
+            early = [(name, feature) for name in senders if self.cavities[name, feature] == Cavity.NOTHING]
+            late = [(name, feature) for name in senders if self.cavities[name, feature] != Cavity.NOTHING]
             before = [*early, (IMAGE, feature)]
             wanted = [(step, (IMAGE, feature)) for step in early]
             wanted += [(step, then) for then in late for step in before]
@@ -279,7 +287,7 @@ class MultiChain:
 
     def draw(self, path: str | Path) -> None:
         """Draw the graph to an SVG or PNG file (by its suffix)."""
-        from .graph_drawing import draw  # matplotlib is slow to import
+        from .drawing import draw  # matplotlib is slow to import
 
         draw(self, path)
 
@@ -295,29 +303,13 @@ class MultiChain:
                 f"connect: got {feature.name!r} ({type(feature).__name__}) for {chain.name!r}, "
                 f"expected a feature that this {type(chain).__name__} meets: {kinds}"
             )
-        for other in self._features_of.get(chain.name, ()):
+        for other in self.features_of.get(chain.name, ()):
             if self._port(chain.name, other) == ports[0] and not ports[0].many:
                 raise ValueError(
                     f"connect: got {feature.name!r} for {chain.name!r}, which meets {other!r} already, "
                     f"expected one {ports[0].kind.__name__}"
                 )
         return ports[0]
-
-    @cached_property
-    def _message_kinds(self) -> dict[str, type]:
-        return {name: type(node.uniform()) for name, node in self.features.items()}
-
-    @cached_property
-    def _features_of(self) -> dict[str, tuple[str, ...]]:
-        return {name: tuple(sorted(self.graph[name])) for name in self.chains}
-
-    @cached_property
-    def _senders(self) -> dict[str, tuple[str, ...]]:
-        senders = {}
-        for feature in self.features:
-            found = [name for name, edge in self.graph[feature].items() if edge.get("feedback")]
-            senders[feature] = tuple(sorted(found, key=lambda name: (self.cavity(name, feature), name)))
-        return senders
 
     def _port(self, chain: str, feature: str) -> Port:
         port: Port = self.graph.edges[chain, feature]["port"]
@@ -331,12 +323,12 @@ class MultiChain:
         needs: nx.DiGraph[Step] = nx.DiGraph()
         for feature in self.features:
             needs.add_node((IMAGE, feature))
-            needs.add_nodes_from((name, feature) for name in self.senders(feature))
+            needs.add_nodes_from((name, feature) for name in self.senders[feature])
         for chain, feature in list(needs):
             if chain != IMAGE:
-                for other in self.features_of(chain):
+                for other in self.features_of[chain]:
                     if other != feature:
-                        senders = [IMAGE, *self.senders(other)]
+                        senders = [IMAGE, *self.senders[other]]
                         needs.add_edges_from(
                             ((sender, other), (chain, feature)) for sender in senders if sender != chain
                         )

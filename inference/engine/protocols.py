@@ -4,7 +4,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, Generic, Never, Protocol, Self, TypeVar, cast, overload
+from typing import (
+    Any,
+    Generic,
+    Never,
+    Protocol,
+    Self,
+    TypeVar,
+    cast,
+    overload,
+)
 
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
@@ -13,6 +22,9 @@ State = TypeVar("State")
 TrajectoryType = TypeVar("TrajectoryType", bound="Trajectory")
 MessageType = TypeVar("MessageType", bound="Message")
 Result = TypeVar("Result")
+
+Results = dict[tuple[object, ...], tuple[tuple[object, ...], Any]]
+"""Of pure functions, by function and ids of arguments: the arguments, and what it gave."""
 
 
 class Message(Protocol):
@@ -107,22 +119,6 @@ class Port:
     sole: str | None = None
 
 
-class Scratch:
-    """Results of pure functions, each worked out once as long as this lives."""
-
-    def __init__(self) -> None:
-        self._results: dict[tuple[object, ...], tuple[tuple[object, ...], Any]] = {}
-
-    def once(self, function: Callable[..., Result], *arguments: object) -> Result:
-        """`function(*arguments)`, or what it was for the very same objects."""
-        key = (function, *map(id, arguments))
-        if key not in self._results:
-            # the arguments stay alive, so that no other object gets the id of one
-            self._results[key] = arguments, function(*arguments)
-        result: Result = self._results[key][1]
-        return result
-
-
 class Incoming:
     """Messages that reach a chain, by the kind of feature node or by the node itself.
 
@@ -134,20 +130,22 @@ class Incoming:
     ----------
     messages
         by feature node.
-    scratch
-        of the time slice; a new one where it is left out.
+    results
+        of pure functions in this time slice (see `once`); none yet where they are left out.
     """
 
-    def __init__(self, messages: Mapping[Named, Message], scratch: Scratch | None = None) -> None:
+    def __init__(self, messages: Mapping[Named, Message], results: Results | None = None) -> None:
         self._messages = messages
-        self._scratch = scratch or Scratch()
+        self._nodes = tuple(messages)
+        self._results: Results = {} if results is None else results
 
     @overload
     def __getitem__(self, key: type[FeatureNode[MessageType]], /) -> MessageType: ...
     @overload
     def __getitem__(self, key: FeatureNode[MessageType], /) -> MessageType: ...
     def __getitem__(self, key: type | Named, /) -> Message:
-        return self._messages[self.node(key)]
+        found = self._found(key)
+        return self._messages[found[0] if len(found) == 1 else self.node(key)]
 
     def get(self, kind: type[FeatureNode[MessageType]], /) -> MessageType | None:
         """The message at the one node of that kind; `None` where there is no such node."""
@@ -163,7 +161,12 @@ class Incoming:
         Arguments are the same if they are the very same objects, as predicted states and messages of the
         same factors are. Functions are the same if they are equal: methods of one chain, not lambdas.
         """
-        return self._scratch.once(function, *arguments)
+        key = (function, *map(id, arguments))
+        if key not in self._results:
+            # the arguments stay alive, so that no other object gets the id of one
+            self._results[key] = arguments, function(*arguments)
+        result: Result = self._results[key][1]
+        return result
 
     def node(self, key: type | Named, /) -> Named:
         """The feature node that the chain is connected to, or the one of that kind.
@@ -175,28 +178,23 @@ class Incoming:
         """
         found = self._found(key)
         if len(found) != 1:
-            names = ", ".join(node.name for node in self) or "none"
+            names = ", ".join(node.name for node in self._nodes) or "none"
             asked = key.__name__ if isinstance(key, type) else key.name
             raise KeyError(f"{asked}: got {len(found)} such nodes among {names}, expected one")
         return found[0]
 
-    def work_out(self) -> None:
-        """Work out all messages now, which later costs nothing to ask for."""
-        for node in self._messages:
-            self._messages[node]
-
     def __iter__(self) -> Iterator[Named]:
-        return iter(self._messages)
+        return iter(self._nodes)
 
     def __len__(self) -> int:
-        return len(self._messages)
+        return len(self._nodes)
 
     def _found(self, key: type | Named) -> list[Named]:
         if isinstance(key, str):
             raise TypeError(f"incoming: got {key!r}, expected a feature node or a kind of them")
         if isinstance(key, type):
-            return [node for node in self if isinstance(node, key)]
-        return [node for node in self if node.name == key.name]
+            return [node for node in self._nodes if isinstance(node, key)]
+        return [node for node in self._nodes if node.name == key.name]
 
 
 class Chain(Named, Protocol[State]):
@@ -362,3 +360,15 @@ def _members(protocol: type) -> list[str]:
     """Public members, those of `Named` first."""
     bases = [base for base in reversed(protocol.__mro__) if base not in (object, Protocol, Generic)]
     return [name for base in bases for name in vars(base) if not name.startswith("_")]
+
+
+class LazyFrames(Sequence[Frame]):
+    """Frames in order of time that are made when they are asked for, best one after the other.
+
+    A mark of sequences that `CoordinateAscent` must not hold: an engine asks for each frame once in a pass,
+    forwards. Those who make them see to their order.
+    """
+
+    @abstractmethod
+    def time(self, index: int, /) -> float:
+        """`Frame.time` of a frame, without making it."""

@@ -1,11 +1,11 @@
 """Algorithm 1 of the RSMCM paper, recursive belief propagation, for any number of chains and features."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import inf
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints, overload
+from typing import Any, Generic, TypeVar, get_type_hints, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,211 @@ from numpy.typing import NDArray
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.numerics.threads import side_by_side
-from ..engine import checkpoint
-from .graph import IMAGE, MultiChain, require_model
-from .protocols import Chain, FeatureNode, MessageType, Named, name_of, require
-from .time_slice import TimeSlice
+from . import checkpoint
+from .graph import IMAGE, MultiChain, Step, require_model
+from .protocols import (
+    BatchIncoming,
+    Cavity,
+    Chain,
+    FeatureNode,
+    Incoming,
+    Message,
+    MessageType,
+    Named,
+    Results,
+    name_of,
+    require,
+)
 
 State = TypeVar("State")
+
+
+@dataclass(eq=False)
+class Sent:
+    """A message of a time slice, which is worked out when it is first multiplied.
+
+    Parameters
+    ----------
+    sender, feature
+        names; the image is a sender too.
+    incoming
+        by feature, the factors of what the sender goes by.
+    message
+        the message itself, once it is worked out.
+    """
+
+    sender: str
+    feature: str
+    incoming: Mapping[str, "Factors"]
+    message: Any = None
+
+
+Factors = tuple[Sent, ...]
+
+
+class TimeSlice:
+    """Messages of one frame, and their products.
+
+    The same factors always give the same product object, so that messages may keep what they work out. No
+    message refers to the slice: it is gone as soon as nobody needs it, and large arrays with it.
+    """
+
+    def __init__(self, model: MultiChain, predictions: Mapping[str, Any], frame: Frame) -> None:
+        self.model = model
+        self.predictions = predictions
+        self.frame = frame
+        self._results: Results = {}
+        self._sent: dict[Step, Sent] = {}
+        self._products: dict[tuple[str, Factors], Any] = {}
+
+    def send(self, sender: str, feature: str) -> None:
+        """Send a message that follows from what has been sent by now, unless it is the one sent before."""
+        if sender == IMAGE:
+            if self.frame.missing or (IMAGE, feature) in self._sent:
+                return
+            incoming = {feature: self._ahead(feature) if self.model.features[feature].searches else ()}
+        else:
+            incoming = {name: self._factors(name, sender) for name in self.model.features_of[sender]}
+            wanted = self.model.cavities[sender, feature]
+            if wanted != Cavity.OTHERS:
+                image = self._sent.get((IMAGE, feature))
+                incoming[feature] = () if image is None or wanted == Cavity.NOTHING else (image,)
+        before = self._sent.get((sender, feature))
+        if before is None or before.incoming != incoming:
+            self._sent[sender, feature] = Sent(sender, feature, incoming)
+
+    def incoming(self, chain: str) -> Incoming:
+        """All that reaches the chain by now except for its own messages, worked out.
+
+        Chains that update side by side do not wait for each other then.
+        """
+        factors = {name: self._factors(name, chain) for name in self.model.features_of[chain]}
+        for feature, those in factors.items():
+            self._multiply(feature, those)
+        return Incoming(_Products(self, factors), self._results)
+
+    def sent(self, sender: str, feature: str) -> Any:
+        """The message of a chain, or of the image, to the feature.
+
+        Raises
+        ------
+        KeyError
+            if there is none.
+        """
+        if (sender, feature) not in self._sent:
+            raise KeyError(f"{sender!r} says nothing to {feature!r}")
+        return self._message(self._sent[sender, feature])
+
+    def product(self, feature: str) -> Any:
+        """Product of all that the feature has been sent by now."""
+        return self._multiply(feature, self._factors(feature))
+
+    def log_evidence(self) -> float:
+        """Log p(image | past), by the chain rule: that of each feature given those before it."""
+        return float(
+            sum(
+                self._log_evidence_at(feature, features[:number])
+                for features in self.model.components()
+                for number, feature in enumerate(features)
+            )
+        )
+
+    def _log_evidence_at(self, feature: str, seen: Sequence[str]) -> float:
+        """Log probability of what the image shows of a feature, given what it shows of those `seen`.
+
+        The messages to the feature are the same in both integrals, so that their scale does not matter.
+        """
+        if (IMAGE, feature) not in self._sent:
+            return 0.0
+        predicted = tuple(self._given(name, feature, seen) for name in self.model.senders[feature])
+        log_mass = self._multiply(feature, (self._sent[IMAGE, feature], *predicted)).log_mass
+        return float(log_mass - self._multiply(feature, predicted).log_mass) if log_mass > -inf else -inf
+
+    def _given(self, chain: str, feature: str, seen: Sequence[str]) -> Sent:
+        """What the chain would send if the image showed no feature of its component but those `seen`.
+
+        What it found in its own cavity, where it may have decided where to speak, and what it reads through
+        cut edges stays as it is.
+        """
+        sent = self._sent[chain, feature]
+        incoming = dict(sent.incoming)
+        for other in incoming:
+            senders = self.model.senders[other]
+            if other != feature and chain in senders:
+                image = [self._sent[IMAGE, other]] if other in seen else []
+                others = [self._given(name, other, seen) for name in senders if name != chain]
+                incoming[other] = (*image, *others)
+        return sent if incoming == sent.incoming else Sent(chain, feature, incoming)
+
+    def _ahead(self, feature: str) -> Factors:
+        """Where the image is to be searched: what was said by now, and what the others say of it unseen.
+
+        Those who want to hear the image before they speak predict here without it. They speak again when it
+        has been searched, and nobody but the search hears what they said first.
+        """
+        predicted = [
+            Sent(name, feature, {other: self._factors(other, name) for other in self.model.features_of[name]})
+            for name in self.model.senders[feature]
+            if (name, feature) not in self._sent
+        ]
+        return (*self._factors(feature), *predicted)
+
+    def _factors(self, feature: str, without: str | None = None) -> Factors:
+        """What the feature has been sent by now, but for one chain's message."""
+        steps = [(name, feature) for name in (IMAGE, *self.model.senders[feature]) if name != without]
+        return tuple(self._sent[step] for step in steps if step in self._sent)
+
+    def _multiply(self, feature: str, factors: Factors) -> Any:
+        if len(factors) == 1:
+            return self._message(factors[0])
+        key = feature, factors
+        if key not in self._products:
+            if factors:
+                product = self._multiply(feature, factors[:-1]) * self._message(factors[-1])
+            else:
+                product = self.model.features[feature].uniform()
+            self._products[key] = product
+        return self._products[key]
+
+    def _message(self, sent: Sent) -> Any:
+        """The message that was sent.
+
+        Raises
+        ------
+        TypeError
+            if it is none of its feature.
+        """
+        if sent.message is None:
+            node = self.model.features[sent.feature]
+            if sent.sender == IMAGE:
+                prior = self._multiply(sent.feature, sent.incoming[sent.feature])
+                message = node.evidence(self.frame, prior)
+            else:
+                chain, state = self.model.chains[sent.sender], self.predictions[sent.sender]
+                incoming = Incoming(_Products(self, sent.incoming), self._results)
+                message = chain.message(state, node, incoming)
+            if not isinstance(message, self.model.message_kinds[sent.feature]):
+                raise self.model.wrong_message(sent.sender, sent.feature, message)
+            sent.message = message
+        return sent.message
+
+
+class _Products(Mapping[Named, Message]):
+    """Product of some factors at each of a chain's feature nodes, worked out when it is asked for."""
+
+    def __init__(self, time_slice: TimeSlice, factors: Mapping[str, Factors]) -> None:
+        self._slice = time_slice
+        self._factors = factors
+
+    def __getitem__(self, feature: Named) -> Message:
+        product: Message = self._slice._multiply(feature.name, self._factors[feature.name])
+        return product
+
+    def __iter__(self) -> Iterator[Named]:
+        return (self._slice.model.features[name] for name in self._factors)
+
+    def __len__(self) -> int:
+        return len(self._factors)
 
 
 @short_repr
@@ -104,7 +303,7 @@ class Belief:
         """The frame with what is believed of its features, for notebooks."""
         if self._slice is None or self.frame.image is None:
             return None
-        from .belief_picture import png  # OpenCV is slow to import
+        from .drawing import png  # OpenCV is slow to import
 
         features = self._slice.model.features
         return png(self.frame.image, [(node, self[name]) for name, node in features.items()])
@@ -247,26 +446,19 @@ class RecursiveBP:
             predictions = {name: chain.initial(frame) for name, chain in chains.items()}
         elif state.states.keys() == chains.keys():
             dt = frame.time - state.time
-            predictions = {
-                name: _following(chain, "predict", before := state.states[name], chain.predict(before, dt))
-                for name, chain in chains.items()
-            }
+            predictions = {name: chain.predict(state.states[name], dt) for name, chain in chains.items()}
+            _require_states("predict", state.states, predictions)
         else:
             raise ValueError(f"state: got chains {', '.join(state.states)}, expected {', '.join(chains)}")
         time_slice = TimeSlice(self.model, predictions, frame)
         for sender, feature in self._schedule * self.sweeps:
             time_slice.send(sender, feature)
-        # what chains hear is there before they update, so that none of them waits for another
         incoming = {name: time_slice.incoming(name) for name in chains}
-        for heard in incoming.values():
-            heard.work_out()
         updated = side_by_side(
             [partial(chain.update, predictions[name], incoming[name]) for name, chain in chains.items()]
         )
-        states = {
-            name: _following(chain, "update", predictions[name], state)
-            for (name, chain), state in zip(chains.items(), updated, strict=True)
-        }
+        states = dict(zip(chains, updated, strict=True))
+        _require_states("update", predictions, states)
         return Belief(frame, RunState(states, frame.number, frame.time, shape), time_slice)
 
     def run(
@@ -344,8 +536,61 @@ class RecursiveBP:
         return RunState.restored(values), about
 
 
-def _following(chain: Named, method: str, before: State, after: State) -> State:
-    """The state that a method gave for the one before; a forgotten `return` is said in words."""
-    if after is None and before is not None:
-        raise TypeError(f"chain {chain.name!r}: {method} gave None, expected a state")
-    return after
+def _require_states(method: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> None:
+    """Make sure that chains gave a state for each one; a forgotten `return` is said in words."""
+    for name, state in after.items():
+        if state is None and before[name] is not None:
+            raise TypeError(f"chain {name!r}: {method} gave None, expected a state")
+
+
+class ForwardPass(Sequence[MessageType], Generic[MessageType]):
+    """What a filter says in each frame, worked out when it is asked for.
+
+    Asked for forwards, a frame costs one step of the filter; asked for an earlier frame, it begins again. It
+    holds one state and one belief, however long the sequence is.
+
+    Parameters
+    ----------
+    engine
+        of the filter.
+    start
+        its state before the first frame.
+    incoming_over_time
+        whose frames it takes in.
+    read
+        what is said in a frame, given the belief after it.
+    """
+
+    def __init__(
+        self,
+        engine: RecursiveBP,
+        start: RunState,
+        incoming_over_time: Sequence[BatchIncoming],
+        read: Callable[[Belief], MessageType],
+    ) -> None:
+        self._engine = engine
+        self._start = start
+        self._incoming = incoming_over_time
+        self._read = read
+        self._state = start
+        self._next = 0
+        self._belief: Belief
+
+    def __len__(self) -> int:
+        return len(self._incoming)
+
+    @overload
+    def __getitem__(self, time: int) -> MessageType: ...
+    @overload
+    def __getitem__(self, time: slice) -> Sequence[MessageType]: ...
+    def __getitem__(self, time: int | slice) -> MessageType | Sequence[MessageType]:
+        numbers = range(len(self))[time]  # which raises IndexError beyond the end
+        if isinstance(numbers, range):
+            return [self[number] for number in numbers]
+        if numbers < self._next - 1:
+            self._state, self._next = self._start, 0
+        while self._next <= numbers:
+            self._belief = self._engine.step(self._state, self._incoming[self._next].frame)
+            self._state = self._belief.state
+            self._next += 1
+        return self._read(self._belief)

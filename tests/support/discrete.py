@@ -114,7 +114,7 @@ def enumerate_slice(
         weight = 1.0
         for name, chain in chains.items():
             weight *= predictions[name][at[name]]
-            for feature in model.features_of(name):
+            for feature in model.features_of[name]:
                 weight *= chain.tables[feature][at[name], at[feature]]
         before += weight
         for name, likelihood in likelihoods.items():

@@ -137,8 +137,8 @@ def of_chains(model: MultiChain, frames: Iterable[Frame]) -> tuple[list[dict[str
     nodes = {name: _Timed(node, spent) for name, node in {**model.chains, **model.features}.items()}
     same = MultiChain()
     for name in model.chains:
-        for feature in model.features_of(name):
-            same.connect(nodes[name], nodes[feature], feedback=name in model.senders(feature))
+        for feature in model.features_of[name]:
+            same.connect(nodes[name], nodes[feature], feedback=name in model.senders[feature])
     engine, state, found = RecursiveBP(same), RunState(), []
     for frame in frames:
         spent.clear()

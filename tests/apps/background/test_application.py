@@ -292,7 +292,7 @@ def test_a_background_that_does_not_exist(tmp_path: Path, line: str) -> None:
 def test_engines_differ_in_feedback_only() -> None:
     dual, forward = (build_model(engine) for engine in ("recursive-bp", "feed-forward"))
     assert dual.chains.keys() == forward.chains.keys()
-    assert set(dual.senders("pixels")) - set(forward.senders("pixels")) == {"blobs"}
+    assert set(dual.senders["pixels"]) - set(forward.senders["pixels"]) == {"blobs"}
     assert list(build_model("stand-alone").chains) == ["background"]
 
 

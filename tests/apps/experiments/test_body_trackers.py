@@ -157,7 +157,7 @@ def test_the_sampler_hears_nothing_of_the_flesh(film: SignerFilm) -> None:
     model, name = BodyTracker("sampler", "sampler", 100).connected(film)
     assert name == "pose"
     assert set(model.chains) == {"flesh", "pose"}
-    assert model.senders("parts") == ("pose",)
+    assert model.senders["parts"] == ("pose",)
 
 
 def test_film_knows_the_true_head(film: SignerFilm) -> None:

@@ -12,7 +12,7 @@ from rsmcm.apps.scenes import sleeping_man
 from rsmcm.chains import MixtureBackground, ObjectTrajectories, SceneFilter
 from rsmcm.chains.objects.scene_filter import sample_of
 from rsmcm.inference import CoordinateAscent, MultiChain, RecursiveBP, Solution
-from rsmcm.inference.engine.sequence import LazyFrames
+from rsmcm.inference.engine.protocols import LazyFrames
 from rsmcm.models import Frame, GivenBoxes, ObjectBoxes, PixelLabels
 
 N_FRAMES = 70

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.inference import BatchIncoming, CoordinateAscent, MultiChain, Port, RecursiveBP, Smoothed
-from rsmcm.inference.engine.sequence import LazyFrames
+from rsmcm.inference.engine.protocols import LazyFrames
 from rsmcm.models import Frame
 from rsmcm.models.core.gaussian_message import GaussianMessage
 

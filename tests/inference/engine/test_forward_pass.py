@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.inference import BatchIncoming, Belief, MultiChain, RecursiveBP
-from rsmcm.inference.engine.forward_pass import ForwardPass
-from rsmcm.inference.engine.recursive_bp import RunState
+from rsmcm.inference.engine.recursive_bp import ForwardPass, RunState
 from rsmcm.models import Frame, PixelLabels
 
 N_FRAMES = 6

@@ -148,8 +148,8 @@ def test_a_model_looks_the_same_however_it_was_connected(links: list[tuple[str, 
         model.connect(whole.chains[chain], whole.features[feature], feedback=chain != "c")
     assert list(model.chains) == ["b", "c", "a"]
     assert list(model.features) == ["f", "g", "h"]
-    assert model.senders("f") == ("b", "a")
-    assert model.senders("g") == ("b",)
+    assert model.senders["f"] == ("b", "a")
+    assert model.senders["g"] == ("b",)
     assert model.components() == [["f", "g"]]
 
 
@@ -205,6 +205,6 @@ def test_every_forest_has_a_schedule_and_every_loop_is_found(
     assert sorted(schedule) == sorted([*links, *((IMAGE, feature) for feature in model.features)])
     position = {step: number for number, step in enumerate(schedule)}
     for chain, feature in links:
-        for other in set(model.features_of(chain)) - {feature}:
-            for sender in {IMAGE, *model.senders(other)} - {chain}:
+        for other in set(model.features_of[chain]) - {feature}:
+            for sender in {IMAGE, *model.senders[other]} - {chain}:
                 assert position[sender, other] < position[chain, feature]

@@ -1,15 +1,40 @@
-"""Drawing of a time slice's graph: chains above, the features on which they meet, the image below."""
+"""Drawings of a model's graph, and of what is believed of a frame's features."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from io import StringIO
 from pathlib import Path
 from statistics import mean
+from typing import Any, Protocol, runtime_checkable
 
+import cv2
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Patch, Rectangle
+from numpy.typing import NDArray
 
+from ...models.core.pictures import as_bgr
 from .graph import IMAGE, MultiChain
+
+
+@runtime_checkable
+class Drawable(Protocol):
+    """A feature node that can be seen in a picture."""
+
+    def draw(self, picture: NDArray[np.uint8], belief: Any, /) -> None:
+        """Draw the belief over `picture`, `(height, width, 3)` uint8 BGR."""
+        ...
+
+
+def png(image: NDArray[np.uint8], beliefs: Iterable[tuple[object, Any]]) -> bytes:
+    """A PNG of the image with the beliefs of all feature nodes that are `Drawable` over it."""
+    picture = as_bgr(image)
+    for node, belief in beliefs:
+        if isinstance(node, Drawable):
+            node.draw(picture, belief)
+    _, encoded = cv2.imencode(".png", picture)
+    return encoded.tobytes()
+
 
 Point = tuple[float, float]
 
@@ -58,14 +83,14 @@ def _figure(model: MultiChain) -> Figure:
     axes.axis("off")
     nodes = {name: _node(axes, name, data["kind"], places[name]) for name, data in model.graph.nodes.items()}
     for chain in model.chains:
-        for feature in model.features_of(chain):
+        for feature in model.features_of[chain]:
             _edge(
                 axes,
                 nodes[feature],
                 nodes[chain],
                 places[feature],
                 places[chain],
-                chain in model.senders(feature),
+                chain in model.senders[feature],
             )
     for feature in model.features:
         _edge(axes, nodes[feature], nodes[IMAGE], places[feature], places[IMAGE], True)
