@@ -25,7 +25,7 @@ from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import BoxMessage
 from ...models.objects.object_boxes import ObjectBoxes
-from ...models.pixels.layers import LayerStack, log_uniform
+from ...models.pixels.layers import NO_LAYERS, LayerStack, log_uniform
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
 from . import detections
 from .blob_scene import VIEW_TIME, BlobScene, front_to_back, inherited, layers_of, registered
@@ -152,15 +152,17 @@ class BlobTracker:
         if pixels.subtraction is None:
             return state
         scene = BlobScene(pixels, layers, boxes, state.elapsed)
-        learned, alive = scene.learned(blobs, self._rule(blobs.channels, scene))
-        kept = learned.taken(alive).and_also(newborn)
-        scene.colour(kept, int(alive.sum()))
-        numbers = count(state.born + 1)
-        kept = with_parts(merged(self._parted(kept, numbers, scene)), scene.newcomers)
-        kept.table["fragment_time"] = fragment_times(kept, scene)
-        for spot in scene.spots(kept, self._least_area(scene)):
+        numbers, least_area = count(state.born + 1), self.smallest * scene.size[0] * scene.size[1]
+        kept = Blobs.none(blobs.channels)
+        if len(blobs) or newborn:
+            learned, alive = scene.learned(blobs, self._rule(blobs.channels, scene, least_area))
+            kept = learned.taken(alive).and_also(newborn)
+            scene.colour(kept, int(alive.sum()))
+            kept = with_parts(merged(self._parted(kept, numbers, scene, least_area)), scene.newcomers)
+            kept.table["fragment_time"] = fragment_times(kept, scene)
+        for spot in scene.spots(kept, least_area):
             corner, mask, planes = scene.shown_in(spot, kept)
-            if float(mask.sum()) >= self._least_area(scene):
+            if float(mask.sum()) >= least_area:
                 new = Blob.newborn(next(numbers), corner, mask, planes, self.first_speed, self.spread)
                 kept = kept.and_also([new.changed(past_views=inherited(new, kept))])
         return replace(state, blobs=kept, born=next(numbers) - 1, elapsed=0.0)
@@ -189,6 +191,8 @@ class BlobTracker:
 
     def _registered(self, state: BlobState, pixels: PixelMessage) -> tuple[Blobs, LayerStack]:
         """Blobs front to back at the place where this frame shows them, and their layers."""
+        if not len(state.blobs):
+            return state.blobs, NO_LAYERS
         blobs = front_to_back(state.blobs)
         if pixels.subtraction is not None:
             blobs = registered(blobs, pixels, self.outliers, self.temper, state.elapsed)
@@ -197,37 +201,33 @@ class BlobTracker:
     def _layers(self, blobs: Blobs) -> LayerStack:
         return LayerStack(layers_of(blobs, self.outliers, self.strength, self.ghost_evidence))
 
-    def _rule(self, channels: int, scene: BlobScene) -> Learning:
+    def _rule(self, channels: int, scene: BlobScene, least_area: float) -> Learning:
         """How blobs follow what this frame shows."""
-
-        def share(time: float) -> float:
-            return -math.expm1(-scene.elapsed / time)
-
+        times = self.mask_time, self.colour_time, VIEW_TIME, self.size_time
+        mask_share, colour_share, view_share, size_share = (
+            -math.expm1(-scene.elapsed / time) for time in times
+        )
         return Learning(
             log_uniform=log_uniform(channels),
             outliers=self.outliers,
             elapsed=scene.elapsed,
-            mask_share=share(self.mask_time),
-            colour_share=share(self.colour_time),
-            view_share=share(VIEW_TIME),
-            size_share=share(self.size_time),
-            first_size_share=share(self.mask_time),
+            mask_share=mask_share,
+            colour_share=colour_share,
+            view_share=view_share,
+            size_share=size_share,
+            first_size_share=mask_share,
             kept=math.exp(-scene.elapsed / FADING),
             strength=self.strength,
             spread=self.spread,
             temper=self.temper,
             ghost_evidence=self.ghost_evidence,
-            least_area=self._least_area(scene),
+            least_area=least_area,
             confirmed_time=self.confirmed_time,
             patience=self.patience,
             hidden_patience=self.hidden_patience,
         )
 
-    def _least_area(self, scene: BlobScene) -> float:
-        """px of the smallest object."""
-        return self.smallest * scene.size[0] * scene.size[1]
-
-    def _parted(self, blobs: Blobs, numbers: Iterator[int], scene: BlobScene) -> Blobs:
+    def _parted(self, blobs: Blobs, numbers: Iterator[int], scene: BlobScene, least_area: float) -> Blobs:
         """Blobs that have had a waist or the width of two for a while are two; crumbs are swept away."""
         table = blobs.table
         judged = (table["unseen"] == 0) & (table["detected"] == 0)
@@ -237,7 +237,7 @@ class BlobTracker:
         parted = {}
         for k in np.flatnonzero((waists >= 0) & (longer >= self.parting_time)).tolist():
             larger, smaller = halves(blobs[k], waists[k])
-            if smaller.sum() >= max(self._least_area(scene), 0.25 * larger.sum()):
+            if smaller.sum() >= max(least_area, 0.25 * larger.sum()):
                 blob, new = blobs[k].changed(parting=0.0, still=0.0), next(numbers)
                 parted[k] = [
                     blob.changed(mask=larger, size=likely_size(larger)),
