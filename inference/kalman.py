@@ -16,8 +16,8 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..inference import kernels as kalman_kernels
 from ..models.core.short_repr import short_repr
+from . import kernels as kalman_kernels
 
 Numbers = NDArray[np.float64]
 
