@@ -32,13 +32,29 @@ from ..live.server import live_page
 from ..options.job import FilmJob
 from ..view.film import ROWS as FILM_ROWS
 from ..view.film import Film, FilmWriter, Row, read_film
-from ..view.page import VIEW, Page, write_page
+from ..view.page import VIEW, Line, Page, Plot, write_page
 from .interruption import Interrupted, Outcome
 from .memory import check_memory
 from .progress import Progress
 from .row_log import ROWS, RowLog, Values
 from .saved_run import STATE, SavedRun, check_source, save_run
 from .session import OVERLAY, Session
+
+__all__ = [
+    "Application",
+    "Columns",
+    "Engine",
+    "File",
+    "FilmJob",
+    "Filter",
+    "Line",
+    "Output",
+    "Page",
+    "Plot",
+    "Sink",
+    "Start",
+    "run_film",
+]
 
 _log = logging.getLogger(__name__)
 
@@ -327,9 +343,17 @@ class Application(ABC, Generic[F]):
         return {}
 
     def page(self, log: RowLog, film: Film | None, summary: Mapping[str, Any]) -> Page:
-        """What is on the page, with the film if there was any image."""
-        title = f"{Path(summary['source']).name}: {self.name}"
-        return Page(title, notes=summary["notes"], film=film, parameters=summary["parameters"])
+        """What is on the page, with the film if there was any image: curves of all numbers."""
+        numbers, times = log["number"].tolist(), log["time"].tolist()
+        return Page(
+            f"{Path(summary['source']).name}: {self.name}",
+            notes=summary["notes"],
+            film=film,
+            plots=[Plot(name, "", [Line(log[name])]) for name in log.numbers],
+            parameters=summary["parameters"],
+            numbers=numbers,
+            times=times,
+        )
 
     def drawing(self) -> Draw:
         """What draws `Columns.drawn` on frames, for `--video` and `--live`."""
@@ -555,7 +579,11 @@ class _FilmRun:
             self._start,
             self._start.source,
         )
-        facts, seconds, count = application.finish(log), session.seconds(), len(log)
+        facts = {
+            name: value.tolist() if isinstance(value, np.generic | np.ndarray) else value
+            for name, value in application.finish(log).items()
+        }
+        seconds, count = session.seconds(), len(log)
         numbers, missing = log["number"], log["missing"]
         of_engine = float(log["seconds"].sum())
         summary = session.summary(

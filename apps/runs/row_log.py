@@ -12,7 +12,7 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.files import naming, write_atomically
+from ...models.files import naming, write_atomically, write_text
 
 Values = Mapping[str, Any]
 """By the names of columns, what a frame or its objects have there."""
@@ -149,6 +149,18 @@ class RowLog:
         if not self._frames:
             return np.zeros(0, _TYPES.get(name, np.float64))
         return self._frames[name].values()
+
+    @property
+    def numbers(self) -> list[str]:
+        """Names of an application's own columns with one number a frame."""
+        usual = {"number", "time", "missing", "seconds", "objects"}
+        return [name for name, column in self._frames.items() if not column.shape and name not in usual]
+
+    def write_table(self, path: Path) -> None:
+        """Write number, time and an application's own numbers of all frames as CSV, whole or not at all."""
+        names = ["number", "time", *self.numbers]
+        rows = zip(*(self[name].tolist() for name in names), strict=True)
+        write_text(path, "".join(f"{','.join(map(str, row))}\n" for row in [names, *rows]))
 
     def objects(self, name: str) -> NDArray[Any]:
         """A column of all objects; none where there was no object."""

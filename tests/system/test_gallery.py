@@ -109,6 +109,10 @@ CLAIMS: dict[str, Callable[[Names], bool]] = {
         and n["events"][-1].duration == pytest.approx(n["scene"].stand * n["scene"].dt, abs=2)
     ),
     "plot_16_batch": lambda n: [row["state"] for row in n["rows"]] == ["failed", "complete", "complete"],
+    "plot_17_own_application": lambda n: (
+        n["outcome"].summary["frames"] == len(n["rows"]) == 120
+        and 0 < n["outcome"].summary["mean_objects"] < 1.5
+    ),
 }
 """What an example's text says, by the name of its file."""
 
