@@ -3,8 +3,9 @@
 import numpy as np
 from rsmcm.apps.background.application import build_model, found_in
 from rsmcm.apps.background.job import Engine
-from rsmcm.apps.scenes import standing_in_a_room
 from rsmcm.inference import RecursiveBP
+
+from ..support.room import standing_in_a_room
 
 EARLY, LATE = slice(150, 250), slice(460, 560)
 """Frames in which he has just come, and has stood for a quarter of a minute."""

@@ -2,7 +2,8 @@
 
 import cv2
 import numpy as np
-from rsmcm.apps.scenes import standing_in_a_room
+
+from ...support.room import standing_in_a_room
 
 SMALL = (160, 120)
 

@@ -5,10 +5,9 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-
-from .street import Scene
-from .street_actors import Layer
-from .street_ground import Pixels, mottle
+from rsmcm.apps.scenes.street import Scene
+from rsmcm.apps.scenes.street_actors import Layer
+from rsmcm.apps.scenes.street_ground import Pixels, mottle
 
 SKIRTING = 0.80
 """Share of the height at which the floor begins."""
