@@ -250,8 +250,8 @@ def compare(
 ) -> int:
     """Compare methods on a film: background alone, feed-forward, RSMCM, and OpenCV's MOG2 and KNN.
 
-    Writes compare.html, compare.csv, compare.json and pictures; with --ground-truth errors and scores as
-    well. The options are those of rsmcm background.
+    Writes index.html, results.json and pictures; with --ground-truth errors and scores as well. The options
+    are those of rsmcm background.
 
     Parameters
     ----------
@@ -280,15 +280,11 @@ def compare(
     """
     from .experiments.compare import run_compare
 
-    outcome, lines = run_compare(
-        BackgroundJob(
-            source, out=out, ground_truth=ground_truth, detections=detections, classes=classes, camera=camera,
-            roi=roi, start=start, stop=stop, step=step, config=config, chain=chain,
-        )
+    job = BackgroundJob(
+        source, out=out, ground_truth=ground_truth, detections=detections, classes=classes, camera=camera,
+        roi=roi, start=start, stop=stop, step=step, config=config, chain=chain,
     )  # fmt: skip
-    if lines:
-        print(f"comparison: {out / 'compare.html'}")
-    return _ended(outcome)
+    return _ended(run_compare(job))
 
 
 app.command(reproduce)

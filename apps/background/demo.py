@@ -6,6 +6,7 @@ applications.
 
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,6 @@ from numpy.typing import NDArray
 from ...models.body.upper_body import JOINTS
 from ...models.files import write_atomically, write_text
 from ..body.joint_files import COLUMNS
-from ..evaluation.text_tables import in_columns
 from ..experiments.compare import run_compare
 from ..io.files import write_image
 from ..runs.interruption import Outcome
@@ -66,11 +66,9 @@ def run_demo(out: Path) -> Outcome:
     job = BackgroundJob(str(scene / "input"), out=out, overwrite=True, ground_truth=scene)
     outcome = run_background(job)
     if outcome.signal is None:
-        outcome, lines = run_compare(job)
-        names = ("method", "F", "precision", "recall", "missed objects", "ghosts", "ms a frame")
-        print(in_columns(names, [[line.get(name, "") for name in names] for line in lines]))
+        outcome = run_compare(replace(job, out=out / "comparison"))
     print(f"\nfilm:       {out / VIEW}")
-    print(f"comparison: {out / 'compare.html'}")
+    print(f"comparison: {out / 'comparison' / 'index.html'}")
     return outcome
 
 

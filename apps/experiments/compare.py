@@ -1,7 +1,5 @@
 """Compare methods on one film: Fig. 8's table and Fig. 11's pictures of the RSMCM paper."""
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +13,6 @@ from numpy.typing import NDArray
 from ...inference import RecursiveBP
 from ...inference.engine.recursive_bp import RunState
 from ...models.core.frame import Frame
-from ...models.files import write_text
 from ...models.numerics.evenly_spaced import EvenlySpaced
 from ..background.application import Found, build_model, found_in
 from ..background.job import BackgroundJob, Camera, Engine
@@ -23,15 +20,14 @@ from ..background.parameters import Parameters, read_parameters
 from ..drawing.mosaic import fitting, mosaic
 from ..evaluation.scoring import Scoring, scoring_of
 from ..io.detections import given_boxes, with_boxes
-from ..io.files import write_json
 from ..io.sources.open_source import open_source
 from ..io.tracks import TrackedBox
 from ..runs.interruption import Interruption, Outcome
 from ..runs.progress import Progress
 from ..runs.region import inside, read_region
 from .baselines import CleanUp, KalmanHungarian, OpenCVSubtractor, Subtractor, component_boxes
-from .experiment import Picture, Plot
-from .page import picture, table, write_page
+from .experiment import Findings, Picture, Plot, publish
+from .record import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -283,11 +279,10 @@ def methods_of_figure_8(
     ]
 
 
-def run_compare(job: BackgroundJob) -> tuple[Outcome, list[dict[str, Any]]]:
-    """Run all methods over the job's source; write `compare.*` and two figures into its folder.
+def run_compare(job: BackgroundJob) -> Outcome:
+    """Run all methods over the job's source; leave table, figures and page in its folder.
 
-    Ctrl-C ends it after the current frame with the comparison until there. Returned are how it ended, and
-    the table's lines, one for each method.
+    Ctrl-C ends it after the current frame with the comparison until there.
 
     Raises
     ------
@@ -297,7 +292,7 @@ def run_compare(job: BackgroundJob) -> tuple[Outcome, list[dict[str, Any]]]:
     parameters = read_parameters(job.config, job.chain)
     with (
         Interruption() as interruption,
-        open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect) as source,
+        open_source(job.source, job.start, job.stop, job.step) as source,
     ):
         if source.live:
             raise ValueError(f"compare: {source.name} is live and cannot be read again")
@@ -306,10 +301,7 @@ def run_compare(job: BackgroundJob) -> tuple[Outcome, list[dict[str, Any]]]:
             method.name: Tally(method, scoring_of(job.ground_truth, source, job.start, job.step, region))
             for method in methods_of_figure_8(source.size, parameters, job.camera)
         }
-        alone = tallies[f"stand-alone, P(B) = {SHOWN_PRIOR}"].method
-        dual = tallies["RSMCM"].method
-        assert isinstance(alone, Model)
-        assert isinstance(dual, Model)
+        shown = [tallies[name].method for name in (f"stand-alone, P(B) = {SHOWN_PRIOR}", "RSMCM")]
         gallery, n_frames = Gallery(), 0
         given = given_boxes(job.detections, job.class_names, source, job.start, job.stop, job.step)
         frames = interruption.items(source)
@@ -318,42 +310,17 @@ def run_compare(job: BackgroundJob) -> tuple[Outcome, list[dict[str, Any]]]:
                 found = {name: tally.add(frame, region) for name, tally in tallies.items()}
                 n_frames += 1
                 if frame.image is not None:
-                    gallery.add(
-                        frame.number, frame.image, [(alone, found[alone.name]), (dual, found[dual.name])]
-                    )
+                    systems = [(each, found[each.name]) for each in shown if isinstance(each, Model)]
+                    gallery.add(frame.number, frame.image, systems)
                 progress.update()
-    lines = [tally.values(n_frames) for tally in tallies.values()] if n_frames else []
-    if lines:
-        write_comparison(job.out, source.name, lines, gallery)
-    summary = {"source": source.name, "frames": n_frames, "stream": source.stream}
-    return Outcome(summary, interruption.signal), lines
-
-
-def write_comparison(folder: Path, title: str, lines: Sequence[dict[str, Any]], gallery: Gallery) -> None:
-    """Write the table (CSV, JSON), Figs. 8 and 11 (PNG), and a page with all of them, `compare.html`.
-
-    Raises
-    ------
-    OSError
-        if the folder cannot be written to.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    header = list(dict.fromkeys(name for line in lines for name in line))
-    write_json(folder / "compare.json", lines)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, header, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(lines)
-    write_text(folder / "compare.csv", text.getvalue())
-    pictures: list[Plot | Picture] = [gallery.picture()]
-    if "total" in header:
-        pictures.insert(0, errors_plot(lines))
-    for each in pictures:
-        each.write(folder / each.name)
-    measured = table(header, [[line.get(name, "–") for name in header] for line in lines])
-    shown = [picture(folder / each.name, each.caption) for each in pictures]
-    sections = [("Methods", [measured]), ("Figures", shown)]
-    write_page(folder / "compare.html", f"{Path(title).name}: comparison", sections)
+    if n_frames:
+        lines = [tally.values(n_frames) for tally in tallies.values()]
+        header = list(dict.fromkeys(name for line in lines for name in line))
+        table = Table(header, [[line.get(name, "–") for name in header] for line in lines])
+        plots = [errors_plot(lines)] if "total" in header else []
+        findings = Findings(f"{Path(source.name).name}: comparison", [table], [], [*plots, gallery.picture()])
+        publish("compare", f"rsmcm reproduce compare {job.source}", job.out, lambda: findings)
+    return Outcome({"source": source.name, "frames": n_frames, "stream": source.stream}, interruption.signal)
 
 
 def errors_plot(lines: Sequence[dict[str, Any]]) -> Plot:

@@ -134,11 +134,13 @@ def publish(name: str, command: str, out: Path, run: Callable[[], Findings]) -> 
     for each in found.tables:
         print(*textwrap.wrap(each.caption, 110), in_columns(each.header, each.rows), "", sep="\n")
     wanted = [each.cells for each in found.expectations]
-    print(in_columns(HEADER, wanted))
+    if wanted:
+        print(in_columns(HEADER, wanted))
     for one in found.pictures:
         one.write(out / one.name)
     shown = [picture(out / one.name, one.caption) for one in found.pictures]
     measured = [table(each.header, each.rows, each.caption) for each in (*found.tables, *found.details)]
-    sections = [("", [table(HEADER, wanted)]), ("Figures", shown), ("Measured", measured)]
+    judged = [table(HEADER, wanted)] if wanted else []
+    sections = [("", judged), ("Figures", shown), ("Measured", measured)]
     write_page(out / "index.html", found.title, [each for each in sections if each[1]])
     print(f"\npage: {out / 'index.html'}")

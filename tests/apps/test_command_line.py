@@ -1,5 +1,6 @@
 """The command `rsmcm`: whatever is wrong is one line on standard error and exit code 2."""
 
+import json
 import os
 import resource
 import shlex
@@ -466,12 +467,12 @@ def test_comparison(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[st
         with pytest.raises(SystemExit) as ended:
             main([*arguments, *truth])
         assert ended.value.code == 0
-        for name in ("compare.html", "compare.csv", "compare.json", "compare-pictures.png"):
+        for name in ("index.html", "results.json", "compare-pictures.png"):
             assert (tmp_path / name).stat().st_size > 0
-        assert ("Errors, as in" in (tmp_path / "compare.html").read_text()) == bool(truth)
-        lines = (tmp_path / "compare.csv").read_text().splitlines()
-        assert len(lines) == 9
-        assert ("ghosts" in lines[0]) == bool(truth)
+        assert ("Errors, as in" in (tmp_path / "index.html").read_text()) == bool(truth)
+        (table,) = json.loads((tmp_path / "results.json").read_text())["tables"]
+        assert len(table["rows"]) == 8
+        assert ("ghosts" in table["header"]) == bool(truth)
 
 
 def test_names_that_the_output_cannot_spell(scene: Path, tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def test_pages_of_runs(browser: Browser, tmp_path: Path, name: str) -> None:
 def test_the_page_of_a_comparison(browser: Browser, tmp_path: Path) -> None:
     film, *_ = background(tmp_path)
     assert Command("reproduce")("compare", film, "--out", tmp_path / "out") == 0
-    check(browser, tmp_path / "out" / "compare.html")
+    check(browser, tmp_path / "out" / "index.html")
 
 
 def test_the_page_of_an_experiment(browser: Browser, tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ def test_background(film: Path, tmp_path: Path) -> None:
     assert Command("background")(film, "--out", out) == 0
     assert {"view.html", "film.mp4", "summary.json"} <= names(out)
     assert Command("reproduce")("compare", film, "--out", tmp_path / "compared") == 0
-    assert {"compare.html", "compare-pictures.png"} <= names(tmp_path / "compared")
+    assert {"index.html", "compare-pictures.png"} <= names(tmp_path / "compared")
     assert summary_of(out)["frames"] == 4
 
 

@@ -8,7 +8,6 @@ import os
 import resource
 import sys
 import tempfile
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +15,6 @@ import cv2
 import numpy as np
 import psutil
 from joblib import cpu_count
-from numpy.typing import NDArray
 
 from ...background.application import run_background
 from ...background.job import BackgroundJob
@@ -28,6 +26,7 @@ from ...scenes import sleeping_man
 from ..datasets import data_folder
 from ..experiment import Findings, publish
 from ..record import Table
+from .background import image_of
 
 SMALL, LARGE = (640, 480), (1920, 1080)
 RATE = 5.0
@@ -41,7 +40,7 @@ SHARE = 0.7
 """Of the memory that is free, for processes of cameras that run all at once."""
 
 HEADER = (
-    "film", "size", "processes x threads", "frames/s", "cameras at 5/s", "memory a process, MB",
+    "size", "processes x threads", "frames/s", "cameras at 5/s", "memory a process, MB",
     "kB a frame read", "kB a frame written", "saved state, MB",
 )  # fmt: skip
 
@@ -58,22 +57,18 @@ class Run:
 
 
 def capacity() -> Findings:
-    """What processes and threads on all cores carry, of a generated street and PETS2009 S2.L1."""
+    """What processes and threads on all cores carry, of a film in two sizes."""
     cores = cpu_count()
     alone, together = Workers(1, 1), Workers(cores, 1)
     with tempfile.TemporaryDirectory() as name:
-        street, small, large = films(Path(name))
+        small, large = (film_of(Path(name) / f"{size[0]}.mp4", size) for size in (SMALL, LARGE))
+        rows = [row(large, LARGE, each, carried(large, each)) for each in (alone, together)]
         one = carried(small, alone)
         room = int(SHARE * psutil.virtual_memory().available / 1e6 / one[0].memory)
         at_once = Workers(max(cores, min(room, int(cores * one[0].rate / RATE))), 1)
-        rows = [
-            row(film, workers, carried(film, workers))
-            for film in (street, large)
-            for workers in (alone, together)
-        ]
-        rows.append(row(small, alone, one))
-        rows += [row(small, workers, carried(small, workers)) for workers in (Workers(1, cores), together)]
-        rows.append(row(small, at_once, carried(small, at_once, runs=1)))
+        rows.append(row(small, SMALL, alone, one))
+        for each, runs in ((Workers(1, cores), RUNS), (together, RUNS), (at_once, 1)):
+            rows.append(row(small, SMALL, each, carried(small, each, runs)))
     caption = (
         f"Cameras at {RATE:g} frames a second that {cores} cores carry: rsmcm background, masks as a video, "
         "tracks and page written; in the last line each camera has a process, all at once."
@@ -81,32 +76,21 @@ def capacity() -> Findings:
     return Findings("How many cameras a machine carries", [Table(HEADER, rows, caption)], [])
 
 
-def films(folder: Path) -> list[Path]:
-    """A street and PETS2009 S2.L1 in the small size, and the latter in the large one, written into a folder.
-
-    Another street takes the place of a film that cannot be found.
-    """
-    paths = [folder / f"{name}.mp4" for name in ("street", "pets", "pets-large")]
+def film_of(path: Path, size: tuple[int, int]) -> Path:
+    """PETS2009 S2.L1 where it can be found, else a generated street, in that size, as a file."""
     try:
-        pets = data_folder("pets2009-s2l1") / "vtest.avi"
+        with open_source(
+            str(data_folder("pets2009-s2l1") / "vtest.avi"), step=2, stop=2 * N_FRAMES
+        ) as source:
+            frames = list(source)
     except OSError:
-        pets = None
-    for path, size in zip(paths, (SMALL, SMALL, LARGE), strict=True):
-        if pets is None or path == paths[0]:
-            scene = sleeping_man(N_FRAMES, size=size, stand=40, enter=8)
-            _write(path, size, (frame.image for frame in scene))
-        else:
-            with open_source(str(pets), step=2, stop=2 * N_FRAMES) as frames:
-                _write(path, size, (frame.image for frame in frames))
-    return paths
-
-
-def _write(path: Path, size: tuple[int, int], pictures: Iterable[NDArray[np.uint8] | None]) -> None:
+        frames = list(sleeping_man(N_FRAMES, stand=40, enter=8))
     written = SegmentedVideo(path, RATE, PLAYABLE)
-    for number, picture in enumerate(pictures, start=1):
-        if picture is not None:
-            written.write(np.asarray(cv2.resize(picture, size), np.uint8), number, (number - 1) / RATE)
+    for number, frame in enumerate(frames, start=1):
+        scaled = np.asarray(cv2.resize(image_of(frame), size), np.uint8)
+        written.write(scaled, number, (number - 1) / RATE)
     written.close(finished=True)
+    return path
 
 
 def carried(film: Path, workers: Workers, runs: int = RUNS) -> list[Run]:
@@ -139,12 +123,12 @@ def measured(job: BackgroundJob) -> Run:
     )
 
 
-def row(film: Path, workers: Workers, found: list[Run]) -> tuple[object, ...]:
+def row(film: Path, size: tuple[int, int], workers: Workers, found: list[Run]) -> tuple[object, ...]:
     """A line of the table."""
-    rate, size = sum(each.rate for each in found), LARGE if "large" in film.stem else SMALL
+    rate = sum(each.rate for each in found)
     return (
-        film.stem.removesuffix("-large"), f"{size[0]}x{size[1]}", f"{workers.jobs} x {workers.threads}", rate,
-        int(rate / RATE), max(each.memory for each in found), film.stat().st_size / N_FRAMES / 1e3,
+        f"{size[0]}x{size[1]}", f"{workers.jobs} x {workers.threads}", rate, int(rate / RATE),
+        max(each.memory for each in found), film.stat().st_size / N_FRAMES / 1e3,
         1e3 * found[0].written / N_FRAMES, found[0].state,
     )  # fmt: skip
 

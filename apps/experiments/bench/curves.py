@@ -14,13 +14,13 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from ....chains import ArticulatedPose, FleshTracker, GFlow, PointTracker
+from ....chains import ArticulatedPose, FleshTracker, PointTracker
 from ....chains.structure.track_association import associate_tracks
-from ....inference import Incoming, MultiChain, RecursiveBP, RunState
+from ....inference import MultiChain
 from ....inference.sfm.factor_analysis.em import Posterior, expectation_maximisation
 from ....inference.sfm.factor_analysis.factorisation import around_start
 from ....inference.sfm.factor_analysis.observations import Indices, Listed, Numbers, Observations
-from ....models import Frame, PixelLabels, PixelMessage, PointTracks
+from ....models import Frame, PointTracks
 from ....models.numerics.threads import set_threads
 from ...background.application import build_model
 from ...scenes import face
@@ -32,7 +32,7 @@ from ..record import Table
 from .background import in_steps, preloaded, subtracting
 from .bodies import BodyFilm
 from .structure import turning_points
-from .timing import in_turns, n_bytes, of_chains, over_frames
+from .timing import in_turns, of_chains, over_frames
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,56 +70,28 @@ PIECES, PIECE = 4, 15
 
 
 @dataclass(frozen=True)
-class Cost:
-    """Cost at one size: seconds of several rounds, and bytes that are held, NaN where nothing is."""
-
-    size: float
-    rounds: Sequence[float]
-    memory: float = math.nan
-
-    @property
-    def seconds(self) -> float:
-        """The median over the rounds."""
-        return float(np.median(self.rounds))
-
-
-@dataclass(frozen=True)
 class Curve:
-    """Cost over size: what is done, what there is more and more of, and its costs, from few to many."""
+    """Cost over size: what is done, what there is more of, and sizes and seconds, from few to many."""
 
     name: str
     unit: str
-    points: Sequence[Cost]
+    points: Sequence[tuple[float, float]]
+
+    @classmethod
+    def of(cls, name: str, unit: str, rounds: Mapping[float, Sequence[float]]) -> "Curve":
+        """Of seconds of several rounds, by size: their medians."""
+        return cls(name, unit, [(size, float(np.median(seconds))) for size, seconds in rounds.items()])
 
     @property
     def power(self) -> tuple[float, float]:
         """The power of the size that fits the time best (least squares of logarithms), and its standard
         error."""
-        size, seconds = np.log([(each.size, each.seconds) for each in self.points]).T
+        size, seconds = np.log(self.points).T
         size -= size.mean()
         power = float(size @ seconds / (size @ size))
         left = seconds - seconds.mean() - power * size
         degrees = len(self.points) - 2
         return power, float(np.sqrt(left @ left / degrees / (size @ size))) if degrees > 0 else math.nan
-
-    @property
-    def fixed_and_each(self) -> tuple[float, float]:
-        """Seconds that do not depend on the size, and seconds of one more, by relative least squares.
-
-        Where the first would be negative, it is 0.
-        """
-        size, seconds = np.array([(each.size, each.seconds) for each in self.points]).T
-        terms = np.stack([np.ones(len(size)), size], axis=1) / seconds[:, None]
-        fixed, each = np.linalg.lstsq(terms, np.ones(len(size)), rcond=None)[0].tolist()
-        if fixed < 0:
-            fixed, each = 0.0, float(terms[:, 1].sum() / (terms[:, 1] @ terms[:, 1]))
-        return fixed, each
-
-    @property
-    def bytes_each(self) -> float:
-        """Bytes of one more, at the largest size; NaN where nothing is held."""
-        few, many = self.points[0], self.points[-1]
-        return (many.memory - few.memory) / (many.size - few.size)
 
     def expectation(self, bound: float | None) -> Expectation:
         """The power, and what it should be at most."""
@@ -141,30 +113,9 @@ def curves() -> Findings:
     ]
     what = f"memory grown over the last four fifths of {N_WATCHED} frames, MB"
     expectations.append(Expectation(what, grown, "<=", GROWN))
-    fitted, points = tables(found)
-    return Findings("Cost as curves", [fitted], expectations, [plot(found)], [points])
-
-
-def tables(found: Sequence[Curve]) -> tuple[Table, Table]:
-    """What was fitted, and every point."""
-    fitted: list[Sequence[object]] = []
-    for each in found:
-        fixed, one = each.fixed_and_each
-        first, last = each.points[0].size, each.points[-1].size
-        numbers = (*each.power, 1e3 * fixed, 1e6 * one, each.bytes_each)
-        fitted.append((each.name, each.unit, first, last, *numbers))
-    points = [
-        (each.name, each.unit, point.size, 1e3 * point.seconds, point.memory / 1e6)
-        for each in found
-        for point in each.points
-    ]
-    caption = (
-        "Time to the power of the size that fits best, and, as a straight line, what does not depend on the "
-        "size and what each one costs."
-    )
-    header = ("curve", "over", "from", "to", "power", "±", "fixed, ms", "each, µs", "bytes each")
-    every = "Every point of every curve; the time is the median over rounds."
-    return Table(header, fitted, caption), Table(("curve", "over", "size", "ms", "MB"), points, every)
+    rows = [(each.name, each.unit, *point) for each in found for point in each.points]
+    points = Table(("curve", "over", "size", "s"), rows, "The time is the median over rounds.")
+    return Findings("Cost as curves", [], expectations, [plot(found)], [points])
 
 
 def plot(found: Sequence[Curve]) -> Plot:
@@ -188,8 +139,8 @@ def _draw_panel(axes: "Axes", unit: str, inside: Sequence[Curve]) -> None:
     from matplotlib.ticker import NullFormatter
 
     for curve in inside:
-        sizes = [each.size for each in curve.points]
-        axes.plot(sizes, [1e3 * each.seconds for each in curve.points], "o-", markersize=3, label=curve.name)
+        sizes, seconds = np.array(curve.points).T
+        axes.plot(sizes, 1e3 * seconds, "o-", markersize=3, label=curve.name)
     axes.set_xscale("log")
     axes.set_yscale("log")
     for axis in (axes.xaxis, axes.yaxis):
@@ -208,36 +159,32 @@ def _draw_panel(axes: "Axes", unit: str, inside: Sequence[Curve]) -> None:
 def over_pixels() -> list[Curve]:
     """The background alone, all chains, and MOG2, with four objects in pictures of any size."""
     called = {"alone": "background alone", "all": "all chains", "MOG2": PEER}
-    points: dict[str, list[Cost]] = {name: [] for name in called}
+    rounds: dict[str, dict[float, list[float]]] = {name: {} for name in called}
     for width, height in SIZES:
         frames = list(crowd(4, WARM_UP + ROUNDS * TURN, (height, width)))
-        models = {"alone": build_model("stand-alone"), "all": build_model()}
-        held = {
-            name: n_bytes(RecursiveBP(model).step(RunState(), frames[0]).state.states)
-            for name, model in models.items()
+        steps = {
+            "alone": in_steps(build_model("stand-alone")),
+            "all": in_steps(build_model()),
+            "MOG2": subtracting(cv2.createBackgroundSubtractorMOG2(), 1),
         }
-        steps = {name: in_steps(model) for name, model in models.items()}
-        steps["MOG2"] = subtracting(cv2.createBackgroundSubtractorMOG2(), 1)
         for name, seconds in over_frames(steps, frames, TURN, WARM_UP).items():
-            points[name].append(Cost(width * height, seconds, held.get(name, math.nan)))
-    return [Curve(name, "pixels", points[key]) for key, name in called.items()]
+            rounds[name][width * height] = seconds
+    return [Curve.of(name, "pixels", rounds[key]) for key, name in called.items()]
 
 
 def over_objects() -> list[Curve]:
     """The tracker of blobs by itself, and all chains."""
-    points: dict[str, list[Cost]] = {"blobs": [], "whole": []}
     width, height = OF_CROWD
-    for count in OBJECTS:
-        found, state = of_chains(build_model(), crowd(count, CROWD_WARM_UP + ROUNDS * TURN, (height, width)))
-        held = {"blobs": n_bytes(state.states["blobs"]), "whole": n_bytes(state.states)}
-        for name, of_name in points.items():
-            seconds = np.array([each[name] for each in found[CROWD_WARM_UP:]])
-            of_name.append(Cost(count, seconds.reshape(ROUNDS, TURN).mean(axis=1).tolist(), held[name]))
     at = f"{width}x{height}"
-    return [
-        Curve(f"tracker of blobs, {at}", "objects", points["blobs"]),
-        Curve(f"all chains, {at}", "objects", points["whole"]),
-    ]
+    called = {"blobs": f"tracker of blobs, {at}", "whole": f"all chains, {at}"}
+    rounds: dict[str, dict[float, list[float]]] = {name: {} for name in called}
+    for count in OBJECTS:
+        frames = crowd(count, CROWD_WARM_UP + ROUNDS * TURN, (height, width))
+        found = of_chains(build_model(), frames)[0][CROWD_WARM_UP:]
+        for name, of_name in rounds.items():
+            seconds = np.array([each[name] for each in found])
+            of_name[count] = seconds.reshape(ROUNDS, TURN).mean(axis=1).tolist()
+    return [Curve.of(name, "objects", rounds[key]) for key, name in called.items()]
 
 
 def over_frames_of_a_film(count: int) -> tuple[Curve, float]:
@@ -254,13 +201,12 @@ def over_frames_of_a_film(count: int) -> tuple[Curve, float]:
         step(again)
         seconds[k] = time.perf_counter() - started
         memory[k] = process.memory_info().rss
-    points, end = [], len(frames) // 2
+    rounds, end = dict[float, list[float]](), len(frames) // 2
     while end <= count:
-        blocks = [float(np.median(block)) for block in np.array_split(seconds[end // 2 : end], ROUNDS)]
-        points.append(Cost(end, blocks, memory[end - 1]))
+        rounds[end] = [float(np.median(block)) for block in np.array_split(seconds[end // 2 : end], ROUNDS)]
         end *= 2
     grown = float(memory[-1] - memory[count // 5]) / 2**20
-    return Curve("all chains, PETS2009", "frames so far", points), grown
+    return Curve.of("all chains, PETS2009", "frames so far", rounds), grown
 
 
 # --- points and structure -----------------------------------------------------------------------------------
@@ -272,14 +218,13 @@ def over_points() -> Curve:
     picture = sum(scale * cv2.GaussianBlur(noise, (0, 0), scale) for scale in (1.0, 3.0))
     texture = np.asarray(np.clip(128 + 60 * np.asarray(picture), 0, 255), np.uint8)
     frames = [Frame(_moved(texture, number), number / 25, number) for number in range(1, 4 + ROUNDS)]
-    points = []
+    rounds: dict[float, list[float]] = {}
     for count in POINTS:
         tracker = PointTracker(n_points=count, spacing=4.0)
         found, state = of_chains(MultiChain().connect(tracker, PointTracks(patch=5)), frames)
-        known = state.states[tracker.name].known
-        seconds = [each["whole"] for each in found[3:]]
-        points.append(Cost(int(known.alive.sum()), seconds, n_bytes(known)))
-    return Curve(f"tracker of points, {SIDE}x{SIDE}", "points", points)
+        followed = int(state.states[tracker.name].known.alive.sum())
+        rounds[followed] = [each["whole"] for each in found[3:]]
+    return Curve.of(f"tracker of points, {SIDE}x{SIDE}", "points", rounds)
 
 
 def _moved(texture: NDArray[np.uint8], number: int) -> NDArray[np.uint8]:
@@ -290,7 +235,7 @@ def _moved(texture: NDArray[np.uint8], number: int) -> NDArray[np.uint8]:
 
 def over_observations() -> Curve:
     """An iteration of EM, of tracks of 30 frames each: the difference of few and more."""
-    points = []
+    rounds: dict[float, list[float]] = {}
     for count in OBSERVATIONS:
         observations, start = turning(count)
         steps: dict[str, Callable[[], object]] = {
@@ -298,9 +243,8 @@ def over_observations() -> Curve:
             for n in (2, 7)
         }
         spent = in_turns(steps, ROUNDS)
-        each = (np.array(spent["7"]) - spent["2"]) / 5
-        points.append(Cost(observations.count, each.tolist(), n_bytes(observations)))
-    return Curve("an iteration of EM", "observations", points)
+        rounds[observations.count] = ((np.array(spent["7"]) - spent["2"]) / 5).tolist()
+    return Curve.of("an iteration of EM", "observations", rounds)
 
 
 def turning(count: int) -> tuple[Observations, Posterior]:
@@ -340,11 +284,11 @@ def _seen(cameras: Numbers, shape: Numbers, frame: Indices, point: Indices) -> t
 
 def over_tracks() -> Curve:
     """Which tracks show one point: robust factor analysis, association, and what is read of both."""
-    points = []
+    rounds: dict[float, list[float]] = {}
     for count in TRACKS:
         step = partial(associate_tracks, broken_tracks(count))
-        points.append(Cost(count, in_turns({"ours": step}, 2 if count > TRACKS[1] else ROUNDS)["ours"]))
-    return Curve("association", "tracks", points)
+        rounds[count] = in_turns({"ours": step}, 2 if count > TRACKS[1] else ROUNDS)["ours"]
+    return Curve.of("association", "tracks", rounds)
 
 
 def broken_tracks(count: int) -> Numbers:
@@ -365,26 +309,21 @@ def broken_tracks(count: int) -> Numbers:
 def over_samples() -> Curve:
     """The chain of poses of a body: drawing, prior, likelihood."""
     set_threads(2)
-    film, points = BodyFilm.found(), []
+    film, rounds = BodyFilm.found(), dict[float, list[float]]()
     for count in SAMPLES:
         pose = ArticulatedPose(film.body, count)
         model = MultiChain().connect(FleshTracker(film.body), film.parts).connect(pose, film.parts)
-        found, state = of_chains(model, film.frames[: 3 + ROUNDS])
-        seconds = [each[pose.name] for each in found[3:]]
-        points.append(Cost(count, seconds, n_bytes(state.states[pose.name])))
-    return Curve("poses of a body", "samples", points)
+        found = of_chains(model, film.frames[: 3 + ROUNDS])[0][3:]
+        rounds[count] = [each[pose.name] for each in found]
+    return Curve.of("poses of a body", "samples", rounds)
 
 
 def of_face(unit: str, sizes: Sequence[int]) -> Curve:
     """G-flow over experts or texels, of which the one is kept while the other grows."""
     set_threads(2)
-    scene, points = face(faces.N_FRAMES, seed=0, size=faces.SIZE), []
+    scene, rounds = face(faces.N_FRAMES, seed=0, size=faces.SIZE), dict[float, list[float]]()
     for size in sizes:
         experts, texels = (size, faces.TEXELS) if unit == "experts" else (faces.EXPERTS, size)
         seconds = faces.seconds_a_frame(scene, experts, texels)
-        chain = GFlow(scene.model, scene.poses[0], experts=experts, texels=texels, spread=float(experts > 1))
-        frame = scene.frame(0)
-        others = Incoming({PixelLabels(): PixelMessage(image=frame.image)})
-        held = n_bytes(chain.update(chain.initial(frame), others))
-        points.append(Cost(size, [float(part.mean()) for part in np.array_split(seconds, ROUNDS)], held))
-    return Curve("G-flow, 640x480", unit, points)
+        rounds[size] = [float(part.mean()) for part in np.array_split(seconds, ROUNDS)]
+    return Curve.of("G-flow, 640x480", unit, rounds)

@@ -4,7 +4,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -146,14 +146,3 @@ def of_chains(model: MultiChain, frames: Iterable[Frame]) -> tuple[list[dict[str
         state = engine.step(state, frame).state
         found.append({**spent, "whole": time.perf_counter() - started})
     return found, state
-
-
-def n_bytes(value: Any) -> int:
-    """Bytes of all arrays in a tree of dataclasses and collections."""
-    if isinstance(value, np.ndarray):
-        return value.nbytes
-    if is_dataclass(value) and not isinstance(value, type):
-        return sum(n_bytes(getattr(value, field.name)) for field in fields(value))
-    if isinstance(value, Mapping):
-        return sum(map(n_bytes, value.values()))
-    return sum(map(n_bytes, value)) if isinstance(value, list | tuple) else 0

@@ -9,11 +9,9 @@ from rsmcm.apps.experiments.bench.curves import (
     LENGTH,
     PIECE,
     PIECES,
-    Cost,
     Curve,
     broken_tracks,
     plot,
-    tables,
     turning,
 )
 from rsmcm.inference.sfm.factor_analysis.em import expectation_maximisation
@@ -22,11 +20,7 @@ SIZES = (10.0, 100.0, 1000.0, 10_000.0)
 
 
 def curve(seconds: list[float], name: str = "made up") -> Curve:
-    points = [
-        Cost(size, [0.9 * second, second, 1.2 * second], 100.0 + 8 * size)
-        for size, second in zip(SIZES, seconds, strict=True)
-    ]
-    return Curve(name, "things", points)
+    return Curve(name, "things", list(zip(SIZES, seconds, strict=True)))
 
 
 def test_a_power_is_found_and_its_error_is_that_of_a_regression() -> None:
@@ -43,33 +37,21 @@ def test_a_power_is_found_and_its_error_is_that_of_a_regression() -> None:
     assert (expectation.measured, expectation.spread, expectation.ratio) == (power, error, True)
 
 
-def test_fixed_costs_and_those_of_each() -> None:
-    assert curve([2e-3 + 5e-6 * size for size in SIZES]).fixed_and_each == pytest.approx((2e-3, 5e-6))
-    fixed, each = curve([1e-6 * size**1.2 for size in SIZES]).fixed_and_each
-    assert fixed == 0.0
-    assert 1e-6 < each < 1e-6 * 10_000**0.2
-    assert curve([1.0] * 4).bytes_each == pytest.approx(8.0)
-
-
-def test_tables_and_picture() -> None:
+def test_picture() -> None:
     found = [curve([1e-3 * size for size in SIZES], name) for name in ("one", "two")]
     found += [Curve("three", unit, found[0].points) for unit in "abcde"]
-    fitted, points = tables(found)
-    assert [len(row) for row in fitted.rows] == [len(fitted.header)] * 7
-    assert list(points.rows[1]) == ["one", "things", 100.0, pytest.approx(100.0), pytest.approx(900 / 1e6)]
     drawn = plot(found)
     canvas = Figure(figsize=drawn.size)
     drawn.draw(canvas)
     shown = [axes for axes in canvas.axes if axes.axison]
     assert [axes.get_xlabel() for axes in shown] == ["things", *"abcde"]
     assert [len(axes.lines) for axes in shown] == [2, 1, 1, 1, 1, 1]
-    assert list(shown[0].lines[0].get_ydata()) == pytest.approx([1e3 * 1e-3 * size for size in SIZES])
+    assert list(shown[0].lines[0].get_ydata()) == pytest.approx(list(SIZES))
 
 
 def test_the_time_is_the_median_of_the_rounds() -> None:
-    found = Cost(7, [1.0, 2.0, 3.0, 4.0, 100.0])
-    assert found.seconds == 3.0
-    assert math.isnan(found.memory)
+    found = Curve.of("some", "things", {7: [1.0, 2.0, 3.0, 4.0, 100.0], 8: [2.0]})
+    assert found.points == [(7, 3.0), (8, 2.0)]
 
 
 def test_lists_without_a_table_are_observations_like_all_others() -> None:

@@ -1,11 +1,7 @@
 """Methods take turns, and ratios are those of what was measured together."""
 
-from dataclasses import dataclass, field
-
-import numpy as np
-from numpy.typing import NDArray
 from rsmcm.apps.background.application import build_model
-from rsmcm.apps.experiments.bench.timing import in_turns, n_bytes, of_chains, over_frames, over_rounds
+from rsmcm.apps.experiments.bench.timing import in_turns, of_chains, over_frames, over_rounds
 from rsmcm.apps.experiments.expectations import Expectation
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame
@@ -54,24 +50,9 @@ def test_the_ratio_is_of_pairs_and_not_of_medians() -> None:
 
 
 def test_times_of_chains_are_parts_of_the_whole() -> None:
-    found, state = of_chains(build_model(), sleeping_man(6, size=(96, 72)))
+    found, _ = of_chains(build_model(), sleeping_man(6, size=(96, 72)))
     assert len(found) == 6
-    assert n_bytes(state.states["background"]) > 10 * 96 * 72
     for each in found:
         assert {"background", "blobs", "pixels", "objects"} <= each.keys()
         parts = sum(seconds for name, seconds in each.items() if name != "whole")
         assert 0 < parts <= each["whole"]
-
-
-@dataclass
-class _Tree:
-    own: NDArray[np.float32]
-    parts: list[tuple[NDArray[np.uint8], str]]
-    named: dict[str, "_Tree"] = field(default_factory=dict)
-    number: float = 0.0
-
-
-def test_bytes_of_a_tree() -> None:
-    leaf = _Tree(np.zeros((2, 3), np.float32), [(np.zeros(5, np.uint8), "five")])
-    assert n_bytes(leaf) == 24 + 5
-    assert n_bytes(_Tree(np.zeros(0, np.float32), [], {"leaf": leaf})) == 29
