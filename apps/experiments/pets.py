@@ -34,11 +34,13 @@ from .track_trials import (
     NOISE_SEEDS,
     WHOLE,
     AnnotatedFilm,
-    Scored,
+    BySeed,
     Tracks,
     Trial,
+    cells,
     detector_expectations,
     detector_trials,
+    mean,
     model_tracks,
     pixel_trials,
     run_trials,
@@ -104,17 +106,17 @@ def pets(*, long: bool) -> Findings:
     trials = [*_without_detector(film, peers), *detector_trials(film)]
     tracks = run_trials(film.name, trials)
     scored = score_trials(trials, tracks, film.truth)
-    crowd = _crowd()
+    crowd_trials, crowd = _crowd()
 
     errors = {name: _sum(rows[0]) for name, rows in ranked.items()}
     expectations = [
         *_expectations_of_errors(errors),
-        *over_seeds(_expectations_of_tracks, _by_seed(scored)),
+        *over_seeds(_expectations_of_tracks, scored),
         *over_seeds(_expectations_of_rates, _idf1_of_rates(tracks, film.truth)),
-        *over_seeds(partial(_expectations_with_detector, film.name, (0.87, 0.87), 15), _by_seed(scored)),
+        *over_seeds(partial(detector_expectations, film.name, (0.87, 0.87), 15), scored),
     ]
     if crowd:
-        expectations += over_seeds(_expectations_of_crowd, _by_seed(crowd))
+        expectations += over_seeds(_expectations_of_crowd, crowd)
     lines = [
         {
             "method": name,
@@ -123,16 +125,16 @@ def pets(*, long: bool) -> Findings:
             "missed vehicles": found.missed_vehicles,
             "ghosts": found.ghosts,
             "total": found.errors,
-            **_track_cells(scored.get(name)),
+            **{title: mean(scored[name], of) for title, of in MEASURES.items() if name in scored},
         }
         for name, found in errors.items()
     ]
     header = list(dict.fromkeys(name for line in lines for name in line))
     track_header = ("film", "method", "setting", *MEASURES)
     track_lines = [
-        (where, each.name, each.described, *each.cells.values())
-        for where, found in ((film.name, scored), ("TUD-Campus", crowd))
-        for each in found.values()
+        (where, each.name, each.described, *cells(found[each.name]))
+        for where, tried, found in ((film.name, trials, scored), ("TUD-Campus", crowd_trials, crowd))
+        for each in tried
     ]
     tables = [
         Table(track_header, track_lines, f"Mean and standard deviation over {len(NOISE_SEEDS)} {SEEDS}."),
@@ -188,27 +190,15 @@ def _without_detector(film: AnnotatedFilm, peers: Mapping[str, "Tried"]) -> list
     return trials
 
 
-def _crowd() -> dict[str, Scored]:
-    """Scores on TUD-Campus; nothing where it is not there."""
+def _crowd() -> tuple[list[Trial], dict[str, list[TrackScores]]]:
+    """What is tried on TUD-Campus, and its scores; nothing where it is not there."""
     try:
         folder = data_folder("tud-campus")
         film = AnnotatedFilm.read("TUD-Campus", folder / "img1", folder, folder / "det" / "det.txt")
     except FileNotFoundError:
-        return {}
+        return [], {}
     trials = [*pixel_trials(film), *detector_trials(film)]
-    return score_trials(trials, run_trials(film.name, trials), film.truth)
-
-
-BySeed = Mapping[str, Sequence[TrackScores]]
-"""Scores of methods by name, one for each seed."""
-
-
-def _by_seed(scored: Mapping[str, Scored]) -> BySeed:
-    return {name: each.scores for name, each in scored.items()}
-
-
-def _scored(found: BySeed) -> dict[str, Scored]:
-    return {name: Scored(name, "", scores) for name, scores in found.items()}
+    return trials, score_trials(trials, run_trials(film.name, trials), film.truth)
 
 
 def _expectations_of_errors(errors: Mapping[str, ErrorClasses]) -> list[Expectation]:
@@ -222,45 +212,31 @@ def _expectations_of_errors(errors: Mapping[str, ErrorClasses]) -> list[Expectat
     ]
 
 
-def _expectations_with_detector(
-    film: str, wanted: tuple[float, float], switches: float | None, found: BySeed
-) -> list[Expectation]:
-    return detector_expectations(film, _scored(found), wanted, switches)
-
-
 def _expectations_of_crowd(found: BySeed) -> list[Expectation]:
     """What is wanted on TUD-Campus."""
-    whole = _scored(found)[WHOLE]
     name = "TUD-Campus without a detector, whole film"
     return [
-        *_expectations_with_detector("TUD-Campus", (0.70, 0.62), None, found),
-        Expectation(f"{name}: IDF1", whole.mean("idf1"), ">=", 0.5),
-        Expectation(f"{name}: MOTA", whole.mean("mota"), ">=", 0.3),
+        *detector_expectations("TUD-Campus", (0.70, 0.62), None, found),
+        Expectation(f"{name}: IDF1", mean(found[WHOLE], "idf1"), ">=", 0.5),
+        Expectation(f"{name}: MOTA", mean(found[WHOLE], "mota"), ">=", 0.3),
     ]
 
 
 def _expectations_of_tracks(found: BySeed) -> list[Expectation]:
     """What is wanted of RSMCM beside the usual trackers with the best IDF1 and the best MOTA."""
-    scored = _scored(found)
-    dual = scored["RSMCM"]
-    peers = [scored[name] for name in ("MOG2", "KNN", BEST_MOTA) if name in scored]
-    best = max(peers, key=lambda peer: peer.mean("idf1"))
-    most_accurate = max(peers, key=lambda peer: peer.mean("mota"))
-    switches = dual.mean("switches") / max(best.mean("switches"), 1)
+    dual = found["RSMCM"]
+    peers = [found[name] for name in ("MOG2", "KNN", BEST_MOTA) if name in found]
+    best = max(peers, key=lambda peer: mean(peer, "idf1"))
+    idf1, mota, switches = (mean(dual, name) for name in ("idf1", "mota", "switches"))
+    best_mota = max(mean(peer, "mota") for peer in peers)
+    times = ratio(idf1, mean(best, "idf1"))
     return [
-        Expectation("IDF1", dual.mean("idf1"), ">=", 0.83),
-        Expectation("MOTA", dual.mean("mota"), ">=", 0.74),
-        Expectation("id switches", dual.mean("switches")),
-        Expectation(
-            "IDF1, RSMCM over the best usual tracker", ratio(dual.mean("idf1"), best.mean("idf1")), ">=", 1.25
-        ),
-        Expectation("id switches, over the same", switches, "<=", 0.5),
-        Expectation(
-            "MOTA, RSMCM over the usual tracker with the best",
-            ratio(dual.mean("mota"), most_accurate.mean("mota")),
-            ">=",
-            1.0,
-        ),
+        Expectation("IDF1", idf1, ">=", 0.83),
+        Expectation("MOTA", mota, ">=", 0.74),
+        Expectation("id switches", switches),
+        Expectation("IDF1, RSMCM over the best usual tracker", times, ">=", 1.25),
+        Expectation("id switches, over the same", switches / max(mean(best, "switches"), 1), "<=", 0.5),
+        Expectation("MOTA, RSMCM over the usual tracker with the best", ratio(mota, best_mota), ">=", 1.0),
     ]
 
 
@@ -394,9 +370,3 @@ def _described(setting: Setting, clean_up: CleanUp) -> str:
     for name in ("median", "opening", "closing"):
         parts += [f"{name} {getattr(clean_up, name)}"] if getattr(clean_up, name) else []
     return ", ".join([*parts, f"area {clean_up.min_area}"])
-
-
-def _track_cells(scored: Scored | None) -> dict[str, float]:
-    if scored is None:
-        return {}
-    return {title: scored.mean(measure) for title, measure in MEASURES.items()}

@@ -14,11 +14,12 @@ from rsmcm.apps.experiments import run_experiment
 from rsmcm.apps.experiments import track_trials as trials
 from rsmcm.apps.experiments.track_trials import (
     AnnotatedFilm,
-    Scored,
     Trial,
     associated,
     best_associations,
+    cells,
     detector_trials,
+    mean,
     model_tracks,
     noisy,
     run_trials,
@@ -95,18 +96,17 @@ def test_the_best_association_is_the_best(film: AnnotatedFilm, monkeypatch: pyte
 
 def test_scores_are_means_with_their_spread(film: AnnotatedFilm) -> None:
     runs = [associated(film, 1, 0.34, (0.1, hits, 10)) for hits in (1, 3, 5)]
-    scored = Scored("a", "", [evaluate_tracks(run, film.truth) for run in runs])
-    values = [evaluate_tracks(run, film.truth).idf1 for run in runs]
-    assert scored.mean("idf1") == np.mean(values)
-    assert scored.spread("idf1") == np.std(values, ddof=1)
-    assert scored.cells["IDF1"] == f"{np.mean(values):.3f} ± {np.std(values, ddof=1):.3f}"
-    assert "±" not in Scored("b", "", scored.scores[:1]).cells["IDF1"]
+    scores = [evaluate_tracks(run, film.truth) for run in runs]
+    values = [each.idf1 for each in scores]
+    assert mean(scores, "idf1") == np.mean(values)
+    assert cells(scores)[0] == f"{np.mean(values):.3f} ± {np.std(values, ddof=1):.3f}"
+    assert "±" not in cells(scores[:1])[0]
 
 
 def test_a_method_that_sees_every_second_frame_is_judged_in_these(film: AnnotatedFilm) -> None:
     tracks = associated(film, 1, 0.34, (0.1, 1, 10))
     half = Trial("half", "", partial(associated, film, 1, 0.34, (0.1, 1, 10)), (0,), step=2)
-    (scores,) = half.scored([tracks[tracks[:, 0] % 2 == 1]], film.truth).scores
+    (scores,) = score_trials([half], {"half": [tracks[tracks[:, 0] % 2 == 1]]}, film.truth)["half"]
     assert scores.n_frames == N_FRAMES // 2
     assert scores.misses == 0
 
@@ -123,7 +123,7 @@ def test_trials_are_what_running_by_hand_gives(film: AnnotatedFilm) -> None:
     np.testing.assert_array_equal(tracks["model"][1], run(4))
     scored = score_trials(chosen, tracks, film.truth)
     by_hand = asdict(evaluate_tracks(run(4), film.truth))
-    assert asdict(scored["model"].scores[1]) == pytest.approx(by_hand, nan_ok=True)
+    assert asdict(scored["model"][1]) == pytest.approx(by_hand, nan_ok=True)
 
 
 def test_a_film_as_a_whole_is_that_of_the_application(film: AnnotatedFilm, tmp_path: Path) -> None:
