@@ -5,7 +5,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ...models.files import write_text
 from ..drawing.overlay import draw_zones
 from ..exports.finished_run import SUMMARY, FinishedRun, read_tracks_table
 from ..io.files import write_json
@@ -13,7 +12,7 @@ from ..io.tracks import TABLE
 from ..runs.output_folder import output_folder
 from ..view.page import Page, Section, picture, write_page
 from .report import Happened
-from .watch import COLUMNS, EVENTS, Event, Watch, line_of, read_events, sightings_of
+from .watch import EVENTS, Event, Watch, rounded, sightings_of, write_events
 from .zones import read_zones
 
 PAGE = "events.html"
@@ -60,8 +59,8 @@ def run_events(run: Path, zones: Path) -> list[str]:
     span = first, max([last, *tracks["time"][-1:].tolist()])
     with output_folder(run, "background", add=True) as folder:
         folder.add([EVENTS, PAGE])
-        write_text(run / EVENTS, "\n".join([",".join(COLUMNS), *map(line_of, found), ""]))
-        happened = Happened(watched, read_events(run / EVENTS), span)  # rounded, as the run itself has it
+        write_events(run / EVENTS, found)
+        happened = Happened(watched, list(map(rounded, found)), span)
         title = f"{Path(finished.source).name}: zones and lines"
         write_page(run / PAGE, Page(title, sections=_sections(run, happened)))
         write_json(run / SUMMARY, {**finished.summary, "events": happened.counts()})

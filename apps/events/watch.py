@@ -381,16 +381,9 @@ def rounded(event: Event) -> Event:
     return replace(event, moment=Moment(round(time, 3), frame, round(x, 2), round(y, 2)), duration=duration)
 
 
-def sightings_of(
-    table: dict[str, Any], last: int | None = None
-) -> Iterator[tuple[float, int, list[Sighting]]]:
-    """Time, number and who is there, of every frame of a table with somebody, up to frame `last`."""
+def sightings_of(table: Mapping[str, NDArray[Any]]) -> Iterator[tuple[float, int, list[Sighting]]]:
+    """Time, number and who is there, of every frame of a table with somebody."""
     frames = table["frame"]
-    if last is not None:
-        table = {
-            name: column[: np.searchsorted(frames, last, side="right")] for name, column in table.items()
-        }
-        frames = table["frame"]
     edges = np.flatnonzero(np.diff(frames, prepend=-1, append=-1)).tolist() if len(frames) else []
     columns = [table[name] for name in ("id", "x", "y", "width", "height", "seen")]
     for start, stop in pairwise(edges):
