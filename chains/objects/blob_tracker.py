@@ -139,6 +139,8 @@ class BlobTracker:
             return PixelMessage(layers=self._placed(state, incoming)[2])
         pixels = incoming[PixelLabels]
         blobs, _ = incoming.once(self._registered, state, pixels)
+        if not len(blobs):
+            return BoxMessage()
         return detections.said(alone(blobs), state.detecting, pixels.image is not None)
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:

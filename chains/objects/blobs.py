@@ -528,6 +528,8 @@ class BlobState:
         to be.
         """
         blobs, table = self.blobs, self.blobs.table
+        if not len(table):
+            return []
         found = table["detected"] != 0
         sure = blobs.are_likely if self.detecting else table["seen"] >= self.confirmed_time
         parts: dict[int, list[int]] = {}

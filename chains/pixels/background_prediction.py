@@ -231,16 +231,11 @@ class BackgroundPrediction:
         """Means of all pixels."""
         return stored_planes(self.pixels.mean, self.size)
 
-    @property
-    def channels(self) -> int:
-        """1 for grey, 3 for colour."""
-        return len(self.pixels.mean)
-
     @cached_property
     def model(self) -> PixelModel:
         """What loops need to know beside the pixels."""
         numbers = (
-            log_prior_odds(self.prior, self.channels),
+            log_prior_odds(self.prior, len(self.pixels.mean)),
             np.log(self.prior) - np.log1p(-self.prior),
             self.drift,
             self.noise_share,
@@ -251,8 +246,15 @@ class BackgroundPrediction:
 
     @cached_property
     def rounding(self) -> Planes:
-        """What the update's numbers are rounded by (see `rounding_of`)."""
-        return rounding_of(self.size[1], self.frames)
+        """What the update's numbers are rounded by: `(width + ROUNDING_PERIOD,)` float32, with `ROUNDING`.
+
+        Over the frames each pixel has all numbers from 0 to 1 equally often, evenly mixed (the additive
+        recurrence of Roberts' plastic number), and so have neighbours in each frame.
+        """
+        along = np.arange(self.size[1] + ROUNDING_PERIOD) * 0.7548776662466927
+        steps = np.floor((along + self.frames * 0.5698402909980532) % 1 * 128)  # as float32 beside `ROUNDING`
+        rounding: Planes = (steps / 128 + ROUNDING).astype(np.float32)
+        return rounding
 
     def compare(self, image: NDArray[np.uint8]) -> Subtraction:
         """Compare an image with the prediction; the same image only once."""
@@ -278,7 +280,7 @@ class BackgroundPrediction:
         shift = np.zeros(1, np.float32) if pixel_shift is None else pixel_shift
         flat = np.ascontiguousarray(image).reshape(-1)
         total = log_evidence(flat, self.pixels, self.light.along_rows, self.model, shift)
-        uniform = np.log1p(-self.prior) - self.channels * np.log(256.0)
+        uniform = np.log1p(-self.prior) - len(self.pixels.mean) * np.log(256.0)
         return float(total + uniform * self.size[0] * self.size[1])
 
     def _subtract(self, image: NDArray[np.uint8]) -> tuple[Subtraction, Gaussians]:
@@ -287,7 +289,7 @@ class BackgroundPrediction:
         log_odds, smoothed = np.empty((2, self.size[0] * self.size[1]), np.int8)
         flat = np.ascontiguousarray(image).reshape(-1)
         light, hypotheses = self.light.along_rows, (self.second, np.float32(self.tolerance), self.sway)
-        models = self.model, certain_model(self.model, self.channels), self.rounding
+        models = self.model, certain_model(self.model, len(mean)), self.rounding
         pooling = Pooling(_prior_steps(self.prior), np.float32(self.pooling))
 
         def work(first: int, end: int) -> None:
@@ -321,18 +323,6 @@ def fixed_point(mean: Planes, variance: Planes, noise: Planes) -> Gaussians:
 def stored_planes(mean: NDArray[np.int16], size: tuple[int, int]) -> StoredPlanes:
     """Means `(channels, n_pixels)` of 16 bits as planes of a picture of this size."""
     return StoredPlanes(mean.reshape(-1, *size), np.float32(1 / MEAN_STEPS))
-
-
-def rounding_of(width: int, frames: int) -> Planes:
-    """What the numbers of a frame are rounded by: `(width + ROUNDING_PERIOD,)` float32, with `ROUNDING`.
-
-    Over the frames each pixel has all numbers from 0 to 1 equally often, evenly mixed (the additive
-    recurrence of Roberts' plastic number), and so have neighbours in each frame.
-    """
-    along = np.arange(width + ROUNDING_PERIOD) * 0.7548776662466927 + frames * 0.5698402909980532
-    steps = np.floor(along % 1 * 128)  # as fine as float32 is beside `ROUNDING`
-    rounding: Planes = (steps / 128 + ROUNDING).astype(np.float32)
-    return rounding
 
 
 def certain_model(model: PixelModel, channels: int) -> Certain:

@@ -209,8 +209,14 @@ class _IncomingOverTime(Sequence[BatchIncoming]):
 
 class _BatchIncoming(BatchIncoming):
     def __init__(self, slices: TimeSlices, chain: str, time: int) -> None:
-        super().__init__(_Products(slices, chain, time))
         self._slices, self._chain, self._time = slices, chain, time
+        self._nodes = tuple(slices.model.features[name] for name in slices.model.features_of[chain])
+        self._results = {}
+
+    def _message_at(self, node: Named) -> Message:
+        slices, name, time = self._slices, node.name, self._time
+        product: Message = slices.messages(name, time, self._chain) * slices.evidence(name, time)
+        return product
 
     @property
     def frame(self) -> Frame:
@@ -226,24 +232,6 @@ class _BatchIncoming(BatchIncoming):
 
     def search(self, feature: Any, prior: Any, /) -> Any:
         return self._slices.search(self.node(feature).name, self._time, prior)
-
-
-class _Products(Mapping[Named, Message]):
-    """Product of evidence and other chains' messages at each of a chain's feature nodes, at one time."""
-
-    def __init__(self, slices: TimeSlices, chain: str, time: int) -> None:
-        self._slices, self._chain, self._time = slices, chain, time
-
-    def __getitem__(self, feature: Named) -> Message:
-        slices, name, time = self._slices, feature.name, self._time
-        product: Message = slices.messages(name, time, self._chain) * slices.evidence(name, time)
-        return product
-
-    def __iter__(self) -> Iterator[Named]:
-        return (self._slices.model.features[name] for name in self._slices.model.features_of[self._chain])
-
-    def __len__(self) -> int:
-        return len(self._slices.model.features_of[self._chain])
 
 
 @dataclass(frozen=True, eq=False)

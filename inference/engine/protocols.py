@@ -145,7 +145,7 @@ class Incoming:
     def __getitem__(self, key: FeatureNode[MessageType], /) -> MessageType: ...
     def __getitem__(self, key: type | Named, /) -> Message:
         found = self._found(key)
-        return self._messages[found[0] if len(found) == 1 else self.node(key)]
+        return self._message_at(found[0] if len(found) == 1 else self.node(key))
 
     def get(self, kind: type[FeatureNode[MessageType]], /) -> MessageType | None:
         """The message at the one node of that kind; `None` where there is no such node."""
@@ -153,7 +153,7 @@ class Incoming:
 
     def by_name(self, kind: type[FeatureNode[MessageType]], /) -> dict[str, MessageType]:
         """Messages at all nodes of that kind, for chains that meet any number of them."""
-        return {node.name: cast(MessageType, self._messages[node]) for node in self._found(kind)}
+        return {node.name: cast(MessageType, self._message_at(node)) for node in self._found(kind)}
 
     def once(self, function: Callable[..., Result], *arguments: object) -> Result:
         """`function(*arguments)` of a pure function, worked out once in a time slice.
@@ -188,6 +188,10 @@ class Incoming:
 
     def __len__(self) -> int:
         return len(self._nodes)
+
+    def _message_at(self, node: Named) -> Message:
+        """The message at one of the nodes, which may be worked out only now."""
+        return self._messages[node]
 
     def _found(self, key: type | Named) -> list[Named]:
         if isinstance(key, str):

@@ -94,7 +94,7 @@ class TimeSlice:
         factors = {name: self._factors(name, chain) for name in self.model.features_of[chain]}
         for feature, those in factors.items():
             self._multiply(feature, those)
-        return Incoming(_Products(self, factors), self._results)
+        return _Incoming(self, factors)
 
     def sent(self, sender: str, feature: str) -> Any:
         """The message of a chain, or of the image, to the feature.
@@ -194,30 +194,24 @@ class TimeSlice:
                 message = node.evidence(self.frame, prior)
             else:
                 chain, state = self.model.chains[sent.sender], self.predictions[sent.sender]
-                incoming = Incoming(_Products(self, sent.incoming), self._results)
-                message = chain.message(state, node, incoming)
+                message = chain.message(state, node, _Incoming(self, sent.incoming))
             if not isinstance(message, self.model.message_kinds[sent.feature]):
                 raise self.model.wrong_message(sent.sender, sent.feature, message)
             sent.message = message
         return sent.message
 
 
-class _Products(Mapping[Named, Message]):
-    """Product of some factors at each of a chain's feature nodes, worked out when it is asked for."""
+class _Incoming(Incoming):
+    """Products of factors at a chain's feature nodes, each worked out when it is asked for."""
 
     def __init__(self, time_slice: TimeSlice, factors: Mapping[str, Factors]) -> None:
-        self._slice = time_slice
-        self._factors = factors
+        self._slice, self._factors = time_slice, factors
+        self._nodes = tuple(time_slice.model.features[name] for name in factors)
+        self._results = time_slice._results
 
-    def __getitem__(self, feature: Named) -> Message:
-        product: Message = self._slice._multiply(feature.name, self._factors[feature.name])
+    def _message_at(self, node: Named) -> Message:
+        product: Message = self._slice._multiply(node.name, self._factors[node.name])
         return product
-
-    def __iter__(self) -> Iterator[Named]:
-        return (self._slice.model.features[name] for name in self._factors)
-
-    def __len__(self) -> int:
-        return len(self._factors)
 
 
 @short_repr

@@ -95,10 +95,8 @@ class GaussianMessage:
         return len(self.identities)
 
     def __mul__(self, other: Self) -> Self:
-        if not len(other):
-            return self
-        if not len(self):
-            return other
+        if not other.identities.size or not self.identities.size:
+            return other if other.identities.size else self
         one, two = self, other
         if self.identities is not other.identities and not np.array_equal(self.identities, other.identities):
             union = np.union1d(self.identities, other.identities)

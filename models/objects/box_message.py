@@ -114,8 +114,8 @@ class LogOdds:
         return len(self.identities)
 
     def __mul__(self, other: Self) -> Self:
-        if not len(self) or not len(other):
-            return self if len(self) else other
+        if not self.identities.size or not other.identities.size:
+            return self if self.identities.size else other
         union = np.union1d(self.identities, other.identities)
         return type(self)(union, self.of(union) + other.of(union))
 

@@ -227,7 +227,7 @@ class LayerStack:
 
     def composition(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> Composition:
         """The layers, composed, in boxes that are apart; `size` of the picture is `(height, width)`."""
-        if not len(self):
+        if not self.factors:
             return NOTHING  # and nothing is remembered: the stack without layers lives as long as the program
         key = (id(image), size)
         if key not in self._composed:
@@ -237,7 +237,7 @@ class LayerStack:
     def regions(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> tuple[Region, ...]:
         """The same as maps of two dimensions."""
         composed, key = self.composition(image, size), (id(image), size)
-        if key not in self._regions and len(self):
+        if key not in self._regions and self.factors:
             self._regions[key] = tuple(_regions(composed))
         return self._regions.get(key, ())
 

@@ -1,12 +1,13 @@
 """The picture of the empty scene against plain float64 formulas, quadrature and Monte Carlo."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rsmcm.chains.pixels.background_prediction import (
     BackgroundPrediction,
     LightField,
     fixed_point,
-    rounding_of,
     stored_planes,
 )
 from rsmcm.chains.pixels.kernels import gaussian as kernels
@@ -82,7 +83,7 @@ def decoded(pixels):
 def exact(prediction, image):
     """Log odds and the quantities of the update in plain float64."""
     light = light_of(prediction.light)
-    channels = prediction.channels
+    channels = len(prediction.pixels.mean)
     seen = colour.FROM_BGR @ image.reshape(-1, 3).T if channels == 3 else image.reshape(1, -1).astype(float)
     mean, variance, noise = decoded(prediction.pixels)
     before = variance + prediction.drift
@@ -173,7 +174,9 @@ def test_over_a_long_film_16_bits_say_what_float64_does(channels, drift):
 
 
 def test_each_frame_rounds_otherwise_and_over_time_evenly():
-    drawn = np.array([rounding_of(100, frame) for frame in range(512)]) - kernels.ROUNDING
+    prediction, _ = scene(1)
+    predictions = (replace(prediction, size=(1, 100), frames=frame) for frame in range(512))
+    drawn = np.array([each.rounding for each in predictions]) - kernels.ROUNDING
     assert drawn.min() >= 0
     assert drawn.max() < 1
     assert np.abs(drawn.mean(axis=0) - 0.5).max() < 0.01
