@@ -23,9 +23,8 @@ from ...inference.kalman import kinematic
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
-from ...models.objects.box_message import BOX, HEIGHT, WIDTH, BoxMessage, Newcomers
+from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage, Newcomers
 from ...models.objects.object_boxes import ObjectBoxes
-from .kernels.ground_plane import GroundModel, Objects, Observed, box_densities, observe
 
 Numbers = NDArray[np.float64]
 
@@ -34,6 +33,15 @@ FIRST_TRUST, MOST_TRUST = 1.4, 4.0
 
 MOST_ASPECTS = 50.0
 """Observations that are remembered of everybody's width over height."""
+
+LEAST_SPREAD = 0.05
+"""Of a width, in heights: what remains uncertain about it, however alike the observations were."""
+
+HALF_HIDDEN = 0.5
+"""Heights: standard deviation of what an observation is off by that does not show an object wholly."""
+
+LEAST_WORTH = 1e-9
+"""Of an observation that says nothing: it is left out as if its noise were that much greater."""
 
 
 @short_repr
@@ -103,18 +111,28 @@ class GroundState:
         """Mean and standard deviation px of the height of somebody new, with feet in these rows."""
         return self.newcomers().height(foot_y)
 
-    @property
-    def objects(self) -> Objects:
-        """What loops know of the objects."""
-        return Objects(
-            self.feet,
-            self.feet_covariance,
-            self.heights,
-            self.aspects,
-            self.aspect_variances,
-            self.trust,
-            self.unseen,
-        )
+    def design(self, below: Numbers, places: NDArray[np.intp], own: Numbers) -> Numbers:
+        """`(n, 2 + n_objects)`: how heights depend on `scene`, of objects with feet `below` the middle row.
+
+        An object's own share is of `own` px (see `usual_heights`).
+        """
+        design = np.zeros((len(below), len(self.scene)))
+        design[:, 0], design[:, 1] = 1.0, below
+        design[np.arange(len(below)), 2 + places] = own
+        return design
+
+    def usual_heights(self, below: Numbers, heights: Numbers) -> Numbers:
+        """px: what the plane says of the height of anybody there; before it is known, the measured one.
+
+        An object's own share and all noise are scaled with it. The measured height comes in as little as can
+        be: shares of hidden people's heights would let the plane sink while the shares grow.
+        """
+        covariance = self.scene_covariance
+        variance = covariance[0, 0] + 2 * below * covariance[0, 1] + below**2 * covariance[1, 1]
+        measured = np.maximum(heights, 1.0)
+        share = 1 / (1 + variance / (HALF_HIDDEN * measured) ** 2)
+        usual = measured + share * (self.scene[0] + self.scene[1] * below - measured)
+        return np.asarray(np.maximum(usual, 0.25 * measured))
 
     def boxes(self, spread: float, foot_spread: float) -> GaussianMessage:
         """Density N(x) N(y) N(height; plane's at y) N(width; aspect * height) of every object's box.
@@ -128,15 +146,27 @@ class GroundState:
         foot_spread
             heights: standard deviation of the bottom edge's middle about the point on the ground.
         """
-        count = len(self.identities)
-        message = GaussianMessage(
-            self.identities, np.empty((count, BOX, BOX)), np.empty((count, BOX)), np.empty(count)
-        )
-        box_densities(
-            self.middle, spread, foot_spread, self.scene, self.scene_covariance, self.objects,
-            message.information, message.vector, message.log_scale,
-        )  # fmt: skip
-        return message
+        count, slope, aspects, square = len(self.identities), self.scene[1], self.aspects, self.heights**2
+        x, y = self.feet[:, :, 0].T
+        design = self.design(y - self.middle, np.arange(count), self.heights)
+        variance = ((design @ self.scene_covariance) * design).sum(axis=1)
+        upright = design @ self.scene - slope * y
+        feet = 1 / (self.feet_covariance[:, :, 0, 0] + (foot_spread**2 * square)[:, None])
+        of_width = 1 / ((self.aspect_variances + LEAST_SPREAD**2) * square)
+        of_height = 1 / (1 + np.exp(-self.trust)) / (variance + spread**2 * square)
+        information, vector = np.zeros((count, BOX, BOX)), np.zeros((count, BOX))
+        information[:, FOOT_X, FOOT_X] = feet[:, 0]
+        information[:, FOOT_Y, FOOT_Y] = feet[:, 1] + slope**2 * of_height
+        information[:, FOOT_Y, HEIGHT] = information[:, HEIGHT, FOOT_Y] = -slope * of_height
+        information[:, WIDTH, WIDTH] = of_width
+        information[:, WIDTH, HEIGHT] = information[:, HEIGHT, WIDTH] = -aspects * of_width
+        information[:, HEIGHT, HEIGHT] = of_height + aspects**2 * of_width
+        vector[:, FOOT_X] = feet[:, 0] * x
+        vector[:, FOOT_Y] = feet[:, 1] * y - slope * of_height * upright
+        vector[:, HEIGHT] = of_height * upright
+        peak = np.log(feet).sum(axis=1) + np.log(of_width * of_height) - 4 * np.log(2 * np.pi)
+        quadratic = feet[:, 0] * x**2 + feet[:, 1] * y**2 + of_height * upright**2
+        return GaussianMessage(self.identities, information, vector, 0.5 * (peak - quadratic))
 
 
 @short_repr
@@ -238,25 +268,106 @@ class GroundPlane:
         if not len(identities):
             return state
         places = np.searchsorted(state.identities, identities)
-        existence = message.existence.of(identities) if len(message.existence) else None
-        certainty = np.ones(len(identities)) if existence is None else 1 / (1 + np.exp(-existence))
-        scene, scene_covariance = state.scene.copy(), state.scene_covariance.copy()
-        objects = Objects(*(array.copy() for array in state.objects))
-        rows, columns = map(float, state.size)
-        model = GroundModel(
-            rows, columns, self.spread, self.foot_spread, self.outliers, self.observation_time, MOST_TRUST
+        exists = 1 / (1 + np.exp(-message.existence.of(identities))) if len(message.existence) else 1.0
+        return self._observed(state, places, boxes, covariances, exists)
+
+    def _observed(
+        self,
+        state: GroundState,
+        places: NDArray[np.intp],
+        boxes: Numbers,
+        covariances: Numbers,
+        exists: Numbers | float,
+    ) -> GroundState:
+        """What boxes teach of the plane and of objects.
+
+        Boxes are judged by what was known before all of them.
+
+        Parameters
+        ----------
+        places
+            `(n,)` of the boxes' objects among those of the state, each once.
+        boxes, covariances
+            `(n, 4)` px and `(n, 4, 4)` px^2.
+        exists
+            `(n,)` probability that the object exists.
+        """
+        below, height, slope = boxes[:, FOOT_Y] - state.middle, boxes[:, HEIGHT], state.scene[1]
+        own = state.usual_heights(below, height)
+        design = state.design(below, places, own)
+        off, known = height - design @ state.scene, design @ state.scene_covariance @ design.T
+        # variance of the height less what an error of the foot's row would change it by along the plane
+        noise = covariances[:, HEIGHT, HEIGHT] + (self.spread * own) ** 2
+        noise += slope * (slope * covariances[:, FOOT_Y, FOOT_Y] - 2 * covariances[:, FOOT_Y, HEIGHT])
+        ratio = _good_over_bad(off**2, known.diagonal() + noise, (HALF_HIDDEN * own) ** 2)
+        good = self._probability_of_good(ratio)
+        whole = _are_whole(boxes, state.size)
+        on_plane = exists / (1 + np.exp(-state.trust[places]))
+        worth = np.clip(state.unseen[places] / self.observation_time, 1e-6 / self.observation_time, 1.0)
+        weight = whole * on_plane * good * worth
+
+        gain = np.linalg.solve(
+            known + np.diag(noise / np.maximum(weight, LEAST_WORTH)), design @ state.scene_covariance
         )
-        shown = observe(
-            Observed(places, boxes, covariances, certainty), model, state.everybody[1], scene,
-            scene_covariance, objects,
-        )  # fmt: skip
+        scene_covariance = state.scene_covariance - state.scene_covariance @ design.T @ gain
+        surprise = np.log((1 - self.outliers) * ratio + self.outliers)
+        trust = np.clip(state.trust[places] + whole * worth * surprise, -MOST_TRUST, MOST_TRUST)
+        aspect = boxes[:, WIDTH] / np.maximum(height, 1.0)
+        rate, change = 0.3 * whole * good * worth, aspect - state.aspects[places]
+        variance = (1 - rate) * (state.aspect_variances[places] + rate * change**2)
+        feet, feet_covariance = self._walked(
+            state, places, boxes, covariances, own, whole * (1 - on_plane * (1 - good)), worth
+        )
+        apart = aspect - state.everybody[1]
+        moments = weight.sum(), (weight * apart).sum(), (weight * apart**2).sum()
         return replace(
             state,
-            scene=scene,
+            scene=state.scene + off @ gain,
             scene_covariance=0.5 * (scene_covariance + scene_covariance.T),
-            everybody=_with(state.everybody, *shown),
-            **objects._asdict(),
+            everybody=_with(state.everybody, *moments),
+            feet=_put(state.feet, places, feet),
+            feet_covariance=_put(state.feet_covariance, places, feet_covariance),
+            heights=_put(state.heights, places, own),
+            aspects=_put(state.aspects, places, state.aspects[places] + rate * change),
+            aspect_variances=_put(state.aspect_variances, places, variance),
+            trust=_put(state.trust, places, trust),
+            unseen=_put(state.unseen, places, np.zeros(len(places))),
         )
+
+    def _walked(
+        self,
+        state: GroundState,
+        places: NDArray[np.intp],
+        boxes: Numbers,
+        covariances: Numbers,
+        heights: Numbers,
+        reliable: Numbers,
+        worth: Numbers,
+    ) -> tuple[Numbers, Numbers]:
+        """Feet and their covariances after observations that show them as likely as `reliable` `(n,)`.
+
+        What hides feet does so for a while: of their row such observations are `worth` `(n,)` a part of a new
+        one.
+        """
+        noise = (
+            covariances.diagonal(axis1=1, axis2=2)[:, :WIDTH] + ((self.foot_spread * heights) ** 2)[:, None]
+        )
+        hidden = (1 - reliable) * (HALF_HIDDEN * boxes[:, [WIDTH, HEIGHT]].T) ** 2
+        hidden[FOOT_Y] /= worth
+        noise = noise + hidden.T
+        feet, covariance = state.feet[places], state.feet_covariance[places]
+        off = boxes[:, :WIDTH] - feet[:, :, 0]
+        total = covariance[:, :, 0, 0] + noise
+        # People do not jump: a box that does has lost its object, or part of it.
+        ratio = _good_over_bad(off**2, total, heights[:, None] ** 2).prod(axis=1)
+        doubt = 1 / np.maximum(self._probability_of_good(ratio), 1e-3) - 1
+        gain = covariance[:, :, 0] / (total + noise * doubt[:, None])[:, :, None]
+        after = covariance - gain[:, :, :, None] * covariance[:, :, None, 0]
+        return feet + gain * off[:, :, None], after
+
+    def _probability_of_good(self, ratio: Numbers) -> Numbers:
+        odds = ratio * (1 / self.outliers - 1)
+        return odds / (1 + odds)
 
     def _joined(self, state: GroundState, identities: NDArray[np.int64], boxes: Numbers) -> GroundState:
         """The state without who was not heard of for long, and with who is new.
@@ -317,3 +428,24 @@ def _with(moments: Numbers, added: float, off: float, squares: float) -> Numbers
     shift = share * off / max(added, 1e-9)
     variance = (1 - share) * variance + share * squares / max(added, 1e-9) - shift**2
     return np.array([min(weight + added, MOST_ASPECTS), mean + shift, variance])
+
+
+def _good_over_bad(square: Numbers, variance: Numbers, more: Numbers) -> Numbers:
+    """Likelihood ratio of two Gaussians about the same mean, the second one with `more` variance."""
+    bad = variance + more
+    ratio = np.sqrt(bad / variance) * np.exp(-0.5 * square * (1 / variance - 1 / bad))
+    return np.asarray(np.maximum(ratio, 1e-30))
+
+
+def _are_whole(boxes: Numbers, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """`(n,)`: whether the picture's edge does not cut off a box."""
+    x, y, width, height = boxes.T
+    inside = (y - height > 1) & (y < size[0] - 1)
+    return np.asarray(inside & (x - 0.5 * width > 1) & (x + 0.5 * width < size[1] - 1))
+
+
+def _put(values: Numbers, places: NDArray[np.intp], new: Numbers) -> Numbers:
+    """A copy of the values with others at some places."""
+    copy = values.copy()
+    copy[places] = new
+    return copy

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains import AdaptiveBackground, GroundPlane
-from rsmcm.chains.objects.ground_plane import GroundState
-from rsmcm.chains.objects.kernels.ground_plane import LEAST_SPREAD
+from rsmcm.chains.objects.ground_plane import LEAST_SPREAD, GroundState
 from rsmcm.inference import Incoming, MultiChain, Port, RecursiveBP
 from rsmcm.inference.engine.recursive_bp import Belief
 from rsmcm.models import ObjectBoxes, PixelLabels
