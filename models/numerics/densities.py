@@ -13,8 +13,8 @@ def log_sums(values: Array, axis: int = -1) -> Array:
     """
     peaks = values.max(axis=axis, keepdims=True, initial=-np.inf)
     peaks[~np.isfinite(peaks)] = 0.0
-    sums = np.exp(values - peaks).sum(axis=axis)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
+        sums = np.exp(values - peaks).sum(axis=axis)
         return np.asarray(np.log(sums) + peaks.squeeze(axis))
 
 

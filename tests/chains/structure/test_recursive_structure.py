@@ -482,15 +482,15 @@ def test_time_and_memory_stay_constant() -> None:
     run, _, _ = engine()
     state, seconds, sizes = RunState(), [], []
     for frame in scene.frames():
-        start = time.perf_counter()
+        start = time.process_time()  # what others do on the machine counts little
         state = run.step(state, frame).state
-        seconds.append(time.perf_counter() - start)
+        seconds.append(time.process_time() - start)
         structure = state.states["structure"].structure
         if structure is not None:
             arrays = (structure.shape, structure.shape_covariance, structure.evidence.information)
             sizes.append(sum(array.nbytes for array in arrays))
     assert len(set(sizes[MOTION_FRAMES:])) == 1
-    assert np.median(seconds[300:]) < 3 * np.median(seconds[60:160])  # a busy machine may be slower at times
+    assert np.median(seconds[300:]) < 3 * np.median(seconds[60:160])
 
 
 def test_scale_of_the_noise_is_learned() -> None:
