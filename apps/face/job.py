@@ -46,11 +46,12 @@ class FaceJob(FilmJob):
 
     BOUNDS: ClassVar[Bounds] = {
         "experts": (lambda experts: experts >= 1, "1 or more"),
-        "gain": (lambda gain: gain == "learned" or 0 <= gain <= 1, "0 to 1, or learned"),
     }
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.gain != "learned" and not 0 <= self.gain <= 1:
+            raise ValueError(f"--gain: got {self.gain}, expected 0 to 1, or learned")
         if self.learned is not None:
             for name in ("model", "landmarks", "detector"):
                 if getattr(self, name) is not None:
