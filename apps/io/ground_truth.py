@@ -1,11 +1,10 @@
 """Ground truth: boxes in MOT format, also as CVAT exports them, or CDnet's labelled masks."""
 
 import io
-import math
 import re
 import zipfile
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -33,32 +32,21 @@ class Kind(IntEnum):
     """Neither finding nor missing it counts (distractors, reflections, crowds, rows with flag 0)."""
 
 
-_KIND_OF_CLASS = {
-    1: Kind.PEDESTRIAN,
-    2: Kind.PEDESTRIAN,  # on a vehicle
-    3: Kind.VEHICLE,  # car
-    4: Kind.VEHICLE,  # bicycle
-    5: Kind.VEHICLE,  # motorbike
-    6: Kind.VEHICLE,  # without a motor
-    7: Kind.PEDESTRIAN,  # standing still
+CLASSES = {
+    "pedestrian": Kind.PEDESTRIAN,
+    "person on vehicle": Kind.PEDESTRIAN,
+    "car": Kind.VEHICLE,
+    "bicycle": Kind.VEHICLE,
+    "motorbike": Kind.VEHICLE,
+    "non motorized vehicle": Kind.VEHICLE,
+    "static person": Kind.PEDESTRIAN,
+    "distractor": Kind.IGNORED,
+    "occluder": Kind.IGNORED,
+    "occluder on the ground": Kind.IGNORED,
+    "occluder full": Kind.IGNORED,
+    "reflection": Kind.IGNORED,
 }
-"""MOT16's classes; 8 to 13 are distractors, occluders, reflections and crowds."""
-
-_CLASS_OF_LABEL = {
-    "pedestrian": 1,
-    "person on vehicle": 2,
-    "car": 3,
-    "bicycle": 4,
-    "motorbike": 5,
-    "non motorized vehicle": 6,
-    "static person": 7,
-    "distractor": 8,
-    "occluder": 9,
-    "occluder on the ground": 10,
-    "occluder full": 11,
-    "reflection": 12,
-}
-"""CVAT's names of these classes; boxes with any other label count as pedestrians."""
+"""MOT16's classes from 1 on, by CVAT's names of them; boxes of any other name count as pedestrians."""
 
 IN_ARCHIVE = "expected CVAT's MOT 1.1, with gt/gt.txt"
 
@@ -215,18 +203,15 @@ def common_frames(truth: BoxTruth | MaskTruth, processed: range) -> Sequence[int
 def _read_boxes(path: Path) -> BoxTruth:
     if path.stat().st_size > MOST_TEXT:
         raise ValueError(f"{path}: got more than {MOST_TEXT} bytes, expected MOT ground truth")
-    return _boxes(str(path), mot_rows(path), 1, _KIND_OF_CLASS)
+    return _boxes(str(path), mot_rows(path), 1, list(CLASSES.values()))
 
 
 def _read_archive(path: Path) -> BoxTruth:
     """Boxes of a zip file as CVAT writes them."""
     found, boxes, labels = _unpacked(path)
-    kinds: Mapping[int, Kind] = _KIND_OF_CLASS
+    kinds = list(CLASSES.values())
     if labels is not None:
-        classes = [_CLASS_OF_LABEL.get(label.strip().lower(), 1) for label in labels.splitlines()]
-        kinds = {
-            number: _KIND_OF_CLASS.get(known, Kind.IGNORED) for number, known in enumerate(classes, start=1)
-        }
+        kinds = [CLASSES.get(label.strip().lower(), Kind.PEDESTRIAN) for label in labels.splitlines()]
     name = f"{path}, {found}"
     return _boxes(name, mot_rows_of(io.StringIO(boxes), name), 0, kinds)
 
@@ -254,9 +239,9 @@ def _unpacked(path: Path) -> tuple[str, str, str | None]:
 
 
 def _boxes(
-    path: str, lines: Iterable[tuple[Row, list[float]]], origin: int, kinds: Mapping[int, Kind]
+    path: str, lines: Iterable[tuple[Row, list[float]]], origin: int, kinds: Sequence[Kind]
 ) -> BoxTruth:
-    """Boxes of lines in MOT format, whose first pixel is `origin`; `kinds` are of classes."""
+    """Boxes of lines in MOT format, whose first pixel is `origin`; `kinds` are of classes from 1 on."""
     rows: list[tuple[float, ...]] = []
     for row, numbers in lines:
         width, height = numbers[4:6]
@@ -280,13 +265,13 @@ def _boxes(
     )
 
 
-def _kind_of(values: Sequence[float], kinds: Mapping[int, Kind]) -> Kind:
-    """The kind of box that a line is of, by its class."""
+def _kind_of(values: Sequence[float], kinds: Sequence[Kind]) -> Kind:
+    """The kind of box that a line is of, by its class; `kinds` are of classes from 1 on."""
     if len(values) > 6 and values[6] == 0:
         return Kind.IGNORED
     # Ten columns are MOT15's, where the eighth is a coordinate and no class.
     if len(values) in (8, 9) and values[7] != -1:
-        return kinds.get(int(values[7]), Kind.IGNORED) if math.isfinite(values[7]) else Kind.IGNORED
+        return kinds[int(values[7]) - 1] if 1 <= values[7] < len(kinds) + 1 else Kind.IGNORED
     return Kind.PEDESTRIAN
 
 

@@ -16,7 +16,6 @@ from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
-from filelock import FileLock
 from numba.core.caching import FunctionCache
 
 PATIENCE = 120.0
@@ -35,9 +34,7 @@ class CodeCache(FunctionCache):
     def __init__(self, function: Any) -> None:
         super().__init__(function.py_func)  # type: ignore[no-untyped-call]
         self._function = function
-        self._lock = FileLock(
-            os.path.join(self.cache_path, f"{self._impl.filename_base}.lock"), PATIENCE, 0o666
-        )
+        self._lock: Any = None  # held while this process compiles
         self._stamped = False
 
     def load_overload(self, signature: Any, context: Any) -> Any:
@@ -46,13 +43,17 @@ class CodeCache(FunctionCache):
             self._cache_file._source_stamp = digest_of(self._function)
             self._stamped = True
         found = super().load_overload(signature, context)  # type: ignore[no-untyped-call]
-        if found is None and not self._lock.is_locked:
+        if found is None and self._lock is None:
+            from filelock import FileLock  # which takes a while to import
+
+            path = os.path.join(self.cache_path, f"{self._impl.filename_base}.lock")
+            self._lock = FileLock(path, PATIENCE, 0o666)
             with suppress(OSError):  # also where it takes too long: on without the lock
                 self._impl.locator.ensure_cache_path()
                 self._lock.acquire()
             found = super().load_overload(signature, context)  # type: ignore[no-untyped-call]
             if found is not None:
-                self._lock.release()
+                self._release()
         return found
 
     def save_overload(self, signature: Any, made: Any) -> None:
@@ -60,7 +61,12 @@ class CodeCache(FunctionCache):
         try:
             super().save_overload(signature, made)  # type: ignore[no-untyped-call]
         finally:
+            self._release()
+
+    def _release(self) -> None:
+        if self._lock is not None:
             self._lock.release()
+            self._lock = None
 
 
 def digest_of(function: Any) -> str:
