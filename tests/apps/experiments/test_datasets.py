@@ -51,7 +51,8 @@ def test_without_network_one_line_says_what_to_put_where(name: str) -> None:
     message = str(caught.value)
     assert "\n" not in message
     assert message.startswith(name)
-    for part in (datasets.VARIABLE, datasets.SEQUENCES[name].address, *datasets.SEQUENCES[name].files):
+    files, address = datasets.SEQUENCES[name]
+    for part in (datasets.VARIABLE, address, *files):
         assert part in message
 
 
