@@ -146,9 +146,10 @@ def found_in(belief: Belief, size: tuple[int, int], region: NDArray[np.uint8] | 
         return Found(np.zeros((size[1], size[0]), np.uint8), [])
     pixels: PixelMessage = belief["pixels"]
     foreground = pixels.foreground()
+    tracks: list[Any] = belief["blobs"].tracks() if "blobs" in belief.states else []
     if region is not None:
         foreground &= region
-    tracks: list[Any] = inside(region, belief["blobs"].tracks() if "blobs" in belief.states else [])
+        tracks = inside(region, tracks)
     if pixels.view is None:
         return Found(foreground, tracks)
     view = pixels.view.map

@@ -45,6 +45,11 @@ class _Column:
         whole = np.load(path, mmap_mode="r", allow_pickle=False)
         return cls(path, whole.dtype, whole.shape[1:], count)
 
+    @classmethod
+    def like(cls, path: Path, values: NDArray[Any]) -> Self:
+        """An empty column for rows such as these."""
+        return cls(path, values.dtype, values.shape[1:])
+
     @property
     def width(self) -> int:
         """Bytes of a row."""
@@ -178,12 +183,20 @@ class RowLog:
         """
         count = len(next(iter(objects.values()))) if objects else 0
         with naming(self._folder):
-            for name, value in row.items():
-                self._append(self._frames, _FRAME, name, np.asarray(value)[None])
-            self._append(self._frames, _FRAME, "objects", np.array([count]))
-            if count:
-                for name, values in objects.items():
-                    self._append(self._objects, _OBJECT, name, np.asarray(values))
+            rows = {name: np.asarray(value)[None] for name, value in {**row, "objects": count}.items()}
+            if not self._frames:
+                self._frames = {name: _Column.like(self._path(_FRAME, name), rows[name]) for name in rows}
+            if count and not self._objects:
+                things = {name: np.asarray(values) for name, values in objects.items()}
+                self._objects = {
+                    name: _Column.like(self._path(_OBJECT, name), things[name]) for name in things
+                }
+            if rows.keys() != self._frames.keys():
+                raise ValueError(f"row: got {', '.join(rows)}, expected {', '.join(self._frames)}")
+            for name, column in self._frames.items():
+                column.append(rows[name])
+            for name, column in self._objects.items() if count else ():
+                column.append(np.asarray(objects[name]))
 
     def frames(self) -> Iterator[tuple[dict[str, Any], dict[str, NDArray[Any]]]]:
         """Row after row with its objects, as they were appended."""
@@ -225,12 +238,6 @@ class RowLog:
         for path in self._folder.glob("*.npy"):
             path.unlink()
         self._folder.rmdir()
-
-    def _append(self, columns: dict[str, _Column], kind: str, name: str, values: NDArray[Any]) -> None:
-        column = columns.get(name)
-        if column is None:
-            column = columns[name] = _Column(self._path(kind, name), values.dtype, values.shape[1:])
-        column.append(values)
 
     def _path(self, kind: str, name: str) -> Path:
         return self._folder / f"{kind}.{name}.npy"
