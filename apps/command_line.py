@@ -14,7 +14,7 @@ from typing import Annotated, Literal, TypeVar
 from cyclopts import App, CycloptsError, Group, Parameter, Token
 
 from .background.job import BackgroundJob, Camera
-from .batch.commands import batch
+from .batch.job import batch
 from .body.job import BodyJob
 from .experiments import EXPERIMENTS, run_experiment, usual_folder
 from .face.job import FaceJob

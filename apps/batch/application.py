@@ -26,9 +26,8 @@ from ..runs.interruption import Interrupted
 from ..runs.output_folder import lock_of, was_cut_off
 from ..runs.parallel import Workers, as_they_end, chosen_workers, working
 from .film import Told, run_film
-from .folders import folder_names
 from .job import APPLICATIONS, INDEX, OWN, SUMMARY, Batch, Typed, job_of, typed, words_of
-from .sources import Found, find_films
+from .sources import Found, find_films, folder_names
 from .summary import Line, Summary
 
 

@@ -1,6 +1,9 @@
-"""What a batch is asked for, and how the options of an application pass through it."""
+"""The commands `rsmcm batch background`, `structure`, `face` and `body`: what a batch is asked for.
 
-from collections.abc import Mapping, Sequence
+The options of an application pass through a batch: they are derived from the application's job.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
@@ -13,6 +16,7 @@ from ..face.job import FaceJob
 from ..options.complaints import convert_strictly, one_line
 from ..options.job import Flag, Job
 from ..options.settings import ALWAYS_TYPED, options_from_file
+from ..runs.interruption import SIGNALLED
 from ..structure.job import StructureJob
 
 APPLICATIONS: Mapping[str, type[Job]] = {
@@ -136,3 +140,46 @@ def job_of(application: str, words: Sequence[str]) -> Job:
         raise ValueError(one_line(error)) from None
     job: Job = bound.arguments["job"]
     return job
+
+
+FAILED = 1
+
+HELP = """Run rsmcm {} over many films or cameras.
+
+Each has a folder of results, as of a run of its own; summary.csv and index.html are over all of them. Run
+again, the same command leaves what is complete as it is, and goes on with what was broken off. A film that
+fails is named at the end and stops no other. All options of the single run are for all films.
+
+Parameters
+----------
+sources
+    Video files, folders of images, folders of films, globs of them in quotation marks, addresses, or a TOML
+    file that lists cameras.
+"""
+
+batch = App(name="batch", help="Run an application over many films or cameras, a folder of results for each.")
+
+
+def _over_many(application: str) -> Callable[..., int]:
+    """An application over many films, as a command."""
+    kind = options_of(application)
+    given = Parameter(name="*")
+
+    def over_many(*sources: str, batch: Annotated[Batch, given], options: Any = kind()) -> int:  # noqa: B008
+        from .application import commands, in_words, report_failures, run_batch
+
+        if batch.only_print:
+            print(*commands(application, sources, batch, options), sep="\n")
+            return 0
+        ended = run_batch(application, sources, batch, options)
+        report_failures(ended)
+        print(*in_words(ended, batch.out), sep="\n")
+        return SIGNALLED + ended.signal if ended.signal is not None else FAILED * bool(ended.failed)
+
+    over_many.__doc__ = HELP.format(application)
+    over_many.__annotations__["options"] = Annotated[kind, given]
+    return over_many
+
+
+for application in APPLICATIONS:
+    batch.command(_over_many(application), name=application)

@@ -15,8 +15,8 @@ from markupsafe import Markup
 from ...models.files import read_text, write_text
 from ..view.page import Page, Part, paragraph, templates_in, write_page
 from .film import State, Told
-from .folders import plain_name
 from .job import INDEX, SUMMARY
+from .sources import plain_name
 
 OF_TOLD = ("state", "frames", "missing", "tracks", "seconds", "frames_per_second", "error")
 COLUMNS = ("source", "folder", *OF_TOLD)

@@ -5,8 +5,7 @@ import re
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.apps.batch.folders import LONGEST, folder_names
-from rsmcm.apps.batch.sources import Found
+from rsmcm.apps.batch.sources import LONGEST, Found, folder_names
 
 
 def names(*sources: str, known: dict[str, str] | None = None) -> list[str]:
