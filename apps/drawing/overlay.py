@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import cv2
 import numpy as np
@@ -499,9 +499,29 @@ def _draw_text(panel: Canvas, text: str, middle: Sequence[float]) -> None:
 
 # --- the video ---
 
-Draw = Callable[..., Image]
-"""`draw(image, row, number, time, missing=...)` gives a picture of a frame: its image, or the one before
-where it is missing, `(height, width[, 3])`; its row of `view.npz`; its number, from 1, and time, s."""
+
+class Draw(Protocol):
+    """Draws what was found on frames, which come in their order."""
+
+    def __call__(self, image: Image, row: Row, number: int, time: float, *, missing: bool) -> Image:
+        """Draw on a copy of a frame.
+
+        Parameters
+        ----------
+        image
+            `(height, width[, 3])` of the frame, or of the one before where it is missing.
+        row
+            its row of `view.npz`.
+        number, time
+            from 1, and s.
+        missing
+            whether it has no image.
+
+        Returns
+        -------
+        NDArray[np.uint8]
+            `(height, width, 3)` BGR, perhaps enlarged.
+        """
 
 
 class OverlayVideo:
