@@ -32,7 +32,6 @@ LINKED = {
     "tracks.csv": "tracks",
     "events.csv": "events",
     "structure.ply": "shape",
-    "summary.json": "summary",
 }
 """Files beside a page that people look at, and what a link to them says."""
 
