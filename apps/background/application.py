@@ -17,7 +17,7 @@ from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
 from ..drawing.overlay import Draw, TracksOverlay
 from ..evaluation.predictions import FILE, write_predictions
 from ..evaluation.scoring import Scoring, scoring_of
-from ..events.report import Happened
+from ..events.page import Happened
 from ..events.watch import EVENTS, EventLog, EventWriter, rounded, write_events
 from ..events.zones import Zones, read_zones
 from ..io.detections import Detections, given_boxes, with_boxes

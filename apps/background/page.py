@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import GivenBoxes
 from ..drawing.overlay import css_colour, draw_zones, identity_colour
-from ..events.report import Happened
+from ..events.page import Happened
 from ..events.watch import Event
 from ..events.zones import Zones
 from ..io.tracks import TrackedObject

@@ -11,7 +11,7 @@ from ..io.files import write_json
 from ..io.tracks import TABLE
 from ..runs.output_folder import output_folder
 from ..view.page import Page, Section, picture, write_page
-from .report import Happened
+from .page import Happened
 from .watch import EVENTS, Event, Watch, rounded, sightings_of, write_events
 from .zones import read_zones
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rsmcm.apps.background.page import background_page, draw_paths, drawn_of, over_the_film
 from rsmcm.apps.background.record import RunRecord, TrackHistory
 from rsmcm.apps.drawing.overlay import identity_colour
-from rsmcm.apps.events.report import Happened
+from rsmcm.apps.events.page import Happened
 from rsmcm.apps.events.watch import Event, Kind, Moment
 from rsmcm.apps.events.zones import Zones
 from rsmcm.apps.io.tracks import TrackedBox

@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.body.page import PER_PX, SAMPLES, drawn_of, over_the_film, with_final_names
 from rsmcm.apps.body.record import PART_JOINTS
-from rsmcm.apps.body.relabelling import ROWS
 from rsmcm.apps.scenes import signer
 from rsmcm.apps.view.film import Film, read_film
 from rsmcm.apps.view.page import SEEN, Page
@@ -112,13 +111,11 @@ def test_rows_say_when_a_part_was_seen(folder: Path) -> None:
         np.testing.assert_array_equal(seen, expected, err_msg=row.label)
 
 
-def test_hands_have_the_names_of_the_end(folder: Path, joints: NDArray[np.float64], tmp_path: Path) -> None:
+def test_hands_have_the_names_of_the_end(folder: Path, joints: NDArray[np.float64]) -> None:
     film, others = read_film(folder), rows(joints + 7)
     columns = {name: np.stack([np.asarray(row[name]) for row in others]) for name in others[0]}
-    relabelled = np.arange(N_FRAMES) == 4
-    more = {name: np.zeros(N_FRAMES) for name in ROWS - columns.keys()}
-    np.savez(tmp_path / "poses.npz", **columns, **{**more, "frames": film.numbers, "relabelled": relabelled})
-    changed = with_final_names(film, tmp_path)
+    columns |= {"frames": film.numbers, "relabelled": np.arange(N_FRAMES) == 4}
+    changed = with_final_names(film, columns)
     for name, before in film.columns.items():
         after, expected = changed.columns[name], drawn_of(others[4])[name]
         per_frame = len(before) // N_FRAMES

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from markupsafe import escape
 from rsmcm.apps.events import Event, Kind, Line, Moment, Zone, Zones
-from rsmcm.apps.events.report import MOST_ROWS, Happened
+from rsmcm.apps.events.page import MOST_ROWS, Happened
 from rsmcm.apps.view.page import Plot
 
 SQUARE = np.array([[10.0, 10], [90, 10], [90, 90], [10, 90]])
