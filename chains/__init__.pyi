@@ -12,6 +12,7 @@ from .pixels.camera_motion import CameraMotion
 from .pixels.mixture_background import MixtureBackground
 from .points.feature_matcher import FeatureMatcher
 from .points.point_tracker import PointTracker
+from .reconstruction import Reconstruction, reconstruct
 from .structure.factor_structure import FactorStructure
 from .structure.nonrigid_structure import NonrigidStructure
 from .structure.recursive_structure import RecursiveStructure
@@ -32,6 +33,8 @@ __all__ = [
     "NonrigidStructure",
     "ObjectTrajectories",
     "PointTracker",
+    "Reconstruction",
     "RecursiveStructure",
     "SceneFilter",
+    "reconstruct",
 ]

@@ -10,7 +10,7 @@ from .face.pose import Poses
 from .objects.object_boxes import ObjectBoxes
 from .pixels.layers import Layer, LayerStack
 from .pixels.pixel_labels import PixelLabels, PixelMessage, ScenePixels
-from .points.point_tracks import PointTracks
+from .points.point_tracks import PointTracks, frames_of_tracks
 
 __all__ = [
     "BodyParts",
@@ -31,4 +31,5 @@ __all__ = [
     "ScenePixels",
     "UpperBody",
     "YuNetFaces",
+    "frames_of_tracks",
 ]

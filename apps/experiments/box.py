@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from ...chains.reconstruction import MOST_ROUNDS, Association, Reconstruction, reconstruct
 from ..drawing.overlay import PointsOverlay
 from ..runs.progress import Progress
 from ..structure.application import Film, read_film
-from ..structure.job import Association, StructureJob
+from ..structure.job import StructureJob
 from ..structure.page import drawn_of
-from ..structure.reconstruction import MOST_ROUNDS, Reconstruction, reconstruct
 from .datasets import data_folder
 from .expectations import Expectation
 from .experiment import Findings, Picture
@@ -36,7 +36,9 @@ def box() -> Findings:
         lengths, errors = [], []
         for method, association in METHODS.items():
             with Progress(f"{name}, {method}", MOST_ROUNDS, unit="rounds") as progress:
-                found = reconstruct(film.frames, "second-order", association, None, progress.update)
+                found = reconstruct(
+                    film.frames, association=association, camera="affine", after_round=progress.update
+                )
             lengths.append(float(np.median(np.count_nonzero(found.observed, axis=0))))
             errors.append(found.reprojection_error)
             counts = (len(found.positions), len(found.point_of_track), found.n_points)

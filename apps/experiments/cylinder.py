@@ -8,13 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ...chains.reconstruction import Coherence, reconstruct
 from ...inference.sfm.affine_camera import affine_alignment
 from ...inference.sfm.factor_analysis.factorisation import factorise, predicted
-from ..io.point_files import frames_of_tracks
+from ..evaluation.structure import REJECTED, StructureScores, score_structure
 from ..scenes import Cylinder, cylinder
-from ..structure.job import Coherence
-from ..structure.metrics import REJECTED, StructureScores, score_structure
-from ..structure.reconstruction import reconstruct
 from .expectations import Expectation, over_seeds
 from .experiment import Findings, Plot, by_seed
 from .record import Table
@@ -115,7 +113,7 @@ def _factor_analysis(tracks: Numbers, coherent: bool) -> Recovered:
 
 
 def _dual_chain(tracks: Numbers, coherence: Coherence) -> Recovered:
-    found = reconstruct(frames_of_tracks(PX * tracks), coherence, "dual-chain", tracks.shape[1])
+    found = reconstruct(PX * tracks, coherence=coherence, camera="affine")
     return Recovered(found.positions / PX, found.shape, found.point_of_track)
 
 

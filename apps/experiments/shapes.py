@@ -76,7 +76,7 @@ class LearnedShape:
 
     @property
     def e3d(self) -> float:
-        """`inference.sfm.nonrigid.comparison.shape_error`."""
+        """`inference.sfm.nonrigid.shape.shape_error`."""
         return shape_error(self.learned.shapes(), self.truth)
 
     @property

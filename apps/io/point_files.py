@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.array_files import SINGLE, Arrays, read_arrays
-from ...models.core.frame import Frame, GivenPoints
-from ...models.points.point_tracks import FARTHEST, check_points
-from .sources.open_source import DEFAULT_RATE, Selection
+from ...models.points.point_tracks import FARTHEST, check_points, frames_of_tracks
+from .sources.open_source import Selection
 
-__all__ = ["FARTHEST", "read_points", "read_shapes"]
+__all__ = ["FARTHEST", "frames_of_tracks", "read_points", "read_shapes"]
 
 KEY = "tracks"
 EXPECTED = "expected (n_frames, n_points, 2) px, NaN where missing"
@@ -242,20 +241,3 @@ def read_track_file(
     if not numbers:
         raise ValueError(f"start: got {selection.start}, but {path} has only {len(tracks)} frames")
     return tracks[[number - 1 for number in numbers]], numbers
-
-
-def frames_of_tracks(tracks: NDArray[np.float64], numbers: range | None = None) -> list[Frame]:
-    """Frames that hold the points of tracks; identities are the tracks' columns.
-
-    Parameters
-    ----------
-    tracks
-        `(n_frames, n_tracks, 2)` px, NaN where missing; one coordinate may be.
-    numbers
-        1-based number of each frame; default: 1, 2, ...
-    """
-    frames = []
-    for number, points in zip(numbers or range(1, len(tracks) + 1), tracks, strict=True):
-        seen = np.flatnonzero(~np.isnan(points).all(axis=1)).astype(np.int64)
-        frames.append(Frame(None, (number - 1) / DEFAULT_RATE, number, GivenPoints(points[seen], seen)))
-    return frames

@@ -11,11 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...chains.reconstruction import (
+    MOST_ROUNDS,
+    NoStructureError,
+    Reconstruction,
+    followed,
+    reconstruction_of,
+    structure_engine,
+    tracks_of,
+)
 from ...inference import Solution
 from ...inference.engine import checkpoint
 from ...models.core.frame import Frame
 from ..drawing.overlay import OverlayVideo, PointsOverlay
-from ..evaluation.predictions import write_predictions
+from ..evaluation.predictions import PairRecord, write_predictions
 from ..exports.colmap import FILES as COLMAP_FILES
 from ..exports.colmap import write_colmap
 from ..io.files import write_json
@@ -28,33 +37,11 @@ from ..runs.progress import Progress
 from ..runs.saved_run import STATE, about_of, check_source
 from ..runs.session import OVERLAY, Session
 from ..view.page import VIEW, write_page
-from .camera import camera_in_words, in_perspective, lens_of
-from .diagnosis import (
-    Diagnosis,
-    followed,
-    no_depth,
-    no_points,
-    observations_of,
-    too_little,
-    without_false_depth,
-    without_tracks,
-)
-from .files import point_colours, write_cameras, write_ply, write_tracks
+from .camera import camera_in_words, known_lens
+from .diagnosis import Diagnosis, no_depth, no_points, too_little
+from .files import point_colours, recorded_predictions, write_cameras, write_ply, write_tracks
 from .job import StructureJob
-from .page import (
-    EDGE,
-    drawn_of,
-    film_of_tracks,
-    nothing_page,
-    structure_page,
-    write_film,
-)
-from .reconstruction import (
-    MOST_ROUNDS,
-    Reconstruction,
-    engine_for,
-    reconstruction_of,
-)
+from .page import EDGE, drawn_of, film_of_tracks, nothing_page, structure_page, write_film
 
 COLMAP = "colmap"
 """Folder for the perspective structure as COLMAP has it."""
@@ -147,22 +134,21 @@ class _StructureRun:
         lacking = too_little(film.frames, film.n_tracks)
         if lacking is not None:
             return self._nothing(lacking)
-        self._engine = engine_for(film.frames, job.coherence, job.association)
+        self._engine = structure_engine(film.frames, job.coherence, job.association)
         after = None if saved is None else self._engine.load(saved, film.frames)[0]
         try:
             solution = self._ascended(after)
         except NoShapeError as error:
             return self._nothing(no_points(film.frames, followed(film.frames), str(error)))
-        found = reconstruction_of(solution, film.n_tracks)
-        if without_tracks(found, from_images=film.n_tracks is None):
-            return self._nothing(no_points(film.frames, observations_of(solution), ""))
-        lens, about_lens = lens_of(film.frames, job.focal, next(iter(film.pictures), None))
-        found = in_perspective(found, solution, film.n_tracks, job.camera, lens)
-        found = without_false_depth(found, from_images=film.n_tracks is None)
+        lens, about_lens = known_lens(film.frames, job.focal, next(iter(film.pictures), None))
+        try:
+            found = reconstruction_of(solution, job.camera, lens, film.n_tracks)
+        except NoStructureError:
+            return self._nothing(no_points(film.frames, tracks_of(solution), ""))
         lost = film.stream is not None and film.stream["lost"] is not None
         session.ended_early = lost or session.interruption.signal is not None
-        diagnosis = no_depth(found, observations_of(solution)) if found.geometry == "none" else None
-        summary = self._written(found, about_lens, diagnosis)
+        diagnosis = no_depth(found, tracks_of(solution)) if found.geometry == "none" else None
+        summary = self._written(found, recorded_predictions(solution), about_lens, diagnosis)
         if not session.ended_early:
             self._save(solution, finished=summary)
         return session.outcome(summary, in_words(summary))
@@ -196,7 +182,13 @@ class _StructureRun:
         self._engine.save(self._state, solution, self._session.about(finished))
         self._session.saved = True
 
-    def _written(self, found: Reconstruction, about_lens: str, diagnosis: Diagnosis | None) -> dict[str, Any]:
+    def _written(
+        self,
+        found: Reconstruction,
+        predictions: Sequence[PairRecord],
+        about_lens: str,
+        diagnosis: Diagnosis | None,
+    ) -> dict[str, Any]:
         """Write all results; return the content of `summary.json`."""
         folder, film, frames = self.job.out, self._film, self._film.frames
         notes = [*film.notes, *_notes(found, diagnosis, film.n_tracks is not None)]
@@ -210,7 +202,7 @@ class _StructureRun:
             images = [(frame.number, self._picture_of(index)) for index, frame in enumerate(frames)]
             write_colmap(folder / COLMAP, found.perspective, found.places, found.observed, colours, images)
         write_tracks(folder / "tracks.npz", found, frames)
-        write_predictions(folder, found.predictions)
+        write_predictions(folder, predictions)
         if film.n_tracks is None and self.job.video:
             _write_video(folder / OVERLAY, frames, found, film.rate)
         lens = found.perspective

@@ -2,22 +2,15 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
+from dataclasses import asdict, dataclass
 from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ...inference import CoordinateAscent, Solution
-from ...inference.sfm.parallax import AS_WELL, MOST, Kind, Motion, motion_of, variance_over_shape
+from ...chains.reconstruction import FEWEST_FRAMES, FEWEST_POINTS, Numbers, Reconstruction
+from ...inference.sfm.parallax import Kind, Motion, motion_of, picture_motion
 from ...models.core.frame import Frame
 from ...models.core.pictures import grey_of
-from .reconstruction import FEWEST_POINTS, Numbers, Reconstruction, following
-
-FEWEST_FRAMES = 3
-"""Two views of a rigid thing leave its depth open."""
 
 SHORT = 3.0
 """Frames: of tracks that live no longer, most are in too few views to have depth."""
@@ -25,14 +18,6 @@ FAST = 10.0
 """px a frame, beyond which following by small patches loses points: twice their width."""
 CONTRAST = 4.0
 """Grey levels (standard deviation): pictures with less are uniform, or so dark that noise is all there is."""
-
-LASTING = 0.5
-"""px per point: a tracker's errors, which last, move points by so much against each other."""
-
-MOST_LOOKED_AT = 8
-"""Pairs of pictures from which the motion is told where no track says it."""
-FEATURES = 500
-FEWEST_MATCHES = 10
 
 
 @dataclass(frozen=True)
@@ -170,75 +155,6 @@ def no_depth(found: Reconstruction, tracks: Numbers) -> Diagnosis:
         ADVICE[motion.kind],
         _figures(motion),
     )
-
-
-def without_tracks(found: Reconstruction, from_images: bool) -> bool:
-    """Whether there is no point, or half of those that pictures show are in too few views to be any."""
-    lives = found.observed.sum(axis=0)
-    return not len(lives) or (from_images and bool(np.median(lives) < FEWEST_FRAMES))
-
-
-def without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruction:
-    """The reconstruction, without its shape if what was taken for depth is none.
-
-    Before affine cameras, perspective may have been: then homographies explain clearly more than the shape. A
-    perspective camera explains them too, with any depth if it stays where it is, or with any focal length if
-    it sees a plane: then homographies explain as much. Or, where tracks are `from_images` and the shape is
-    known up to an affine map only, or with the focal length, there is less parallax than a tracker makes by
-    itself.
-    """
-    if found.geometry == "none":
-        return found
-    places = np.where(found.observed[..., None], found.places, np.nan)
-    lens = found.perspective
-    most = MOST if lens is None else 1.0  # outliers are left out already
-    ratio = variance_over_shape(places, found.residuals, most)
-    uncertain = found.geometry == "affine" or (lens is not None and lens.curvature_deviation > 0)
-    reason = ""
-    if lens is None and ratio * AS_WELL <= 1:
-        reason = "homographies, which know no depth, explain the tracks better than a shape does"
-    elif lens is not None and ratio <= AS_WELL:
-        known = lens.curvature_deviation == 0  # the focal length is given
-        if not (known and motion_of(places).kind == "plane"):
-            reason = "homographies, which know no depth, explain the tracks as well as a shape does"
-    if not reason and from_images and uncertain and motion_of(places, most).parallax < LASTING:
-        reason = "points move against each other by less than a tracker errs"
-    if not reason:
-        return found
-    return replace(found, geometry="none", reason=reason, perspective=None, affine_reason="")
-
-
-def followed(frames: Sequence[Frame]) -> Numbers:
-    """Tracks `(n_frames, n_tracks, 2)` px as they are followed without a shape, NaN where they are not
-    seen."""
-    return observations_of(CoordinateAscent(following(frames)[0], 1).run(frames))
-
-
-def observations_of(solution: Solution) -> Numbers:
-    """What the frames show of each track: `(n_frames, n_tracks, 2)` px, NaN where nothing."""
-    moments = [evidence.positions.moments for evidence in solution.evidence("points")]
-    everybody = np.unique(np.concatenate([identities for identities, _, _ in moments]))
-    tracks = np.full((len(moments), len(everybody), 2), np.nan)
-    for row, (identities, means, _) in zip(tracks, moments, strict=True):
-        row[np.searchsorted(everybody, identities)] = means
-    return tracks
-
-
-def picture_motion(pictures: Sequence[NDArray[np.uint8]]) -> float:
-    """Median px by which ORB features move from a picture to the next; NaN where hardly any are found
-    again."""
-    pairs = list(pairwise(pictures))
-    chosen = np.linspace(0, len(pairs) - 1, min(MOST_LOOKED_AT, len(pairs))).round().astype(int)
-    detector, matcher = cv2.ORB.create(FEATURES), cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
-    moved: list[float] = []
-    for one, other in (pairs[k] for k in chosen):
-        (places, words), (others, theirs) = (detector.detectAndCompute(image, None) for image in (one, other))
-        if words is not None and theirs is not None:
-            moved += [
-                math.dist(places[match.queryIdx].pt, others[match.trainIdx].pt)
-                for match in matcher.match(words, theirs)
-            ]
-    return float(np.median(moved)) if len(moved) >= FEWEST_MATCHES else math.nan
 
 
 def _figures(motion: Motion) -> dict[str, float | None]:

@@ -7,12 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...chains.reconstruction import Numbers, Reconstruction
+from ...chains.structure.factor_structure import StructureTrajectory, without_observations
+from ...inference import Solution
 from ...inference.sfm.affine_camera import scaled_rotations
 from ...inference.sfm.perspective.structure import PerspectiveStructure
 from ...models.core.frame import Frame
 from ...models.files import write_atomically
+from ..evaluation.predictions import PairRecord, PairRecorder
 from ..io.files import write_json
-from .reconstruction import Numbers, Reconstruction
 
 GREY = 128
 VERTEX = np.dtype(
@@ -147,6 +150,27 @@ def write_tracks(path: Path, found: Reconstruction, frames: Sequence[Frame]) -> 
             frame=np.array([frame.number for frame in frames], np.int64),
             time=np.array([frame.time for frame in frames], np.float64),
         )
+
+
+def recorded_predictions(solution: Solution) -> tuple[PairRecord, ...]:
+    """Record the final predictions of both chains of a structure run, for `rsmcm validity`.
+
+    The tracker's messages come from the other frames' observations of the same point, the shape's from all
+    but that of the point in the frame.
+    """
+    structure: StructureTrajectory = solution["structure"]
+    recorder = PairRecorder("tracker", "structure", "points")
+    for frame, by_tracker, by_shape, evidence in zip(
+        solution.frames,
+        solution.messages("tracker", "points"),
+        solution.messages("structure", "points"),
+        solution.evidence("points"),
+        strict=True,
+    ):
+        without = without_observations(by_shape.positions, evidence.positions, structure)
+        recorder.add(frame.number, by_tracker.positions, without, evidence.positions)
+    record = recorder.record()
+    return () if record is None else (record,)
 
 
 def point_colours(frames: Sequence[Frame], found: Reconstruction) -> NDArray[np.uint8]:

@@ -2,13 +2,10 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
+from ...chains.reconstruction import Association, Camera, Coherence
 from ..options.job import Bounds, Flag, Job, OfRuns
-
-Coherence = Literal["second-order", "none"]
-Association = Literal["dual-chain", "none"]
-Camera = Literal["auto", "affine", "perspective"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
+from ...chains.reconstruction import Numbers, Reconstruction
 from ...models.core.frame import Frame
 from ...models.numerics.evenly_spaced import evenly_spread
 from ..drawing.overlay import css_colour, identity_colour
@@ -19,7 +20,6 @@ from ..view.page import Line, Page, Plot, Section, encoded
 from ..view.points import LAYER, FollowedPoints, film_of_points, most_over_film, packed
 from .camera import camera_in_words
 from .files import GREY, orthographic_parts
-from .reconstruction import Numbers, Reconstruction
 
 Image = NDArray[np.uint8]
 

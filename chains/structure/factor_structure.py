@@ -160,3 +160,27 @@ class FactorStructure:
             PointMessage(GaussianMessage.from_moments(tracks, mean, covariance), same_as=first[points])
             for mean, covariance in zip(positions[:, points], covariances[:, points], strict=True)
         ]
+
+
+def without_observations(
+    shape: GaussianMessage, evidence: GaussianMessage, structure: StructureTrajectory
+) -> GaussianMessage:
+    """The shape's message about points that are seen, each as if it had not been seen in this frame.
+
+    The shape has been fitted to all observations, so each is taken out again for its point and frame, as if
+    the fit was linear.
+    """
+    identities, mean, covariance = shape.moments
+    seen, observed, noise = evidence.moments
+    common, here, there = np.intersect1d(identities, seen, assume_unique=True, return_indices=True)
+    mean, covariance, observed = mean[here], covariance[here], observed[there]
+    about = structure.scatter * np.eye(2)  # by which features scatter about the shape, eq. (20)
+    fitted = structure.factorisation.noise_variance * np.trace(noise[there], axis1=1, axis2=2) / 2
+    of_observation = np.eye(2) / fitted[:, None, None]
+    of_shape = np.linalg.inv(covariance - about)
+    information = of_shape - of_observation
+    # a point that nothing but this observation determines
+    left = np.linalg.eigvalsh(information)[:, 0] > 1e-3 * np.linalg.eigvalsh(of_shape)[:, 0]
+    rest = np.linalg.inv(information[left])
+    vector = of_shape[left] @ mean[left][:, :, None] - of_observation[left] @ observed[left][:, :, None]
+    return GaussianMessage.from_moments(common[left], (rest @ vector)[:, :, 0], rest + about)

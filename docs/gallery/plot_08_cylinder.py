@@ -9,11 +9,10 @@ the same point, and where every point is, seen or not.
 
 import matplotlib.pyplot as plt
 import numpy as np
-from rsmcm.apps.io import frames_of_tracks
 from rsmcm.apps.scenes import cylinder
 from rsmcm.chains import FactorStructure
 from rsmcm.inference import CoordinateAscent, MultiChain
-from rsmcm.models import PointTracks
+from rsmcm.models import PointTracks, frames_of_tracks
 from rsmcm.models.points.point_tracks import noise_of_tracks
 
 # %%

@@ -9,11 +9,10 @@ predicts every point, also those that are hidden at the moment.
 
 import matplotlib.pyplot as plt
 import numpy as np
-from rsmcm.apps.io import frames_of_tracks
 from rsmcm.apps.scenes import cylinder
 from rsmcm.chains import PointTracker, RecursiveStructure
 from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.models import PointTracks
+from rsmcm.models import PointTracks, frames_of_tracks
 
 # %%
 # A turning cylinder. Its points hide for ten frames or so now and then, and keep their numbers. In each

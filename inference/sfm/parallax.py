@@ -6,7 +6,10 @@ tracks between two pictures, whatever their depth. Only what a homography leaves
 something of depth.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import cv2
@@ -46,6 +49,11 @@ FOCAL_LENGTHS = (0.7, 3.0)
 """In the tracks' extent: where the search for a camera that turns begins, wide and narrow."""
 SHORTEST, LONGEST = 0.4, 100.0
 """In the tracks' extent: the shortest sees 100 degrees; wider, a camera that turns explains planes, too."""
+
+MOST_LOOKED_AT = 8
+"""Pairs of pictures from which the motion is told where no track says it."""
+FEATURES = 500
+FEWEST_MATCHES = 10
 
 
 @dataclass(frozen=True)
@@ -98,6 +106,23 @@ def motion_of(tracks: Numbers, most: float = MOST) -> Motion:
         float(np.median(steps)) if len(steps) else float("nan"),
         parallax,
     )
+
+
+def picture_motion(pictures: Sequence[NDArray[np.uint8]]) -> float:
+    """Median px by which ORB features move from a picture to the next; NaN where hardly any are found
+    again."""
+    pairs = list(pairwise(pictures))
+    chosen = np.linspace(0, len(pairs) - 1, min(MOST_LOOKED_AT, len(pairs))).round().astype(int)
+    detector, matcher = cv2.ORB.create(FEATURES), cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
+    moved: list[float] = []
+    for one, other in (pairs[k] for k in chosen):
+        (places, words), (others, theirs) = (detector.detectAndCompute(image, None) for image in (one, other))
+        if words is not None and theirs is not None:
+            moved += [
+                math.dist(places[match.queryIdx].pt, others[match.trainIdx].pt)
+                for match in matcher.match(words, theirs)
+            ]
+    return float(np.median(moved)) if len(moved) >= FEWEST_MATCHES else math.nan
 
 
 def far_pairs(seen: NDArray[np.bool_]) -> list[tuple[int, int]]:

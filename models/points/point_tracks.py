@@ -280,6 +280,27 @@ def _before(view: View | None, identities: NDArray[np.int64]) -> Before | None:
     return Before(view.grey, shown, position)
 
 
+def frames_of_tracks(
+    tracks: NDArray[np.float64], numbers: range | None = None, rate: float = 25.0
+) -> list[Frame]:
+    """Frames that hold the points of tracks; identities are the tracks' columns.
+
+    Parameters
+    ----------
+    tracks
+        `(n_frames, n_tracks, 2)` px, NaN where missing; one coordinate may be.
+    numbers
+        1-based number of each frame; default: 1, 2, ...
+    rate
+        frames per second.
+    """
+    frames = []
+    for number, points in zip(numbers or range(1, len(tracks) + 1), tracks, strict=True):
+        seen = np.flatnonzero(~np.isnan(points).all(axis=1)).astype(np.int64)
+        frames.append(Frame(None, (number - 1) / rate, number, GivenPoints(points[seen], seen)))
+    return frames
+
+
 def noise_of_tracks(frames: Iterable[Frame]) -> float:
     """Standard deviation of each coordinate of the points that are given with frames, px.
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rsmcm.apps.scenes import Cylinder, cylinder
-from rsmcm.apps.structure.reconstruction import Reconstruction
+from rsmcm.chains.reconstruction import Reconstruction
 from rsmcm.models.core.frame import Frame
 
 SIZE = (96, 80)

@@ -11,13 +11,13 @@ from scipy.optimize import least_squares as minimise
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import svds
 
+from ....chains.reconstruction import structure_engine
 from ....inference.sfm.factor_analysis.em import Posterior, expectation_maximisation
 from ....inference.sfm.factor_analysis.factorisation import around_start, factorise
 from ....inference.sfm.factor_analysis.initialisation import mean_filled
 from ....inference.sfm.factor_analysis.observations import Observations
 from ...io.point_files import frames_of_tracks
 from ...scenes import cylinder
-from ...structure.reconstruction import engine_for
 from ..expectations import Expectation
 from ..experiment import Findings
 from .timing import Spent, in_turns, over_rounds
@@ -200,7 +200,7 @@ def feedback_expectations() -> list[Expectation]:
     frames = frames_of_tracks(PX * cylinder(p_loose=0.1, p_drift=0.1, seed=0).tracks())
     spent: Spent = {"without": [], "with": []}
     for _ in range(ROUNDS):
-        rounds = engine_for(frames, "second-order", "dual-chain").rounds(frames)
+        rounds = structure_engine(frames, "second-order", "dual-chain").rounds(frames)
         for name in spent:
             started = time.perf_counter()
             next(rounds)

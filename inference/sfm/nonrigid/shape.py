@@ -129,7 +129,7 @@ class Rival:
     log_likelihood_gap
         nats, 0 or more: by how much it is less likely.
     disagreement
-        how far its shapes are from those of the best one, as `comparison.shape_error` measures it.
+        how far its shapes are from those of the best one, as `shape_error` measures it.
     """
 
     log_likelihood_gap: float

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from rsmcm.apps.io.sources.images import DETAILS, focal_of_picture
-from rsmcm.apps.structure.camera import lens_of
+from rsmcm.apps.structure.camera import known_lens
 from rsmcm.models.core.frame import Frame, GivenPoints
 from scipy.spatial.transform import Rotation
 
@@ -156,16 +156,16 @@ def test_focal_length_that_a_picture_states(tmp_path: Path) -> None:
     assert focal_of_picture(tmp_path / "nowhere.jpg") is None
 
 
-def test_lens_of_pictures_and_of_tracks(tmp_path: Path) -> None:
+def test_known_lens_pictures_and_of_tracks(tmp_path: Path) -> None:
     path = picture_with(tmp_path / "picture.jpg", {0xA405: 50})
     frames = [Frame(np.zeros((300, 400), np.uint8), 0.0, 1)]
-    lens, note = lens_of(frames, None, path)
+    lens, note = known_lens(frames, None, path)
     assert lens.size == (300, 400)
     assert lens.focal == pytest.approx(577.8, abs=0.1)
     assert "577.81 px" in note
     np.testing.assert_array_equal(lens.principal, [199.5, 149.5])
-    assert lens_of(frames, 900.0, path)[0].focal == 900
+    assert known_lens(frames, 900.0, path)[0].focal == 900
     points = GivenPoints(np.array([[10.0, 20.0], [389.0, 279.0]]), np.arange(2))
-    lens, note = lens_of([Frame(None, 0.0, 1, points)], None, None)
+    lens, note = known_lens([Frame(None, 0.0, 1, points)], None, None)
     assert lens.size == (280, 390)
     assert "390 x 280 px" in note

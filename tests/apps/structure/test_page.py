@@ -12,10 +12,10 @@ from rsmcm.apps.scenes import Cylinder
 from rsmcm.apps.structure import page as module
 from rsmcm.apps.structure.files import GREY, orthographic_parts
 from rsmcm.apps.structure.page import film_of_tracks, structure_page, write_film
-from rsmcm.apps.structure.reconstruction import Reconstruction
 from rsmcm.apps.view import points
 from rsmcm.apps.view.film import Film
 from rsmcm.apps.view.page import SEEN, Page, write_page
+from rsmcm.chains.reconstruction import Reconstruction
 
 from ...support.browser import PHONE, Browser, landmarks, overflow
 from ...support.reconstructions import SIZE, pictures, reconstruction, small_cylinder, without_images

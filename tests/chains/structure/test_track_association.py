@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rsmcm.apps.evaluation.structure import score_structure
 from rsmcm.apps.scenes import cylinder
-from rsmcm.apps.structure.metrics import score_structure
 from rsmcm.chains.structure import track_association
 from rsmcm.chains.structure.correlated_noise import (
     CorrelatedNoise,

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from rsmcm.apps.evaluation.structure import score_structure
 from rsmcm.apps.scenes import cylinder
-from rsmcm.apps.structure.metrics import score_structure
 
 
 def test_the_truth_itself_is_without_error() -> None:

@@ -1,0 +1,447 @@
+"""Structure from motion of a whole film: shape, cameras and tracks, from pictures or from tracks of points.
+
+    found = reconstruct(tracks)  # (n_frames, n_tracks, 2) px, NaN where a track is not seen; or frames
+    found.geometry, found.shape, found.point_of_track
+
+A tracker and a matcher of features follow points, and `FactorStructure` is their shape before affine cameras.
+When these have settled, a perspective camera is fitted to the same points, and what is depth and what only
+seems so is told by what planes and turning cameras explain as well.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..inference.engine.coordinate_ascent import CoordinateAscent, Solution
+from ..inference.engine.graph import MultiChain
+from ..inference.sfm.affine_camera import euclidean
+from ..inference.sfm.depth_test import depth
+from ..inference.sfm.factor_analysis.factorisation import Factorisation, predicted
+from ..inference.sfm.parallax import AS_WELL, MOST, motion_of, variance_over_shape
+from ..inference.sfm.perspective.structure import (
+    Lens,
+    PerspectiveStructure,
+    affine_fit,
+    perspective_structure,
+)
+from ..models.core.frame import Frame
+from ..models.points.point_tracks import PointTracks, frames_of_tracks, noise_of_tracks
+from .points.feature_matcher import FeatureMatcher
+from .points.point_tracker import PointTracker
+from .points.trajectory import PointTrajectory
+from .structure.factor_structure import FactorStructure, StructureTrajectory
+
+Numbers = NDArray[np.float64]
+Geometry = Literal["euclidean", "affine", "none"]
+Coherence = Literal["second-order", "none"]
+Association = Literal["dual-chain", "none"]
+Camera = Literal["auto", "affine", "perspective"]
+
+MOST_ROUNDS = 20
+FEWEST_POINTS = 4
+FEWEST_FRAMES = 3
+"""Two views of a rigid thing leave its depth open."""
+FEWEST_VIEWS = 2
+"""That agree about a point before a perspective camera."""
+
+LASTING = 0.5
+"""px per point: a tracker's errors, which last, move points by so much against each other."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """Points and cameras that explain the tracks.
+
+    Parameters
+    ----------
+    positions
+        `(n_frames, n_points, 2)` px: where shape and cameras have every point, seen or not.
+    covariances
+        `(n_frames, n_points, 2, 2)` px^2 of these.
+    observed
+        `(n_frames, n_points)` bool.
+    residuals
+        `(n_frames, n_points, 2)` px: observation minus position, NaN where not observed.
+    point_of_track
+        `(n_tracks,)` int64: the point that each track shows, -1 where it was rejected.
+    cameras
+        `(n_frames, 2, 4)`: position = `cameras[t, :, :3] @ shape[i] + cameras[t, :, 3]`.
+    shape
+        `(n_points, 3)`, in px at the mean scale of the cameras where the geometry is Euclidean.
+    shape_covariances
+        `(n_points, 3, 3)` in the square of the shape's unit.
+    noise_variance
+        px^2 of each observed coordinate, as estimated.
+    objective
+        after each round of the ascent.
+    converged
+        whether the ascent ended by itself.
+    geometry
+        `"euclidean"`: `shape` is determined up to scale and reflection in depth. `"affine"`: up to an affine
+        map. `"none"`: the motion says nothing of depth, and `shape` means nothing.
+    reason
+        why the geometry is no better; empty for a Euclidean one.
+    perspective
+        the structure before a perspective camera, where that is what all of the above is of; `cameras` are
+        then what it is in the middle of the shape's depth.
+    affine_reason
+        why there is none; empty where none was wanted.
+    """
+
+    positions: Numbers
+    covariances: Numbers
+    observed: NDArray[np.bool_]
+    residuals: Numbers
+    point_of_track: NDArray[np.int64]
+    cameras: Numbers
+    shape: Numbers
+    shape_covariances: Numbers
+    noise_variance: float
+    objective: tuple[float, ...]
+    converged: bool
+    geometry: Geometry
+    reason: str = ""
+    perspective: PerspectiveStructure | None = None
+    affine_reason: str = ""
+
+    @property
+    def n_points(self) -> int:
+        """How many points there are."""
+        return len(self.shape)
+
+    @property
+    def n_observations(self) -> int:
+        """In how many places a point was seen in a frame."""
+        return int(np.count_nonzero(self.observed))
+
+    @cached_property
+    def places(self) -> Numbers:
+        """`(n_frames, n_points, 2)` px: every point where it was seen, or else where it should be."""
+        return self.positions + np.where(self.observed[..., None], self.residuals, 0)
+
+    @property
+    def reprojection_error(self) -> float:
+        """Root mean square distance between observations and positions, px."""
+        return _root_mean(self.residuals[self.observed])
+
+    @property
+    def reprojection_errors(self) -> Numbers:
+        """`reprojection_error` of each frame, `(n_frames,)`; NaN where nothing was seen."""
+        return np.array(
+            [_root_mean(errors[seen]) for errors, seen in zip(self.residuals, self.observed, strict=True)]
+        )
+
+    @property
+    def deviations(self) -> Numbers:
+        """Root mean square uncertainty of each point along an axis, `(n_points,)`, in the shape's unit."""
+        variances: Numbers = np.trace(self.shape_covariances, axis1=1, axis2=2) / 3
+        return np.sqrt(variances)
+
+
+class NoStructureError(ValueError):
+    """Points are too few, or seen too shortly, to be a structure."""
+
+
+def reconstruct(
+    film: Sequence[Frame] | Numbers,
+    *,
+    coherence: Coherence = "second-order",
+    association: Association = "dual-chain",
+    camera: Camera = "auto",
+    lens: Lens | None = None,
+    after_round: Callable[[], None] = lambda: None,
+) -> Reconstruction:
+    """Find the structure of a film.
+
+    Parameters
+    ----------
+    film
+        frames with images or with given points; or tracks, `(n_frames, n_tracks, 2)` px, NaN where missing.
+    coherence, association
+        as of `structure_engine`.
+    camera, lens
+        as of `reconstruction_of`.
+    after_round
+        is called after every round of the ascent.
+
+    Raises
+    ------
+    ValueError
+        if there are fewer than 3 frames or 4 points, or frames share too few of them.
+    NoStructureError
+        as `reconstruction_of` does.
+    """
+    frames = frames_of_tracks(film) if isinstance(film, np.ndarray) else film
+    n_tracks = film.shape[1] if isinstance(film, np.ndarray) else None
+    best: Any = None
+    for solution in structure_engine(frames, coherence, association).rounds(frames):
+        best = solution
+        after_round()
+    return reconstruction_of(best, camera, lens, n_tracks)
+
+
+def structure_engine(
+    frames: Sequence[Frame], coherence: Coherence = "second-order", association: Association = "dual-chain"
+) -> CoordinateAscent:
+    """The engine with tracker and shape.
+
+    Parameters
+    ----------
+    frames
+        all of them, with images or with given points.
+    coherence
+        whether the camera moves smoothly.
+    association
+        `"dual-chain"`: the tracker receives the shape's messages, and tracks that show one point become one.
+        `"none"`: it does not, and every track is a point.
+    """
+    dual = association == "dual-chain"
+    model, points = _following(frames)
+    shape = FactorStructure(coherence=coherence == "second-order", associate=dual)
+    model.connect(shape, points, feedback=dual)
+    return CoordinateAscent(model, MOST_ROUNDS)
+
+
+def _following(frames: Sequence[Frame]) -> tuple[MultiChain, PointTracks]:
+    """The chains that follow points of frames, with images or with given points, and the points."""
+    given = any(frame.points is not None for frame in frames)
+    points = PointTracks(noise=noise_of_tracks(frames)) if given else PointTracks()
+    # what a tracker predicts comes from observations that the shape has as well, and would count twice over
+    model = MultiChain().connect(PointTracker(), points, feedback=False)
+    if not given:
+        model.connect(FeatureMatcher(), points, feedback=False)
+    return model, points
+
+
+def followed(frames: Sequence[Frame]) -> Numbers:
+    """Tracks `(n_frames, n_tracks, 2)` px as they are followed without a shape, NaN where not seen."""
+    return tracks_of(CoordinateAscent(_following(frames)[0], 1).run(frames))
+
+
+def tracks_of(solution: Solution) -> Numbers:
+    """What the frames show of each track: `(n_frames, n_tracks, 2)` px, NaN where nothing."""
+    moments = [evidence.positions.moments for evidence in solution.evidence("points")]
+    everybody = np.unique(np.concatenate([identities for identities, _, _ in moments]))
+    tracks = np.full((len(moments), len(everybody), 2), np.nan)
+    for row, (identities, means, _) in zip(tracks, moments, strict=True):
+        row[np.searchsorted(everybody, identities)] = means
+    return tracks
+
+
+def lens_of(frames: Sequence[Frame], focal: float | None = None) -> Lens:
+    """What is known of the camera.
+
+    Where there are no images, the picture is taken to end as far from the positions as it begins: a camera
+    with perspective needs its middle.
+
+    Parameters
+    ----------
+    frames
+        with images or with given points.
+    focal
+        px; `None` where it is not known.
+    """
+    size = next((frame.image.shape[:2] for frame in frames if frame.image is not None), None)
+    if size is not None:
+        return Lens((size[0], size[1]), focal)
+    places = np.concatenate([frame.points.positions for frame in frames if frame.points is not None])
+    least, most = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
+    width, height = np.ceil(most + np.minimum(least, 0) + 1).astype(int).tolist()
+    return Lens((max(height, 1), max(width, 1)), focal)
+
+
+def reconstruction_of(
+    solution: Solution, camera: Camera = "auto", lens: Lens | None = None, n_tracks: int | None = None
+) -> Reconstruction:
+    """Read points, cameras and tracks from the engine's solution, and choose the camera.
+
+    Parameters
+    ----------
+    solution
+        of the engine that `structure_engine` makes.
+    camera
+        `"auto"`: perspective if that explains the observations better than affine cameras do.
+    lens
+        what is known of the camera; that of `lens_of` if not given.
+    n_tracks
+        how many tracks were given, by whose columns points are called; `None` where they were made from
+        images, or are to be called in the order of their identities.
+
+    Raises
+    ------
+    NoStructureError
+        if there is no point, or half of those that images show are in too few views to be any.
+    """
+    from_images = any(frame.image is not None for frame in solution.frames)
+    found = _before_affine_cameras(solution, n_tracks)
+    lives = found.observed.sum(axis=0)
+    if not len(lives) or (from_images and np.median(lives) < FEWEST_FRAMES):
+        raise NoStructureError(
+            f"tracks: got {len(lives)} points, most of them in fewer than {FEWEST_FRAMES} frames"
+        )
+    if camera != "affine" and found.n_points >= FEWEST_POINTS:
+        found = _in_perspective(found, solution, n_tracks, camera, lens or lens_of(solution.frames))
+    return _without_false_depth(found, from_images)
+
+
+def _before_affine_cameras(solution: Solution, n_tracks: int | None) -> Reconstruction:
+    found: StructureTrajectory = solution["structure"]
+    fit = found.factorisation
+    positions, covariances = predicted(fit)
+    observations, observed = _observations_of_points(solution, found, len(fit.shape))
+    geometry, reason = _geometry(observations, fit)
+    cameras, shape, shape_covariances = fit.cameras, fit.shape, fit.shape_covariance
+    if geometry != "none":
+        metric = euclidean(cameras, shape, fit.camera_covariance)
+        geometry, reason = ("euclidean", "") if metric.determined else ("affine", metric.reason)
+        cameras, shape = metric.cameras, metric.shape
+        shape_covariances = metric.transform @ shape_covariances @ metric.transform.T
+    return Reconstruction(
+        positions=positions,
+        covariances=covariances,
+        observed=observed,
+        residuals=observations - positions,
+        point_of_track=_points_of_tracks(solution, found, n_tracks),
+        cameras=cameras,
+        shape=shape,
+        shape_covariances=shape_covariances,
+        noise_variance=found.noise,
+        objective=tuple(report.objective for report in solution.rounds),
+        converged=solution.converged,
+        geometry=geometry,
+        reason=reason,
+    )
+
+
+def _in_perspective(
+    found: Reconstruction, solution: Solution, n_tracks: int | None, camera: Camera, lens: Lens
+) -> Reconstruction:
+    """The same before a perspective camera, if that is wanted.
+
+    What does not fit affine cameras has another chance: outliers count again, and a track that showed no
+    point is one of its own. What does not agree with the perspective camera either is an outlier, and a point
+    is one if `FEWEST_VIEWS` agree about it.
+    """
+    chain: StructureTrajectory = solution["structure"]
+    point_of_track, alone = chain.point_of_track.copy(), chain.point_of_track < 0
+    n_alone = int(np.count_nonzero(alone))
+    point_of_track[alone] = found.n_points + np.arange(n_alone)
+    chain = replace(chain, point_of_track=point_of_track, trusted=np.ones_like(chain.trusted))
+    places, observed = _observations_of_points(solution, chain, found.n_points + n_alone)
+    weights = observed.astype(np.float64)
+    shape = np.concatenate([found.shape, np.zeros((n_alone, 3))])
+    robust = affine_fit(places, weights, found.cameras, shape)
+    perspective = perspective_structure(places, weights, robust, lens)
+    if perspective is None:
+        return replace(found, affine_reason="no perspective camera was found")
+    if camera == "auto" and not perspective.better_than(robust):
+        reason = (
+            "it explains the tracks better than a perspective one with square pixels does"
+            if perspective.focal_determined
+            else "the tracks show no perspective"
+        )
+        return replace(found, affine_reason=reason)
+    agreeing = perspective.agrees(places, weights)
+    kept = np.count_nonzero(agreeing, axis=0) >= FEWEST_VIEWS
+    perspective, observed = perspective.of_points(kept), agreeing[:, kept]
+    residuals = np.where(observed[..., None], places[:, kept] - perspective.positions, np.nan)
+    chain = replace(chain, point_of_track=np.where(kept, np.cumsum(kept) - 1, -1)[chain.point_of_track])
+    return replace(
+        found,
+        positions=perspective.positions,
+        covariances=perspective.covariances,
+        observed=observed,
+        residuals=residuals,
+        point_of_track=_points_of_tracks(solution, chain, n_tracks),
+        cameras=perspective.cameras.affine,
+        shape=perspective.shape,
+        shape_covariances=perspective.shape_covariance,
+        noise_variance=perspective.noise.variance,
+        geometry="euclidean",
+        reason="",
+        perspective=perspective,
+    )
+
+
+def _without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruction:
+    """The reconstruction, without its shape if what was taken for depth is none.
+
+    Before affine cameras, perspective may have been: then homographies explain clearly more than the shape. A
+    perspective camera explains them too, with any depth if it stays where it is, or with any focal length if
+    it sees a plane: then homographies explain as much. Or, where tracks are `from_images` and the shape is
+    known up to an affine map only, or with the focal length, there is less parallax than a tracker makes by
+    itself.
+    """
+    if found.geometry == "none":
+        return found
+    places = np.where(found.observed[..., None], found.places, np.nan)
+    lens = found.perspective
+    most = MOST if lens is None else 1.0  # outliers are left out already
+    ratio = variance_over_shape(places, found.residuals, most)
+    uncertain = found.geometry == "affine" or (lens is not None and lens.curvature_deviation > 0)
+    reason = ""
+    if lens is None and ratio * AS_WELL <= 1:
+        reason = "homographies, which know no depth, explain the tracks better than a shape does"
+    elif lens is not None and ratio <= AS_WELL:
+        known = lens.curvature_deviation == 0  # the focal length is given
+        if not (known and motion_of(places).kind == "plane"):
+            reason = "homographies, which know no depth, explain the tracks as well as a shape does"
+    if not reason and from_images and uncertain and motion_of(places, most).parallax < LASTING:
+        reason = "points move against each other by less than a tracker errs"
+    if not reason:
+        return found
+    return replace(found, geometry="none", reason=reason, perspective=None, affine_reason="")
+
+
+def _geometry(observations: Numbers, fit: Factorisation) -> tuple[Geometry, str]:
+    """Whether the motion shows depth, and why it does not."""
+    n_points = len(fit.shape)
+    if n_points < FEWEST_POINTS:
+        return "none", f"the tracks determine {n_points} points, and {FEWEST_POINTS} are needed"
+    if not depth(observations, None, fit).determined:
+        return "none", "a flat shape explains the tracks as well as one in depth does"
+    return "affine", ""
+
+
+def _points_of_tracks(
+    solution: Solution, found: StructureTrajectory, n_tracks: int | None
+) -> NDArray[np.int64]:
+    """The point of each track `(n_tracks,)`, -1 for none; also of those that the tracker took for another."""
+    tracks: PointTrajectory = solution["tracker"]
+    point_of = dict(zip(found.identities.tolist(), found.point_of_track.tolist(), strict=True))
+    for absorbed, by in tracks.absorbed.tolist():
+        point_of[absorbed] = point_of.get(by, -1)
+    everybody = sorted(point_of) if n_tracks is None else range(n_tracks)
+    return np.array([point_of.get(identity, -1) for identity in everybody], np.int64)
+
+
+def _observations_of_points(
+    solution: Solution, found: StructureTrajectory, n_points: int
+) -> tuple[Numbers, NDArray[np.bool_]]:
+    """What frames show of each point: `(n_frames, n_points, 2)` px, NaN where nothing, and where something.
+
+    Where several tracks show a point at once, their mean counts; what was taken for an outlier does not.
+    """
+    sums = np.zeros((len(solution.frames), n_points, 2))
+    counts = np.zeros((len(solution.frames), n_points))
+    for time, evidence in enumerate(solution.evidence("points")):
+        identities, means, _ = evidence.positions.moments
+        place = np.searchsorted(found.identities, identities)
+        known = place < len(found.identities)
+        known[known] = found.identities[place[known]] == identities[known]
+        points = np.full(len(identities), -1)
+        points[known] = np.where(found.trusted[time, place[known]], found.point_of_track[place[known]], -1)
+        taken = points >= 0
+        np.add.at(sums[time], points[taken], means[taken])
+        np.add.at(counts[time], points[taken], 1)
+    observed = counts > 0
+    with np.errstate(invalid="ignore"):
+        return sums / counts[:, :, None], observed
+
+
+def _root_mean(vectors: Numbers) -> float:
+    return float(np.sqrt(np.square(vectors).sum(axis=-1).mean())) if len(vectors) else np.nan

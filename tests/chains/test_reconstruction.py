@@ -1,0 +1,50 @@
+"""A film's structure in one call: from tracks or frames, before affine and perspective cameras."""
+
+import numpy as np
+import pytest
+from rsmcm.apps.evaluation.structure import score_structure
+from rsmcm.apps.scenes import cylinder
+from rsmcm.chains import reconstruct
+from rsmcm.chains.reconstruction import lens_of
+from rsmcm.inference.sfm.perspective.structure import Lens
+from rsmcm.models import Frame, frames_of_tracks
+
+from ..support.perspective_films import turning
+
+PX = 100.0
+
+
+def test_tracks_of_a_cylinder_become_its_points() -> None:
+    truth = cylinder(n_frames=30, p_loose=0.1, p_drift=0.0, seed=0)
+    rounds: list[None] = []
+    found = reconstruct(PX * truth.tracks(), camera="affine", after_round=lambda: rounds.append(None))
+    assert found.geometry == "euclidean"
+    assert len(rounds) == len(found.objective)
+    scores = score_structure(found.positions / PX, found.shape, found.point_of_track, truth)
+    assert scores.n_missing == 0
+    assert scores.shape_error < 0.02
+
+
+def test_frames_with_points_are_as_good_as_tracks() -> None:
+    tracks = PX * cylinder(n_frames=12, n_points=15, p_loose=0.0, p_drift=0.0, seed=1).tracks()
+    of_tracks = reconstruct(tracks, association="none", camera="affine")
+    of_frames = reconstruct(frames_of_tracks(tracks), association="none", camera="affine")
+    np.testing.assert_array_equal(of_frames.shape, of_tracks.shape)
+
+
+def test_a_near_thing_has_a_perspective_camera() -> None:
+    film = turning(0, n_points=50, n_frames=24)
+    found = reconstruct(film.tracks, association="none", lens=Lens(film.size))
+    assert found.perspective is not None
+    assert found.perspective.cameras.focal == pytest.approx(film.cameras.focal, rel=0.1)
+
+
+def test_pictures_without_points_are_no_structure() -> None:
+    empty = Frame(np.full((40, 60), 128, np.uint8), 0.0, 1)
+    with pytest.raises(ValueError, match="expected"):
+        reconstruct([empty] * 3)
+
+
+def test_the_picture_of_tracks_ends_where_they_do() -> None:
+    frames = frames_of_tracks(np.array([[[10.0, 20.0], [90.0, 60.0]]]))
+    assert lens_of(frames, 50.0) == Lens((81, 101), 50.0)
