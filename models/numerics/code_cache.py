@@ -42,7 +42,7 @@ class CodeCache(FunctionCache):
         if not self._stamped:  # only now: what a function calls may come after it in its file
             self._cache_file._source_stamp = digest_of(self._function)
             self._stamped = True
-        found = super().load_overload(signature, context)  # type: ignore[no-untyped-call]
+        found = self._found(signature, context)
         if found is None and self._lock is None:
             from filelock import FileLock  # which takes a while to import
 
@@ -51,10 +51,17 @@ class CodeCache(FunctionCache):
             with suppress(OSError):  # also where it takes too long: on without the lock
                 self._impl.locator.ensure_cache_path()
                 self._lock.acquire()
-            found = super().load_overload(signature, context)  # type: ignore[no-untyped-call]
+            found = self._found(signature, context)
             if found is not None:
                 self._release()
         return found
+
+    def _found(self, signature: Any, context: Any) -> Any:
+        try:
+            return super().load_overload(signature, context)  # type: ignore[no-untyped-call]
+        except (AttributeError, ImportError):  # it was made for types that an upgrade has taken away
+            self._cache_file.flush()  # type: ignore[no-untyped-call]
+            return None
 
     def save_overload(self, signature: Any, made: Any) -> None:
         """Keep what was compiled."""

@@ -134,3 +134,22 @@ def test_code_on_disk_is_made_again_where_a_constant_elsewhere_has_changed(modul
     assert kept(1.0) == 7.5
     assert sum(kept.stats.cache_hits.values()) == 1
     assert modules(CALLED.replace("STEP, OTHER = 0.25", "STEP, OTHER = 0.5"), CALLER)[1].twice(1.0) == 7.0
+
+
+SUM_OF_PAIR = """
+from typing import NamedTuple
+from rsmcm.models.numerics.compiled import compiled
+class Pair(NamedTuple):
+    one: float
+    other: float
+@compiled
+def total(pair):
+    return pair[0] + pair[1]
+"""
+
+
+def test_code_on_disk_is_made_again_where_a_type_is_no_more(modules) -> None:
+    first = modules(CALLED, SUM_OF_PAIR)[1]
+    assert first.total(first.Pair(1.0, 2.0)) == 3.0
+    second = modules(CALLED, SUM_OF_PAIR.replace("Pair", "Couple"))[1]
+    assert second.total(second.Couple(1.0, 2.0)) == 3.0
