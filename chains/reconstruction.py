@@ -235,8 +235,8 @@ def tracks_of(solution: Solution) -> Numbers:
 def lens_of(frames: Sequence[Frame], focal: float | None = None) -> Lens:
     """What is known of the camera.
 
-    Where there are no images, the picture is taken to end as far from the positions as it begins: a camera
-    with perspective needs its middle.
+    Where there are no images, the picture is taken to end with the positions: a camera with perspective needs
+    its middle.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ one that was lost.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -139,12 +139,8 @@ class FilmSearch:
 
     Parameters
     ----------
-    empty
-        state of a tracker without points.
-    replenished
-        a state with new points in place of those that are missing.
-    learns
-        whether the acceleration is learned on the way.
+    tracker
+        that searches.
     incoming_over_time, others
         of all frames: what reaches the tracker, and the messages of other chains alone.
     current
@@ -160,15 +156,12 @@ class FilmSearch:
 
     def __init__(
         self,
-        empty: TrackerState,
-        replenished: Callable[[TrackerState], TrackerState],
-        learns: bool,
+        tracker: "PointTracker",
         incoming_over_time: Sequence[BatchIncoming],
         others: Sequence[PointMessage],
         current: PointTrajectory | None,
     ) -> None:
-        self._empty, self._replenished, self._learns = empty, replenished, learns
-        self._incoming, self._current = incoming_over_time, current
+        self._tracker, self._incoming, self._current = tracker, incoming_over_time, current
         self._all_others = others
         self._unite({} if current is None else duplicates(current, others))
 
@@ -221,13 +214,15 @@ class FilmSearch:
         """
         prior = message_of(state) * others
         seen = incoming.search(PointTracks, prior)
-        before = updated(state, others * seen, learns=self._learns)
+        before = updated(state, others * seen, learns=self._tracker.learns)
         if seen.view is None:
             return before, seen
         if seen.view.grey is None:
             return with_given(before, others * seen), seen
         after = (
-            self._replenished(before) if self._current is None else self._begun_again(before, others, number)
+            self._tracker.replenished(before)
+            if self._current is None
+            else self._begun_again(before, others, number)
         )
         known = after.known
         new = known.alive & ~np.isin(known.identities, before.known.identities[before.known.alive])
@@ -245,11 +240,11 @@ class FilmSearch:
         """In later rounds the patches of all points are known, and no position."""
         current = self._current
         if current is None or current.appearances is None:
-            return self._empty
+            return self._tracker.empty()
         seen = current.appearances
         kept = np.isin(seen.identities, current.identities) & ~np.isin(seen.identities, list(self.same))
         lost = KnownPoints.lost(seen.identities[kept], seen.first[kept], seen.first[kept])
-        return replace(self._empty, known=lost)
+        return replace(self._tracker.empty(), known=lost)
 
     def _begun_again(self, state: TrackerState, others: PointMessage, number: int) -> TrackerState:
         """With points that were found first in this frame in the round before, unless others know better."""
@@ -340,7 +335,7 @@ class PointTracker:
 
     def initial(self, frame: Frame) -> TrackerState:
         """No points yet: they are found in the first frame."""
-        return self._empty()
+        return self.empty()
 
     def predict(self, state: TrackerState, dt: float) -> TrackerState:
         """Points move on at their velocities."""
@@ -354,16 +349,23 @@ class PointTracker:
     def update(self, state: TrackerState, incoming: Incoming) -> TrackerState:
         """Points given a frame: those that are found again, without those that are lost, and new ones."""
         others = incoming[PointTracks]
-        state = updated(state, others, learns=self.acceleration is None)
+        state = updated(state, others, learns=self.learns)
         if others.view is not None:
-            state = self._replenished(state) if others.view.grey is not None else with_given(state, others)
+            state = self.replenished(state) if others.view.grey is not None else with_given(state, others)
         return replace(state, known=state.known.without_oldest(REMEMBERED * self.n_points))
 
-    def _empty(self) -> TrackerState:
+    @property
+    def learns(self) -> bool:
+        """Whether the acceleration is learned on the way."""
+        return self.acceleration is None
+
+    def empty(self) -> TrackerState:
+        """The state without points."""
         density = ACCELERATION_TIME * (self.acceleration or FIRST_ACCELERATION) ** 2
         return TrackerState(KnownPoints.none(), 0, density, self.limit, np.inf, None)
 
-    def _replenished(self, state: TrackerState) -> TrackerState:
+    def replenished(self, state: TrackerState) -> TrackerState:
+        """The state with new points in place of those that are missing."""
         return replenished(state, self.n_points, self.spacing)
 
     # --- batch ---
@@ -380,14 +382,7 @@ class PointTracker:
         """
         others = [incoming.others(PointTracks) for incoming in incoming_over_time]
         if any(incoming.frame.image is not None for incoming in incoming_over_time):
-            search = FilmSearch(
-                self._empty(),
-                self._replenished,
-                self.acceleration is None,
-                incoming_over_time,
-                others,
-                current,
-            )
+            search = FilmSearch(self, incoming_over_time, others, current)
             evidence, known = search.run()
             trajectory = replace(
                 self._smoothed(evidence, search.others, incoming_over_time),

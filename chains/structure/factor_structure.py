@@ -152,14 +152,29 @@ class FactorStructure:
         """Where the points of all tracks are in each frame, seen or not; nothing of tracks without one."""
         positions, covariances = predicted(trajectory.factorisation)
         covariances[..., [0, 1], [0, 1]] += trajectory.scatter + LEAST_SCATTER * trajectory.noise
-        known = trajectory.point_of_track >= 0
-        tracks, points = trajectory.identities[known], trajectory.point_of_track[known]
-        first = np.full(len(trajectory.factorisation.shape), np.iinfo(np.int64).max)
-        np.minimum.at(first, points, tracks)
-        return [
-            PointMessage(GaussianMessage.from_moments(tracks, mean, covariance), same_as=first[points])
-            for mean, covariance in zip(positions[:, points], covariances[:, points], strict=True)
-        ]
+        return point_messages(trajectory.identities, trajectory.point_of_track, positions, covariances)
+
+
+def point_messages(
+    identities: NDArray[np.int64], point_of_track: NDArray[np.int64], positions: Numbers, covariances: Numbers
+) -> list[PointMessage]:
+    """What a shape says of tracks in each frame, and which of them it takes for one point.
+
+    Parameters
+    ----------
+    identities, point_of_track
+        `(n_tracks,)`: nothing is said of those whose point is -1.
+    positions, covariances
+        `(n_frames, n_points, 2)` px and `(n_frames, n_points, 2, 2)` px^2 of the points.
+    """
+    known = point_of_track >= 0
+    tracks, points = identities[known], point_of_track[known]
+    first = np.full(positions.shape[1], np.iinfo(np.int64).max)
+    np.minimum.at(first, points, tracks)
+    return [
+        PointMessage(GaussianMessage.from_moments(tracks, mean, covariance), same_as=first[points])
+        for mean, covariance in zip(positions[:, points], covariances[:, points], strict=True)
+    ]
 
 
 def without_observations(

@@ -151,37 +151,65 @@ def same_point_gains(mean, covariance, apart, spread, gains):
 
 
 @compiled
-def assign_tracks(order, tracks, said, prior, near, log_new, hard, membership, busy):
+def assign_tracks(
+    order,
+    tracks,
+    information,
+    vector,
+    prior_information,
+    prior_vector,
+    cameras,
+    variance,
+    far,
+    log_new,
+    hard,
+    of_track,
+    member,
+    shares,
+    busy,
+):
     """Probabilities that tracks show points, track after track, each left out of what it is tested on.
 
-    `order` names tracks in turn; `said` are information (n, 3, 3) and vector (n, 3) of each, `prior` those
-    of any point; `log_new` is the log prior odds that a track shows none of the points against that it shows
-    a certain one. `near` are cameras (n_frames, 2, 4), a variance and a limit: a point is tried if the middle
-    observation of the track, of that variance, is at most so many squared standard deviations from where
-    cameras show the point, or if the track was its own before.
+    Parameters
+    ----------
+    order
+        names tracks in turn.
+    tracks
+        observations by track.
+    information, vector
+        `(n, 3, 3)` and `(n, 3)` of each track; `prior_information` and `prior_vector` are those of any point.
+    cameras, variance, far
+        `(n_frames, 2, 4)`: a point is tried if the middle observation of the track, of that variance, is at
+        most `far` squared standard deviations from where cameras show the point, or if the track was its own
+        before.
+    log_new
+        log prior odds that a track shows none of the points against that it shows a certain one.
+    hard
+        whether each track is a member of one point or none.
+    of_track, member, shares
+        memberships: edges `(n + 1,)`, points and probabilities, track by track.
+    busy
+        `(n_points, n_frames)`, how many of its observations each point has in a frame; changed in place.
 
-    `membership` are edges (n + 1,), points and probabilities, track by track. busy (n_points, n_frames), how
-    many of its observations each point has in a frame, is changed in place; `hard` makes each track a member
-    of one point or none.
-
-    Returns the new points and probabilities, in the order of the turns, and how many each turn has.
+    Returns
+    -------
+    The new points and probabilities, in the order of the turns, and how many each turn has.
     """
     edges, _, frame, x, y, weight = tracks
-    of_track, member, shares = membership
-    cameras, variance, far = near
-    information, vector = said
     n, n_points = information.shape[0], busy.shape[0]
-    others, whole, sums = _told(said, prior, membership, n_points)
+    others, whole, sums = _told(
+        information, vector, prior_information, prior_vector, of_track, member, shares, n_points
+    )
     mean, covariance, before = np.empty((n_points, 3)), np.empty((n_points, 3, 3)), np.empty(n_points)
     for p in range(n_points):
         before[p] = _settle(whole[p], sums[p], mean[p], covariance[p])
-    nothing = _log_partition(prior[0], prior[1])
+    nothing = _log_partition(prior_information, prior_vector)
     tried, scores = np.empty(n_points, np.int64), np.empty(n_points)
     counts = np.zeros(n, np.int64)
     points, probabilities = np.empty(2 * n, np.int64), np.empty(2 * n)
     end = 0
     for k in order:
-        alone = _log_partition(prior[0] + information[k], prior[1] + vector[k])
+        alone = _log_partition(prior_information + information[k], prior_vector + vector[k])
         own, most = -1, 0.0  # the point that would be left without a track
         for e in range(of_track[k], of_track[k + 1]):
             p, share = member[e], shares[e]
@@ -246,14 +274,12 @@ def assign_tracks(order, tracks, said, prior, near, log_new, hard, membership, b
 
 
 @compiled
-def _told(said, prior, membership, n_points):
+def _told(information, vector, prior_information, prior_vector, of_track, member, shares, n_points):
     """Sum what tracks say of points: how many tell (n_points,), information and vector, with the prior."""
-    information, vector = said
-    of_track, member, shares = membership
     others, whole, sums = np.zeros(n_points), np.empty((n_points, 3, 3)), np.empty((n_points, 3))
     for p in range(n_points):
-        whole[p] = prior[0]
-        sums[p] = prior[1]
+        whole[p] = prior_information
+        sums[p] = prior_vector
     for k in range(information.shape[0]):
         for e in range(of_track[k], of_track[k + 1]):
             p = member[e]

@@ -9,15 +9,11 @@ from numpy.typing import NDArray
 from ...inference.engine.protocols import BatchIncoming, Cavity, Port, Smoothed
 from ...inference.sfm.nonrigid.learning import learn_associated
 from ...inference.sfm.nonrigid.shape import NonrigidShape
-from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.points.point_tracks import PointMessage, PointTracks
-from .factor_structure import observations
+from .factor_structure import LEAST_SCATTER, observations, point_messages
 
 Numbers = NDArray[np.float64]
-
-LEAST_SCATTER = 1e-6
-"""Of the noise: keeps covariances positive where nothing is left open."""
 
 
 @short_repr
@@ -105,15 +101,10 @@ class NonrigidStructure:
         positions = shape.shapes()[..., :2]
         covariances = shape.shape_covariances()[..., :2, :2]
         covariances[..., [0, 1], [0, 1]] += trajectory.scatter + LEAST_SCATTER * shape.noise**2
-        known = trajectory.point_of_track >= 0
-        tracks, points = trajectory.identities[known], trajectory.point_of_track[known]
-        first = np.full(shape.bases.shape[1], np.iinfo(np.int64).max)
-        np.minimum.at(first, points, tracks)
-        return [
-            PointMessage(GaussianMessage.from_moments(tracks, mean, covariance), same_as=first[points])
-            if posed
-            else feature.uniform()
-            for posed, mean, covariance in zip(
-                shape.frame_determined, positions[:, points], covariances[:, points], strict=True
+        posed = shape.frame_determined
+        said = iter(
+            point_messages(
+                trajectory.identities, trajectory.point_of_track, positions[posed], covariances[posed]
             )
-        ]
+        )
+        return [next(said) if known else feature.uniform() for known in posed]

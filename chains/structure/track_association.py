@@ -285,12 +285,18 @@ class _Association:
         points, shares, counts = assign_tracks(
             order,
             tracks,
-            (information, vector),
-            (prior, prior @ mean),
-            (np.ascontiguousarray(self._cameras), noise.white + noise.drift, FAR),
+            information,
+            vector,
+            prior,
+            prior @ mean,
+            np.ascontiguousarray(self._cameras),
+            noise.white + noise.drift,
+            FAR,
             float(np.log(n_points * odds)),
             hard,
-            (membership.indptr.astype(np.int64), membership.indices.astype(np.int64), membership.data),
+            membership.indptr.astype(np.int64),
+            membership.indices.astype(np.int64),
+            membership.data,
             pooled(membership, self._seen),
         )
         own = np.repeat(order, counts[order])

@@ -26,7 +26,6 @@ from .kernels.search import (
     ODDS,
     REACH,
     WHOLE,
-    Asked,
     Candidates,
     Places,
     Windows,
@@ -114,7 +113,7 @@ def find_points(
     aligned = _aligned(grey, patches, places, Expected(mean, precision))
     hidden = np.zeros(count, np.bool_) if before is None else ~before.shown
     better, seen = np.zeros(count, np.int64), np.empty(count, np.bool_)
-    decide(aligned, Asked(mean, around, precision, hidden, false_alarms, farthest, side), better, seen)
+    decide(aligned, mean, around, precision, hidden, false_alarms, farthest, side, better, seen)
     position, spread = (both[np.arange(count), better] for both in aligned[:2])
     if before is not None:
         again = np.flatnonzero(seen & before.shown)

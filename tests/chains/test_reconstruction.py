@@ -47,4 +47,4 @@ def test_pictures_without_points_are_no_structure() -> None:
 
 def test_the_picture_of_tracks_ends_where_they_do() -> None:
     frames = frames_of_tracks(np.array([[[10.0, 20.0], [90.0, 60.0]]]))
-    assert lens_of(frames, 50.0) == Lens((81, 101), 50.0)
+    assert lens_of(frames, 50.0) == Lens((61, 91), 50.0)

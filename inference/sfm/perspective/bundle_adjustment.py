@@ -152,8 +152,10 @@ def retriangulated(listed: Listed, found: Bundle) -> Numbers:
     A step moves all points at once, and leaves behind what has gone to the wrong side of a camera.
     """
     cameras, noise, shape = found.cameras, found.noise, found.shape.copy()
-    views = cameras.rotations, cameras.scales, cameras.shifts, cameras.curvature
-    triangulate(listed, views, shape, (noise.variance, noise.freedom, NEAREST, BEHIND))
+    triangulate(
+        listed, cameras.rotations, cameras.scales, cameras.shifts, cameras.curvature, shape,
+        noise.variance, noise.freedom, NEAREST, BEHIND,
+    )  # fmt: skip
     return shape
 
 

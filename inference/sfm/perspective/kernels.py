@@ -230,7 +230,7 @@ OPEN = 1e-9
 
 
 @compiled
-def triangulate(by_point, cameras, shape, noise):
+def triangulate(by_point, rotations, scales, shifts, curvature, shape, variance, freedom, nearest, behind):
     """Move each point to where Student's noise makes its observations likeliest, if that is anywhere better.
 
     From where it is, from all its observations alike, and from its first and its last one alone: an outlier
@@ -238,15 +238,15 @@ def triangulate(by_point, cameras, shape, noise):
 
     Parameters
     ----------
-    cameras
-        rotations, scales, shifts and curvature of `PerspectiveCameras`.
+    rotations, scales, shifts, curvature
+        of `PerspectiveCameras`.
     shape
         `(n_points, 3)`, changed in place.
-    noise
-        variance and degrees of freedom; the least depth before a camera, and the squared distance that stands
-        for less than that.
+    variance, freedom
+        of the noise.
+    nearest, behind
+        the least depth before a camera, and the squared distance that stands for less than that.
     """
-    rotations, scales, shifts, curvature = cameras
     edges, _, other, x, y, weight = by_point
     most = 1
     for i in range(edges.size - 1):
@@ -258,7 +258,10 @@ def triangulate(by_point, cameras, shape, noise):
         low, high = edges[i], edges[i + 1]
         if high == low:
             continue
-        best = _cost(by_point, low, high, cameras, shape[i], noise, counts)
+        best = _cost(
+            by_point, low, high, rotations, scales, shifts, curvature, shape[i], variance, freedom, nearest,
+            behind, counts,
+        )  # fmt: skip
         for start in range(3):
             tried[:] = shape[i]
             if start > 0:
@@ -280,18 +283,22 @@ def triangulate(by_point, cameras, shape, noise):
                             for n in range(3):
                                 information[m, n] += counts[k - low] * row[m] * row[n]
                 _solve(information, vector, tried)
-                cost = _cost(by_point, low, high, cameras, tried, noise, counts)
+                cost = _cost(
+                    by_point, low, high, rotations, scales, shifts, curvature, tried, variance, freedom,
+                    nearest, behind, counts,
+                )  # fmt: skip
                 if cost < best:
                     best = cost
                     shape[i] = tried
 
 
 @inlined
-def _cost(by_point, low, high, cameras, place, noise, counts):
+def _cost(
+    by_point, low, high, rotations, scales, shifts, curvature, place, variance, freedom, nearest, behind,
+    counts
+):  # fmt: skip
     """Minus the log likelihood of a point's observations; and what each counts in the next solution."""
     _, _, other, x, y, weight = by_point
-    rotations, scales, shifts, curvature = cameras
-    variance, freedom, nearest, behind = noise
     cost = 0.0
     for k in range(low, high):
         t = other[k]

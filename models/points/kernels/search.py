@@ -309,32 +309,6 @@ UNLIKE = 0.045
 2900 in a real film the correlation was 0.91, 0.96 and 0.975 in the quartiles."""
 
 
-class Asked(NamedTuple):
-    """What is asked of n points.
-
-    Parameters
-    ----------
-    mean, around, precision
-        `(n, 2)` px, `(n, 2, 2)` px^2 and its inverse: where they should be.
-    hidden
-        `(n,)` bool: those that may be hidden, of which what is there by chance is one more rival.
-    false_alarms
-        share of windows without the point in which something is as like it as is asked for.
-    farthest
-        px from the mean beyond which nothing is searched.
-    side
-        px, of the patches.
-    """
-
-    mean: Numbers
-    around: Numbers
-    precision: Numbers
-    hidden: Mask
-    false_alarms: float
-    farthest: float
-    side: int
-
-
 class Places(NamedTuple):
     """Two places each for n patches.
 
@@ -352,13 +326,27 @@ class Places(NamedTuple):
 
 
 @compiled
-def decide(places, asked, better, seen):
+def decide(places, mean, around, precision, hidden, false_alarms, farthest, side, better, seen):
     """Say of n points in `better`, `(n,)`, which of two places is the likelier one, and if `seen` there.
 
     To fractions of a pixel that can be another one than pixel by pixel.
+
+    Parameters
+    ----------
+    places
+        `Places` that were found.
+    mean, around, precision
+        `(n, 2)` px, `(n, 2, 2)` px^2 and its inverse: where points should be.
+    hidden
+        `(n,)` bool: those that may be hidden, of which what is there by chance is one more rival.
+    false_alarms
+        share of windows without the point in which something is as like it as is asked for.
+    farthest
+        px from the mean beyond which nothing is searched.
+    side
+        px, of the patches.
     """
     position, covariance, nccs = places
-    mean, around, precision, hidden, false_alarms, farthest, side = asked
     log_odds = np.log(ODDS)
     for k in range(seen.size):
         a, b, c = around[k, 0, 0], around[k, 0, 1], around[k, 1, 1]
