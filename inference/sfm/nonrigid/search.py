@@ -6,6 +6,7 @@ whatever the deformation is.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -181,7 +182,8 @@ def _angles(one: Numbers, other: Numbers) -> Numbers:
     return angles
 
 
-STEPS = 1000
+STEPS, MOST_TRIED = 100, 2000
+"""Steps that are taken, and tried, at most."""
 ROWS_DAMPING = Damping(1e-2, rise=4.0)
 LEAST_GAIN = 1e-7
 """Of the sum of squares, as a share: below this nothing more is to be had."""
@@ -251,12 +253,15 @@ def _corrected(motion: Numbers, first: Numbers) -> _Corrected:
 
         return step
 
+    taken = count(1)
     return levenberg_marquardt(
         at(first),
         linearised,
-        lambda before, after: before.squares - after.squares <= LEAST_GAIN * before.squares,
+        lambda before, after: (
+            next(taken) == STEPS or before.squares - after.squares <= LEAST_GAIN * before.squares
+        ),
         ROWS_DAMPING,
-        most_steps=STEPS,
+        most_steps=MOST_TRIED,
     ).place
 
 
