@@ -34,6 +34,7 @@ from .points.feature_matcher import FeatureMatcher
 from .points.point_tracker import PointTracker
 from .points.trajectory import PointTrajectory
 from .structure.factor_structure import FactorStructure, StructureTrajectory
+from .structure.recursive import Structure
 
 Numbers = NDArray[np.float64]
 Geometry = Literal["euclidean", "affine", "none"]
@@ -117,6 +118,11 @@ class Reconstruction:
     def n_observations(self) -> int:
         """In how many places a point was seen in a frame."""
         return int(np.count_nonzero(self.observed))
+
+    @property
+    def determined(self) -> NDArray[np.bool_]:
+        """`(n_frames,)`: whether the camera is known, and with it where points are."""
+        return np.asarray(np.isfinite(self.cameras).all(axis=(1, 2)))
 
     @cached_property
     def places(self) -> Numbers:
@@ -230,6 +236,53 @@ def tracks_of(solution: Solution) -> Numbers:
     for row, (identities, means, _) in zip(tracks, moments, strict=True):
         row[np.searchsorted(everybody, identities)] = means
     return tracks
+
+
+def recursive_reconstruction(
+    structure: Structure, cameras: Numbers, camera_covariances: Numbers, tracks: Numbers
+) -> Reconstruction:
+    """What `RecursiveStructure` has found of its last shape.
+
+    Parameters
+    ----------
+    structure
+        at the end.
+    cameras, camera_covariances
+        `(n_frames, 2, 4)` and `(n_frames, 4, 4)`, as they were after each frame; NaN where there was none.
+    tracks
+        `(n_frames, n_points, 2)` px where the points of the shape were seen, NaN where not.
+    """
+    known = np.asarray(np.isfinite(cameras).all(axis=(1, 2)))
+    since = np.flatnonzero(~known)  # cameras before are of another shape
+    known[: since.max(initial=-1) + 1] = False
+    fit = Factorisation(
+        cameras[known], camera_covariances[known], structure.shape, structure.shape_covariance,
+        0.0, 0.0, True, structure.motion.noise, known[known], (),
+    )  # fmt: skip
+    n_frames, n_points = tracks.shape[:2]
+    positions = np.full((n_frames, n_points, 2), np.nan)
+    covariances = np.full((n_frames, n_points, 2, 2), np.nan)
+    positions[known], covariances[known] = predicted(fit)
+    metric = euclidean(fit.cameras, fit.shape, fit.camera_covariance)
+    upgraded = np.full(cameras.shape, np.nan)
+    upgraded[known] = metric.cameras
+    residuals = tracks - positions
+    observed = np.isfinite(residuals[..., 0])
+    return Reconstruction(
+        positions=positions,
+        covariances=covariances,
+        observed=observed,
+        residuals=residuals,
+        point_of_track=np.arange(n_points),
+        cameras=upgraded,
+        shape=metric.shape,
+        shape_covariances=metric.transform @ structure.shape_covariance @ metric.transform.T,
+        noise_variance=float(np.mean(residuals[observed] ** 2)) if observed.any() else np.nan,
+        objective=(),
+        converged=True,
+        geometry="euclidean" if metric.determined else "affine",
+        reason=metric.reason,
+    )
 
 
 def lens_of(frames: Sequence[Frame], focal: float | None = None) -> Lens:

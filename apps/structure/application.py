@@ -32,6 +32,7 @@ from ..io.point_files import frames_of_tracks, read_track_file
 from ..io.sources.open_source import DEFAULT_RATE, Selection, open_source
 from ..runs.frame_lists import listed
 from ..runs.interruption import Interrupted, Outcome
+from ..runs.loop import run_film
 from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, check_memory
 from ..runs.progress import Progress
 from ..runs.saved_run import STATE, about_of, check_source
@@ -42,6 +43,7 @@ from .diagnosis import Diagnosis, no_depth, no_points, too_little
 from .files import point_colours, recorded_predictions, write_cameras, write_ply, write_tracks
 from .job import StructureJob
 from .page import EDGE, drawn_of, film_of_tracks, nothing_page, structure_page, write_film
+from .recursive import RecursiveRun
 
 COLMAP = "colmap"
 """Folder for the perspective structure as COLMAP has it."""
@@ -103,6 +105,10 @@ def run_structure(job: StructureJob) -> Outcome:
     ValueError, OSError, Interrupted
         as `run_film` does.
     """
+    if job.engine == "recursive-bp":
+        if Path(job.source).suffix.lower() in TRACK_FILES:
+            raise ValueError(f"--engine {job.engine}: got tracks, {job.source}, expected a film or a stream")
+        return run_film(RecursiveRun(job))
     session = Session(NAME, job, job.settings())
     with session.running():
         return _StructureRun(job, session).run()
@@ -147,7 +153,7 @@ class _StructureRun:
             return self._nothing(no_points(film.frames, tracks_of(solution), ""))
         lost = film.stream is not None and film.stream["lost"] is not None
         session.ended_early = lost or session.interruption.signal is not None
-        diagnosis = no_depth(found, tracks_of(solution)) if found.geometry == "none" else None
+        diagnosis = no_depth(found.reason, tracks_of(solution)) if found.geometry == "none" else None
         summary = self._written(found, recorded_predictions(solution), about_lens, diagnosis)
         if not session.ended_early:
             self._save(solution, finished=summary)

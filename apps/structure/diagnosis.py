@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...chains.reconstruction import FEWEST_FRAMES, FEWEST_POINTS, Numbers, Reconstruction
+from ...chains.reconstruction import FEWEST_FRAMES, FEWEST_POINTS, Numbers
 from ...inference.sfm.parallax import Kind, Motion, motion_of, picture_motion
 from ...models.core.frame import Frame
 from ...models.core.pictures import grey_of
@@ -142,7 +142,7 @@ ADVICE: dict[Kind, str] = {
 }
 
 
-def no_depth(found: Reconstruction, tracks: Numbers) -> Diagnosis:
+def no_depth(reason: str, tracks: Numbers) -> Diagnosis:
     """Why a reconstruction has no depth, of tracks `(n_frames, n_tracks, 2)` px, NaN where not seen."""
     motion = motion_of(tracks)
     parallax = ""
@@ -150,7 +150,7 @@ def no_depth(found: Reconstruction, tracks: Numbers) -> Diagnosis:
         parallax = f" Homographies between pictures far apart leave {motion.parallax:.2g} px per point over"
         parallax += ", no more than noise does: no parallax."
     return Diagnosis(
-        f"The shape is undetermined, and none is given: {found.reason}.",
+        f"The shape is undetermined, and none is given: {reason}.",
         f"Points move by {motion.per_frame:.3g} px a frame, and {WHY[motion.kind]}.{parallax}",
         ADVICE[motion.kind],
         _figures(motion),

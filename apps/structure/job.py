@@ -2,14 +2,18 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
-from ...chains.reconstruction import Association, Camera, Coherence
-from ..options.job import Bounds, Flag, Job, OfRuns
+from ..options.job import Bounds, FilmJob, Job
+
+Engine = Literal["coordinate-ascent", "recursive-bp"]
+Coherence = Literal["second-order", "none"]
+Association = Literal["dual-chain", "none"]
+Camera = Literal["auto", "affine", "perspective"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class StructureJob(Job):
+class StructureJob(FilmJob):
     """Of what to find the structure, and how.
 
     Parameters
@@ -17,7 +21,10 @@ class StructureJob(Job):
     source
         A video file, a folder or glob of images, or a track file: an .npz with tracks (n_frames, n_points, 2)
         in px, NaN where a point is missing, or as CoTracker or TAP-Vid have them. At least 3 frames and 4
-        points.
+        points. With --engine recursive-bp also a camera or a stream, and no track file.
+    engine
+        coordinate-ascent: from all frames together. recursive-bp: while frames come in, before an affine
+        camera; it goes on as long as they do.
     coherence
         second-order: the camera moves smoothly. none: every frame's camera is on its own.
     association
@@ -30,30 +37,43 @@ class StructureJob(Job):
         Focal length in px, where it is known; else pictures may state it, or it is estimated.
     resume
         Go on with the run whose results are in the folder, from its last saved round.
-    video
-        Write overlay.mp4 as well, the film with its points drawn on it; rsmcm export makes it of a finished
-        run.
     """
+
+    engine: Engine = "coordinate-ascent"
 
     coherence: Coherence = "second-order"
     association: Association = "dual-chain"
     camera: Camera = "auto"
     focal: float | None = None
-    video: OfRuns[Flag] = False
 
     BOUNDS: ClassVar[Bounds] = {"focal": (lambda px: 0 < px < math.inf, "px, more than 0")}
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.engine == "coordinate-ascent":
+            for option, given in (("--live", self.live), ("--from", self.learned)):
+                if given is not None:
+                    raise ValueError(
+                        f"{option}: got it with all frames taken together, expected --engine recursive-bp"
+                    )
+        elif (self.coherence, self.association, self.camera, self.focal) != (
+            "second-order", "dual-chain", "auto", None,
+        ):  # fmt: skip
+            raise ValueError(
+                "--engine recursive-bp: got --coherence, --association, --camera or --focal with it, "
+                "expected those with --engine coordinate-ascent"
+            )
         if self.focal is not None and self.camera == "affine":
             raise ValueError("--focal: got one with --camera affine, expected a camera that has one")
 
     def settings(self) -> dict[str, Any]:
         """What the results depend on, beside the source."""
+        if self.engine == "recursive-bp":
+            return {"engine": self.engine, **super().settings()}
         return {
             "coherence": self.coherence,
             "association": self.association,
             "camera": self.camera,
             "focal": self.focal,
-            **super().settings(),
+            **Job.settings(self),
         }

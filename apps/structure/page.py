@@ -114,7 +114,8 @@ def structure_page(
         sections.append(("Shape", three_sides(found, colours)))
     if film.path is None:
         sections.append(("Tracks", [_tracks(found)]))
-    sections.append(("Rounds", [_rounds(found)]))
+    if found.objective:
+        sections.append(("Rounds", [_rounds(found)]))
     return Page(
         title,
         cards=_cards(found, summary),
@@ -170,7 +171,7 @@ def _cards(found: Reconstruction, summary: Mapping[str, Any]) -> dict[str, str]:
         "noise of a coordinate": f"{np.sqrt(found.noise_variance):.3g} px",
         "shape": "undetermined" if found.geometry == "none" else found.geometry,
         "camera": camera_in_words(found),
-        "rounds": f"{len(found.objective)}",
+        **({"rounds": f"{len(found.objective)}"} if found.objective else {}),
     }
 
 
