@@ -64,8 +64,9 @@ def structure(job: Fields[StructureJob]) -> int:
     """Track points, and find their shape and the motion of the camera.
 
     Writes structure.ply, cameras.json, tracks.npz, predictions.npz, summary.json and view.html. All frames
-    are held in memory. Where the motion does not show depth (a static camera), that is said, and there is no
-    structure.ply. Ctrl-C ends the run with the results of the last whole round.
+    are held in memory, but with --engine recursive-bp, which takes one after the other. Where the motion does
+    not show depth (a static camera), that is said, and there is no structure.ply. Ctrl-C ends the run with
+    the results of the last whole round.
     """
     from .structure.application import run_structure
 

@@ -38,7 +38,7 @@ from ..runs.progress import Progress
 from ..runs.saved_run import STATE, about_of, check_source
 from ..runs.session import OVERLAY, Session
 from ..view.page import VIEW, write_page
-from .camera import camera_in_words, known_lens
+from .camera import camera_in_words, in_words, known_lens
 from .diagnosis import Diagnosis, no_depth, no_points, too_little
 from .files import point_colours, recorded_predictions, write_cameras, write_ply, write_tracks
 from .job import StructureJob
@@ -281,19 +281,6 @@ class _StructureRun:
     @property
     def _title(self) -> str:
         return f"{Path(self._film.name).name}: structure from motion"
-
-
-def in_words(summary: Mapping[str, Any]) -> list[str]:
-    """Points, and how well they fit."""
-    words = f"{summary['frames']} frames, {summary['points']} points from {summary['tracks']} tracks"
-    if not summary["points"]:
-        return [words]
-    return [
-        f"{words}, reprojection error {summary['reprojection_rmse_px_per_point']:.3g} px per point "
-        f"({summary['reprojection_rmse_px_per_coordinate']:.3g} px per coordinate), shape: "
-        f"{summary['shape']}",
-        f"camera: {summary['camera_in_words']}",
-    ]
 
 
 def read_film(job: StructureJob) -> Film:

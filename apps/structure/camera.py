@@ -1,8 +1,9 @@
-"""What is known of a film's camera beforehand, and what a run says of it."""
+"""What is known of a film's camera beforehand, and what a run says of camera and points in a few words."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from ...chains.reconstruction import Reconstruction, lens_of
 from ...inference.sfm.perspective.structure import Lens, PerspectiveStructure
@@ -50,3 +51,16 @@ def focal_in_words(found: PerspectiveStructure) -> str:
         shortest = 1 / (found.cameras.curvature + 2 * found.curvature_deviation)
         return f"focal length unknown, more than {shortest:.2g} px"
     return f"focal length {found.cameras.focal:.5g} ± {found.focal_deviation:.2g} px"
+
+
+def in_words(summary: Mapping[str, Any]) -> list[str]:
+    """Points, and how well they fit."""
+    words = f"{summary['frames']} frames, {summary['points']} points from {summary['tracks']} tracks"
+    if not summary["points"]:
+        return [words]
+    return [
+        f"{words}, reprojection error {summary['reprojection_rmse_px_per_point']:.3g} px per point "
+        f"({summary['reprojection_rmse_px_per_coordinate']:.3g} px per coordinate), shape: "
+        f"{summary['shape']}",
+        f"camera: {summary['camera_in_words']}",
+    ]

@@ -21,7 +21,7 @@ from ..runs.loop import Application, Columns, Engine, Start
 from ..runs.row_log import RowLog
 from ..view.film import Film, Row
 from ..view.page import Page
-from .camera import camera_in_words
+from .camera import camera_in_words, in_words
 from .diagnosis import Diagnosis, no_depth
 from .files import GREY, write_cameras, write_ply, write_tracks
 from .job import StructureJob
@@ -120,8 +120,6 @@ class RecursiveRun(Application[StructureJob]):
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """Points, and how well they fit."""
-        from .application import in_words
-
         return in_words(summary)
 
     def _structure(self, states: Mapping[str, Any]) -> Structure | None:
