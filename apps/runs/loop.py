@@ -26,10 +26,8 @@ from ..io.files import write_json
 from ..io.film import SeenFrames
 from ..io.growing_files import segments_of
 from ..io.sources.open_source import Source, describe, open_source
-from ..live.address import read_address
-from ..live.running import Running
-from ..live.server import live_page
-from ..options.job import FilmJob
+from ..live.server import Running, live_page
+from ..options.job import FilmJob, read_address
 from ..view.film import ROWS as FILM_ROWS
 from ..view.film import Film, FilmWriter, Row, read_film
 from ..view.page import VIEW, Line, Page, Plot, write_page

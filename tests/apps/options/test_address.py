@@ -1,5 +1,5 @@
 import pytest
-from rsmcm.apps.live.address import Address, read_address
+from rsmcm.apps.options.job import Address, read_address
 
 
 @pytest.mark.parametrize(
