@@ -43,11 +43,10 @@ from ..runs.memory import BODY, KEPT_IMAGE, KEPT_SAMPLE, SAMPLE
 from ..runs.row_log import RowLog
 from ..view.film import Film
 from ..view.page import Page
-from .hypotheses import hypotheses
 from .job import LAG, BodyJob
 from .joint_files import read_joints
 from .page import body_page, drawing, drawn_of, with_final_names
-from .record import PART_JOINTS, BodyRecord
+from .record import PART_JOINTS, BodyRecord, hypotheses
 from .relabelling import relabelled
 
 _log = logging.getLogger(__name__)

@@ -26,8 +26,7 @@ from ..view.page import (
     spans_of,
     table,
 )
-from .hypotheses import WORTH_SAYING
-from .record import PART_JOINTS, BodyRecord
+from .record import PART_JOINTS, WORTH_SAYING, BodyRecord
 
 Image = NDArray[np.uint8]
 

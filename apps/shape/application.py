@@ -19,10 +19,9 @@ from ..runs.interruption import Interrupted, Outcome
 from ..runs.progress import Progress
 from ..runs.session import Session
 from ..view.page import VIEW, write_page
-from .files import MODEL, SHAPES, write_shapes
 from .job import AUTO, ShapeJob
 from .page import shape_page
-from .result import LearnedShape, Numbers
+from .result import MODEL, SHAPES, LearnedShape, Numbers, write_shapes
 
 NAME = "shape"
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.inverse_kinematics import arm_at
-from ...models.body.kernels.kinematics import lean
+from ...models.body.kernels import lean
 from ...models.body.poses import BodyPoses
 from ...models.body.upper_body import UpperBody
 from ...models.core.short_repr import short_repr

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .kernels.kinematics import elbows, reach
+from .kernels import elbows, reach
 
 if TYPE_CHECKING:
     from .upper_body import UpperBody

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.keypoints import KEYPOINTS, GivenKeypoints
 from ..core.short_repr import short_repr
-from .kernels.evidence import keypoint_terms
+from .kernels import keypoint_terms
 from .upper_body import JOINTS, PARTS, PROPORTIONS, UpperBody
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from ..core.short_repr import short_repr
-from .kernels.evidence import blended
+from .kernels import blended
 from .skin import N_BINS, SkinColour, colour_counts, has_colour, log_ratio_of, looked_up_in
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from ..core.short_repr import short_repr
-from .kernels.evidence import looked_up
+from .kernels import looked_up
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
-from .kernels.kinematics import place_joints, place_parts, place_shoulders, within_limits
+from .kernels import place_joints, place_parts, place_shoulders, within_limits
 from .poses import BodyPoses
 
 Array = NDArray[np.float64]

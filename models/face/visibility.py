@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from ..numerics.compiled import LANES
 from ..numerics.threads import over_bands
-from .kernels import visibility as outline_kernels
-from .kernels import visibility as visibility_kernels
+from . import kernels as outline_kernels
+from . import kernels as visibility_kernels
 from .surface_texels import SurfaceTexels
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.body.kernels.kinematics import rotation
+from ....models.body.kernels import rotation
 from ....models.numerics.compiled import compiled, exponential, inlined, logarithm
 
 _f4 = np.float32

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from rsmcm.apps.body import application
 from rsmcm.apps.body import record as body_record
 from rsmcm.apps.body.application import ANGLE_NAMES, N_DRAWN, read_head
-from rsmcm.apps.body.hypotheses import HANDS, Hypotheses
-from rsmcm.apps.body.record import RARELY_SEEN, BodyRecord
+from rsmcm.apps.body.record import HANDS, RARELY_SEEN, BodyRecord, Hypotheses
 from rsmcm.apps.io import film as films
 from rsmcm.apps.io.growing_files import PLAYABLE, SegmentedVideo
 from rsmcm.apps.io.sources.open_source import Source, open_source

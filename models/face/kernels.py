@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...numerics.compiled import LANES, MOST, compiled, float_as_bits, own_array
+from ..numerics.compiled import LANES, MOST, compiled, float_as_bits, own_array
 
 _f4 = np.float32
 _FAR = _f4(1e30)

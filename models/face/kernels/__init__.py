@@ -1,1 +1,0 @@
-"""Compiled loops over the texels and triangles of a surface."""
