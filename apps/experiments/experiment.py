@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from ..evaluation.text_tables import in_columns
 from ..io.files import write_image
 from ..runs.parallel import in_parallel
+from ..view.page import Page, Section, picture_file, table, write_page
 from .expectations import HEADER, Expectation
-from .page import picture, table, write_figure, write_page
+from .figures import write_figure
 from .record import Record, Stopwatch, Table
 
 if TYPE_CHECKING:
@@ -138,9 +139,9 @@ def publish(name: str, command: str, out: Path, run: Callable[[], Findings]) -> 
         print(in_columns(HEADER, wanted))
     for one in found.pictures:
         one.write(out / one.name)
-    shown = [picture(out / one.name, one.caption) for one in found.pictures]
+    shown = [picture_file(out / one.name, one.caption) for one in found.pictures]
     measured = [table(each.header, each.rows, each.caption) for each in (*found.tables, *found.details)]
     judged = [table(HEADER, wanted)] if wanted else []
-    sections = [("", judged), ("Figures", shown), ("Measured", measured)]
-    write_page(out / "index.html", found.title, [each for each in sections if each[1]])
+    sections: list[Section] = [("", judged), ("Figures", shown), ("Measured", measured)]
+    write_page(out / "index.html", Page(found.title, sections=[each for each in sections if each[1]]))
     print(f"\npage: {out / 'index.html'}")

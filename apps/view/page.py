@@ -242,6 +242,18 @@ def picture(image: Image, caption: str = "") -> Markup:
     return Markup(_parts.captioned(_inlined(image, caption), caption))
 
 
+def picture_file(path: Path, caption: str) -> Markup:
+    """A picture from a PNG file.
+
+    Raises
+    ------
+    OSError
+        if the file cannot be read.
+    """
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    return Markup(_parts.captioned(Markup(_parts.image("png", data, caption)), caption))
+
+
 def _inlined(image: Image, description: str) -> Markup:
     """An image as part of the page: JPEG, or PNG for pictures of few values, which JPEG would smear."""
     few = image.ndim == 2 and len(np.unique(image)) <= 16

@@ -10,7 +10,7 @@ from rsmcm.apps.evaluation.structure import StructureScores
 from rsmcm.apps.experiments import cylinder as experiment
 from rsmcm.apps.experiments.cylinder import DUAL_COHERENT, METHODS, ORACLE, SINGLE, SINGLE_COHERENT, Cell
 from rsmcm.apps.experiments.experiment import by_seed
-from rsmcm.apps.experiments.page import write_figure
+from rsmcm.apps.experiments.figures import write_figure
 from rsmcm.apps.scenes import cylinder
 
 GOOD = StructureScores(0.004, 0.003, 40, 0, 0, 2, 1.0)
