@@ -116,6 +116,57 @@ def box_columns(track: TrackedObject, origin: int = 0) -> str:
     return f"{x + origin:.2f},{y + origin:.2f},{width:.2f},{height:.2f}"
 
 
+class TrackTableWriter(LineWriter):
+    """`tracks.csv`, with the columns of `COLUMNS`; seen is 1 or 0, a velocity that is not known is empty.
+
+    Parameters
+    ----------
+    path
+        of the file.
+    resume_after
+        number of the frame after which this run goes on; 0 for a new one.
+    """
+
+    def __init__(self, path: str | Path, resume_after: int = 0) -> None:
+        super().__init__(path, HEADER, resume_after)
+
+    def write(self, number: int, time: float, tracks: Sequence[TrackedObject]) -> None:
+        """Append the objects of frame `number` (from 1) at `time` (s)."""
+        self.append(table_lines(number, time, columns_of(tracks)))
+
+
+def columns_of(tracks: Sequence[TrackedObject]) -> dict[str, NDArray[Any]]:
+    """The columns of `COLUMNS` but frame and time, `(n,)` an object."""
+    rows = [(track.identity, *track.box, track.confidence, *track.velocity, track.seen) for track in tracks]
+    return {
+        name: np.array(values, COLUMNS[name])
+        for name, values in zip(OF_OBJECTS, zip(*rows, strict=True) if rows else repeat(()), strict=False)
+    }
+
+
+def table_lines(number: int, time: float, objects: Mapping[str, NDArray[Any]]) -> list[str]:
+    """Lines of `tracks.csv` of a frame, whose objects have these columns."""
+    rows = zip(*(objects[name].tolist() for name in OF_OBJECTS), strict=True)
+    return [
+        f"{number},{time:.6f},{identity},{x:.2f},{y:.2f},{width:.2f},{height:.2f},{confidence:.4f},"
+        f"{_known(vx)},{_known(vy)},{seen:d}"
+        for identity, x, y, width, height, confidence, vx, vy, seen in rows
+    ]
+
+
+def mot_lines(number: int, objects: Mapping[str, NDArray[Any]]) -> list[str]:
+    """Lines of `tracks.txt` (see `TrackWriter`) of a frame, whose objects have these columns."""
+    rows = zip(*(objects[name].tolist() for name in OF_OBJECTS[:6]), strict=True)
+    return [
+        f"{number},{identity},{x + 1:.2f},{y + 1:.2f},{width:.2f},{height:.2f},{confidence:.4f},-1,-1,-1"
+        for identity, x, y, width, height, confidence in rows
+    ]
+
+
+def _known(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.2f}"
+
+
 def read_tracks(path: str | Path) -> NDArray[np.void]:
     """Read boxes in MOT format: results, detections or ground truth.
 
@@ -202,54 +253,3 @@ def check_box(row: Row, name: str, frame: float, identity: float, box: Sequence[
             f"a box of {width:g} x {height:g} pixels at {left:g}, {top:g}",
             f"a size that is not negative and px up to {FARTHEST:g}",
         )
-
-
-class TrackTableWriter(LineWriter):
-    """`tracks.csv`, with the columns of `COLUMNS`; seen is 1 or 0, a velocity that is not known is empty.
-
-    Parameters
-    ----------
-    path
-        of the file.
-    resume_after
-        number of the frame after which this run goes on; 0 for a new one.
-    """
-
-    def __init__(self, path: str | Path, resume_after: int = 0) -> None:
-        super().__init__(path, HEADER, resume_after)
-
-    def write(self, number: int, time: float, tracks: Sequence[TrackedObject]) -> None:
-        """Append the objects of frame `number` (from 1) at `time` (s)."""
-        self.append(table_lines(number, time, columns_of(tracks)))
-
-
-def columns_of(tracks: Sequence[TrackedObject]) -> dict[str, NDArray[Any]]:
-    """The columns of `COLUMNS` but frame and time, `(n,)` an object."""
-    rows = [(track.identity, *track.box, track.confidence, *track.velocity, track.seen) for track in tracks]
-    return {
-        name: np.array(values, COLUMNS[name])
-        for name, values in zip(OF_OBJECTS, zip(*rows, strict=True) if rows else repeat(()), strict=False)
-    }
-
-
-def table_lines(number: int, time: float, objects: Mapping[str, NDArray[Any]]) -> list[str]:
-    """Lines of `tracks.csv` of a frame, whose objects have these columns."""
-    rows = zip(*(objects[name].tolist() for name in OF_OBJECTS), strict=True)
-    return [
-        f"{number},{time:.6f},{identity},{x:.2f},{y:.2f},{width:.2f},{height:.2f},{confidence:.4f},"
-        f"{_known(vx)},{_known(vy)},{seen:d}"
-        for identity, x, y, width, height, confidence, vx, vy, seen in rows
-    ]
-
-
-def mot_lines(number: int, objects: Mapping[str, NDArray[Any]]) -> list[str]:
-    """Lines of `tracks.txt` (see `TrackWriter`) of a frame, whose objects have these columns."""
-    rows = zip(*(objects[name].tolist() for name in OF_OBJECTS[:6]), strict=True)
-    return [
-        f"{number},{identity},{x + 1:.2f},{y + 1:.2f},{width:.2f},{height:.2f},{confidence:.4f},-1,-1,-1"
-        for identity, x, y, width, height, confidence in rows
-    ]
-
-
-def _known(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.2f}"
