@@ -38,11 +38,6 @@ Image = NDArray[np.uint8]
 SEEDS = range(20)
 N_FRAMES = 120
 SCENE: Mapping[str, Any] = {"n_frames": N_FRAMES, "detector_dropout": 0.2}
-OTHER_SCENES: Mapping[str, Mapping[str, Any]] = {
-    "leans by up to 0.15 rad, turns by 0.3": {"lean": 0.15},
-    "short sleeves": {"sleeves": "short"},
-}
-"""What else the same signers do: RSMCM alone goes through these."""
 SHOWN = tuple(range(19, N_FRAMES, 20))
 """Indices of the frames of the figure: every twentieth, as in the paper."""
 PICTURE_WIDTH = 520  # px
@@ -86,10 +81,6 @@ BEHAVIOUR = (
     "tracker", "hands in 90 % region, %", "effective samples", "ms a frame", "over RSMCM's",
     "a hand off, % of frames", "mis-tracks", f"recovered in {SOON}, %", f"exchanged > {SOON} frames, scenes",
 )  # fmt: skip
-SCENES = (
-    "signer", "error, px", "head heights", "hands in 90 % region, %", "a hand off, % of frames",
-    f"recovered in {SOON}, %", f"exchanged > {SOON} frames, scenes",
-)  # fmt: skip
 FAIR = (
     "All trackers see the same pictures through the same features and the same likelihood, know the true "
     "lengths of the body, assume the same dynamics, and are given the true pose of the first frame, which "
@@ -108,13 +99,7 @@ Found = dict[str, list[BodyTrial]]
 
 
 def body() -> Findings:
-    """Fig. 6, with what is wanted of it.
-
-    Raises
-    ------
-    OSError
-        if the folder cannot be written to.
-    """
+    """Fig. 6, with what is wanted of it."""
     trackers = compared()
     work = [(on_one_scene, (trackers, {**SCENE, "seed": seed}, SHOWN)) for seed in SEEDS]
     found = by_name(trackers, in_parallel("body", work))
@@ -122,12 +107,6 @@ def body() -> Findings:
     samples = {name: each.samples for each in trackers for name in (each.name, LATER.format(each.name))}
     errors = [[name, samples[name] or "", *errors_of(trials)] for name, trials in found.items()]
     behaviour = [[name, *behaviour_of(trials, found[RSMCM.name])] for name, trials in found.items()]
-    others = {name: later_on(**settings) for name, settings in OTHER_SCENES.items()}
-    kinds = [
-        [name, *scene_of(trials)]
-        for name, trials in {"usual": found[LATER.format(RSMCM.name)], **others}.items()
-    ]
-
     scene = signer(**SCENE, seed=SEEDS[0])
     frames = {index: scene.frame(index) for index in SHOWN}
     reach = scene.body.upper_arm + scene.body.forearm
@@ -139,10 +118,9 @@ def body() -> Findings:
         [
             Table(ERRORS, errors, f"Of the posterior mean, over all frames but the first. {FAIR}"),
             Table(BEHAVIOUR, behaviour, NOTE),
-            Table(SCENES, kinds, f"RSMCM, {LAG} frames later, on signers of other kinds."),
         ],
         expectations,
-        pictures=[
+        [
             Plot("errors.png", lambda canvas: draw_errors(canvas, found), (12.0, 4.5), caption),
             Picture("fig-6.png", sheet, poses),
         ],
@@ -159,12 +137,6 @@ def by_name(trackers: Sequence[BodyTracker], trials: Sequence[Sequence[BodyTrial
         if later:
             found[LATER.format(tracker.name)] = later
     return found
-
-
-def later_on(**settings: Any) -> list[BodyTrial]:
-    """RSMCM with hindsight on scenes of other settings."""
-    work = [(on_one_scene, ([RSMCM], {**SCENE, **settings, "seed": seed})) for seed in SEEDS]
-    return by_name([RSMCM], in_parallel("other scenes", work))[LATER.format(RSMCM.name)]
 
 
 # How many samples take as long
@@ -240,20 +212,6 @@ def behaviour_of(trials: Sequence[BodyTrial], rsmcm: Sequence[BodyTrial]) -> lis
         seconds(trials) / seconds(rsmcm),
         100 * np.mean([trial.off for trial in trials]),
         sum(len(trial.mis_tracks) for trial in trials),
-        100 * recovered / known if known else np.nan,
-        exchanged(trials),
-    )
-    return [_cell(value) for value in values]
-
-
-def scene_of(trials: Sequence[BodyTrial]) -> list[float | str]:
-    """Cells of `SCENES`, after the name."""
-    recovered, known = recoveries(trials)
-    values = (
-        error(trials),
-        np.mean([trial.error / trial.head_height for trial in trials]),
-        100 * coverage(trials),
-        100 * np.mean([trial.off for trial in trials]),
         100 * recovered / known if known else np.nan,
         exchanged(trials),
     )
