@@ -5,9 +5,7 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from rsmcm.apps.scenes.street import Scene
-from rsmcm.apps.scenes.street_actors import Layer
-from rsmcm.apps.scenes.street_ground import Pixels, mottle
+from rsmcm.apps.scenes.street import Layer, Pixels, Scene, mottle
 
 SKIRTING = 0.80
 """Share of the height at which the floor begins."""

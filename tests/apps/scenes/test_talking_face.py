@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.apps.scenes import FaceScene, face
-from rsmcm.apps.scenes.face_paint import SKIN, skin_texels
 from rsmcm.apps.scenes.random_fields import mottle
 from rsmcm.apps.scenes.rendering_kernels import FARTHEST, average_samples, draw_mesh
-from rsmcm.apps.scenes.talking_face import FINENESS, TEXELS
+from rsmcm.apps.scenes.talking_face import FINENESS, SKIN, TEXELS, skin_texels
 from rsmcm.models.face.built_in_model import face_model, face_plane
 
 Array = NDArray[np.float64]
