@@ -13,7 +13,8 @@ from .test_conventions import found
 CHAINS = Path(__file__).parents[2] / "docs" / "chains"
 INDEX = (CHAINS / "index.md").read_text()
 PAGES = {path.stem: path.read_text() for path in sorted(CHAINS.glob("*.md")) if path.stem != "index"}
-KINDS = {name: getattr(rsmcm.chains, name) for name in rsmcm.chains.__all__}
+PUBLIC = {name: getattr(rsmcm.chains, name) for name in rsmcm.chains.__all__}
+KINDS = {name: kind for name, kind in PUBLIC.items() if hasattr(kind, "ports")}
 NAMES = sorted(
     {name for page in PAGES.values() for name in re.findall(r"`((?:models|inference|chains)\.[\w.]+)`", page)}
 )

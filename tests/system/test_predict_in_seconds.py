@@ -152,7 +152,8 @@ def assert_close(one: Any, other: Any, place: str = "state") -> None:
 
 
 def test_all_chains_are_here() -> None:
-    assert set(chains.__all__) - BATCH_ONLY <= {*CASES, *SAMPLED}
+    every = {name for name in chains.__all__ if hasattr(getattr(chains, name), "ports")}
+    assert every - BATCH_ONLY <= {*CASES, *SAMPLED}
 
 
 @pytest.mark.parametrize("name", CASES)
