@@ -357,8 +357,10 @@ class Body(Application[BodyJob]):
             "length_names": np.array(list(known)),
             "lengths": np.array(list(known.values())),
             "exchanged": record.exchanged,
+            "relabelled": self._poses["relabelled"],
         }
-        columns = {"frames": log["number"], "times": log["time"], **self._poses}
+        rows = {name: self._poses[name] for name in POSES}
+        columns = {"frames": log["number"], "times": log["time"], **rows}
         log.write_arrays(self.job.out / "poses.npz", constants, columns)
         if self._keypoints is not None:
             given = self._keypoints.counted(set(record.numbers) - set(record.missing))
