@@ -46,6 +46,12 @@ GREY = "#8a929e"
 """On the page, of what is white on the pictures."""
 
 
+DRAWN = (
+    "joints_3d", "joints_3d_covariances", "samples", "hypotheses", "hypothesis_joints", "seen", "missing",
+)  # fmt: skip
+"""What of a row of `poses.npz` is drawn."""
+
+
 def drawn_of(row: Mapping[str, Any]) -> Row:
     """What is drawn of a frame, from its row of `poses.npz`."""
     covariances = row["joints_3d_covariances"]
@@ -74,7 +80,7 @@ def with_final_names(film: Film, rows: Mapping[str, NDArray[Any]]) -> Film:
     columns = {name: values.copy() for name, values in film.columns.items()}
     for index, place in enumerate(np.searchsorted(rows["frames"], film.numbers)):
         if rows["relabelled"][place]:
-            for name, values in drawn_of({name: each[place] for name, each in rows.items()}).items():
+            for name, values in drawn_of({name: rows[name][place] for name in DRAWN}).items():
                 columns[name].reshape(len(film.numbers), -1)[index] = values.reshape(-1)
     return replace(film, columns=columns)
 
