@@ -21,6 +21,7 @@ from typing import overload
 import numpy as np
 
 from ...inference.engine.protocols import Cavity, Incoming, Port
+from ...models.core.bounds import POSITIVE, SHARE, check_bounds
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import BoxMessage
@@ -33,11 +34,11 @@ from .blobs import Blob, Blobs, BlobState, likely_size
 from .groups import alone, fragment_times, halves, merged, parting_columns, with_parts
 from .kernels.learning import Learning
 
-POSITIVE = (
+MORE_THAN_0 = (
     "smallest", "mask_time", "colour_time", "spread", "strength", "temper", "acceleration", "first_speed",
     "patience", "hidden_patience", "confirmed_time", "ghost_evidence", "parting_time", "size_time",
 )  # fmt: skip
-"""Parameters of `BlobTracker` that must be more than 0."""
+"""Parameters of `BlobTracker`."""
 
 SWEEP = 0.8
 """s after which a mask is freed of crumbs again."""
@@ -105,18 +106,13 @@ class BlobTracker:
     ports = (Port(PixelLabels, Cavity.OTHERS), Port(ObjectBoxes, optional=True))
 
     def __post_init__(self) -> None:
-        for name in POSITIVE:
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
-        if not 0 < self.outliers < 1:
-            raise ValueError(f"outliers: got {self.outliers}, expected a share between 0 and 1")
+        check_bounds(self, {**dict.fromkeys(MORE_THAN_0, POSITIVE), "outliers": SHARE})
 
     def initial(self, frame: Frame) -> BlobState:
         """No objects: what is there from the first frame on is background until it moves."""
-        if frame.image is None:
-            raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
-        channels = 1 if frame.image.ndim == 2 else frame.image.shape[2]
-        return BlobState(Blobs.none(channels), 0, frame.image.shape[:2], 0.0, self.confirmed_time)
+        image = frame.required_image()
+        channels = 1 if image.ndim == 2 else image.shape[2]
+        return BlobState(Blobs.none(channels), 0, image.shape[:2], 0.0, self.confirmed_time)
 
     def predict(self, state: BlobState, dt: float) -> BlobState:
         """First-order dynamics: velocity stays, but for a random force."""

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Incoming, Port
+from ...models.core.bounds import POSITIVE, PROBABILITY, check_bounds
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import BoxMessage, Scores
@@ -145,20 +146,18 @@ class DetectorRates:
     ports = (Port(ObjectBoxes, sole="detector"),)
 
     def __post_init__(self) -> None:
-        if not 0 < self.found < 1:
-            raise ValueError(f"found: got {self.found}, expected a probability between 0 and 1")
-        for name in ("clutter", "doubles", "newcomers", "memory"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
+        positive = dict.fromkeys(("clutter", "doubles", "newcomers", "memory"), POSITIVE)
+        check_bounds(self, {"found": PROBABILITY, **positive})
 
     def initial(self, frame: Frame) -> DetectorState:
         """As it is assumed to be."""
+        height, width = frame.required_image().shape[:2]
         return DetectorState(
             counts=np.zeros(4),
             exposures=np.zeros(4),
             scores=ScoreMoments.none(),
             undetected=UNDETECTED,
-            area=_area(frame),
+            area=float(height * width),
             elapsed=0.0,
         )
 
@@ -215,10 +214,3 @@ class DetectorRates:
             (assumed * weight + state.counts) / (weight + state.exposures)
         ).tolist()
         return min(found, 0.99), clutter, doubles, newcomers
-
-
-def _area(frame: Frame) -> float:
-    """px of the picture."""
-    if frame.image is None:
-        raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
-    return float(frame.image.shape[0] * frame.image.shape[1])

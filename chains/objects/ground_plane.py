@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...inference.engine.protocols import Incoming, Port
 from ...inference.kalman import kinematic
+from ...models.core.bounds import POSITIVE, SHARE, check_bounds
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
@@ -211,25 +212,23 @@ class GroundPlane:
     ports = (Port(ObjectBoxes),)
 
     def __post_init__(self) -> None:
-        for name in (
-            "stature",
-            "spread",
-            "foot_spread",
-            "acceleration",
-            "first_speed",
-            "observation_time",
-            "patience",
-        ):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
-        if not 0 < self.outliers < 1:
-            raise ValueError(f"outliers: got {self.outliers}, expected a share between 0 and 1")
+        check_bounds(
+            self,
+            {
+                "stature": POSITIVE,
+                "spread": POSITIVE,
+                "foot_spread": POSITIVE,
+                "acceleration": POSITIVE,
+                "first_speed": POSITIVE,
+                "observation_time": POSITIVE,
+                "patience": POSITIVE,
+                "outliers": SHARE,
+            },
+        )
 
     def initial(self, frame: Frame) -> GroundState:
         """Nobody there, and any perspective: people are taller lower down, if it has to be guessed."""
-        if frame.image is None:
-            raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
-        height, width = frame.image.shape[:2]
+        height, width = frame.required_image().shape[:2]
         none = np.zeros(0)
         return GroundState(
             size=(height, width),

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Cavity, Incoming, Port
+from ...models.core.bounds import NOT_NEGATIVE, POSITIVE, PROBABILITY, check_bounds
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.pixels import colour
@@ -180,14 +181,9 @@ class AdaptiveBackground:
     name: str = "background"
 
     def __post_init__(self) -> None:
-        if not 0 < self.prior < 1:
-            raise ValueError(f"prior: got {self.prior}, expected a probability between 0 and 1")
-        for name in ("noise", "first_variance", "settle_time"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
-        for name in ("noise_rate", "drift", "pooling"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name}: got {getattr(self, name)}, expected 0 or more")
+        positive = dict.fromkeys(("noise", "first_variance", "settle_time"), POSITIVE)
+        others = dict.fromkeys(("noise_rate", "drift", "pooling"), NOT_NEGATIVE)
+        check_bounds(self, {"prior": PROBABILITY, **positive, **others})
 
     @property
     def ports(self) -> tuple[Port, ...]:
@@ -197,9 +193,7 @@ class AdaptiveBackground:
 
     def initial(self, frame: Frame) -> BackgroundState:
         """The first image is taken for the empty scene, with the variance of a single observation."""
-        image = frame.image
-        if image is None:
-            raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
+        image = frame.required_image()
         height, width = image.shape[:2]
         n_pixels = height * width
         pixels = fixed_point(

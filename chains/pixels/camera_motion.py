@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Incoming, Port
 from ...models.camera.moving_camera import UNKNOWNS, View
+from ...models.core.bounds import POSITIVE, check_bounds
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.pixels.pixel_labels import PixelMessage, ScenePixels
@@ -76,15 +77,11 @@ class CameraMotion:
     ports = (Port(ScenePixels, sole="camera"),)
 
     def __post_init__(self) -> None:
-        for name in ("reach", "time"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
+        check_bounds(self, {"reach": POSITIVE, "time": POSITIVE})
 
     def initial(self, frame: Frame) -> CameraState:
         """The first image is the scene's picture."""
-        if frame.image is None:
-            raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
-        picture = frame.image.astype(np.float32)
+        picture = frame.required_image().astype(np.float32)
         return CameraState(np.zeros(UNKNOWNS), FIRST_VARIANCE * np.eye(UNKNOWNS), picture, 0.0)
 
     def predict(self, state: CameraState, dt: float) -> CameraState:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Incoming, Port
+from ...models.core.bounds import NOT_NEGATIVE, POSITIVE, Bound, check_bounds
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.numerics.threads import over_bands
@@ -204,22 +205,22 @@ class MixtureBackground:
     ports = (Port(PixelLabels, sole="background"),)
 
     def __post_init__(self) -> None:
-        for name in ("prior", "background_share"):
-            if not 0 < getattr(self, name) < 1:
-                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0 and less than 1")
-        for name in ("rate", "first_variance"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
-        if not self.components >= 1:
-            raise ValueError(f"components: got {self.components}, expected 1 or more")
-        if not self.pooling >= 0:
-            raise ValueError(f"pooling: got {self.pooling}, expected 0 or more")
+        inside: Bound = (lambda value: 0 < value < 1, "more than 0 and less than 1")
+        check_bounds(
+            self,
+            {
+                "prior": inside,
+                "background_share": inside,
+                "rate": POSITIVE,
+                "first_variance": POSITIVE,
+                "components": (lambda count: count >= 1, "1 or more"),
+                "pooling": NOT_NEGATIVE,
+            },
+        )
 
     def initial(self, frame: Frame) -> MixtureState:
         """One component for every pixel, the first image."""
-        image = frame.image
-        if image is None:
-            raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
+        image = frame.required_image()
         planes = colour.to_planes(image)
         channels, n_pixels = planes.shape
         mixture = Mixture(

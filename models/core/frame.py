@@ -199,6 +199,18 @@ class Frame:
         if self.number < 1:
             raise ValueError(f"number: got {self.number}, expected 1 or more (frames count from 1)")
 
+    def required_image(self) -> NDArray[np.uint8]:
+        """Return the image, without which a chain cannot start.
+
+        Raises
+        ------
+        ValueError
+            if there is none.
+        """
+        if self.image is None:
+            raise ValueError(f"frame {self.number}: got no image, expected one to start from")
+        return self.image
+
     @property
     def missing(self) -> bool:
         """Whether there is nothing to see in it."""

@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.bounds import POSITIVE, PROBABILITY, check_bounds
 from ..core.gaussian_message import GaussianMessage
 from ..core.short_repr import short_repr
 
@@ -77,11 +78,8 @@ class BoxDetector:
     scores: Scores | None = None
 
     def __post_init__(self) -> None:
-        if not 0 < self.found < 1:
-            raise ValueError(f"found: got {self.found}, expected a probability between 0 and 1")
-        for name in ("clutter", "position", "size", "doubles", "newcomers"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
+        positive = dict.fromkeys(("clutter", "position", "size", "doubles", "newcomers"), POSITIVE)
+        check_bounds(self, {"found": PROBABILITY, **positive})
 
     def noise(self, boxes: Numbers) -> Numbers:
         """`(n, 4)` px^2: variances of what is found of such boxes `(n, 4)`."""
