@@ -1,5 +1,3 @@
-import rsmcm.chains.body.condensation
-
 from .engine.coordinate_ascent import CoordinateAscent, Solution
 from .engine.graph import MultiChain
 from .engine.protocols import (
@@ -15,15 +13,12 @@ from .engine.protocols import (
 )
 from .engine.recursive_bp import Belief, RecursiveBP, RunState
 
-Condensation = rsmcm.chains.body.condensation.Condensation
-
 __all__ = [
     "BatchChain",
     "BatchIncoming",
     "Belief",
     "Cavity",
     "Chain",
-    "Condensation",
     "CoordinateAscent",
     "FeatureNode",
     "Incoming",

@@ -245,10 +245,10 @@ class AdaptiveBackground:
                 (composed.boxes, composed.shift), flat, subtraction.smoothed, prediction.pixels, light,
                 prediction.model, prediction.rounding, colour.to_pixels(channels), (after, second, covered),
             )  # fmt: skip
-        times = state.age, state.elapsed
         sway = learned_rates(
-            prediction.sway, image, prediction.pixels, light, subtraction.log_odds, covered, times
-        )
+            prediction.sway, flat, prediction.pixels, light, subtraction.log_odds, covered, state.age,
+            state.elapsed,
+        )  # fmt: skip
         if state.elapsed > 0 and np.isfinite(self.settle_time):
             scale = SETTLED / self.settle_time
             settling = Settling(
@@ -346,12 +346,13 @@ def sway_reach(size: tuple[int, int]) -> int:
 
 def learned_rates(
     sway: Sway,
-    image: NDArray[np.uint8],
+    pixels: NDArray[np.uint8],
     before: Gaussians,
     light: Light,
     log_odds: NDArray[np.int8],
     covered: NDArray[np.uint8],
-    times: tuple[float, float],
+    age: float,
+    elapsed: float,
 ) -> NDArray[np.float32]:
     """Rates after a frame; what is `covered` `(n_pixels,)` tells nothing of them.
 
@@ -359,16 +360,15 @@ def learned_rates(
     ----------
     sway, before, light
         predicted.
-    image
-        uint8 `(height, width[, 3])`.
+    pixels
+        `(n_pixels * channels,)` uint8, of the image.
     log_odds
         `(n_pixels,)` int8, of each pixel by itself.
-    times
+    age, elapsed
         s for which the scene has been seen, and s since the frame before.
     """
     counts = np.empty((*sway.rates.shape, 4), np.float32)
-    count_moved(np.ascontiguousarray(image).reshape(-1), before, light, log_odds, covered, sway.reach, counts)
-    age, elapsed = times
+    count_moved(pixels, before, light, log_odds, covered, sway.reach, counts)
     share = 1 - math.exp(-elapsed / (min(age, SWAY_TIME) + CALM_TIME))
     rates: NDArray[np.float32] = np.empty_like(sway.rates)
     learn_rates(counts, sway.rates, np.float32(share), LEAST_SEEN, rates)

@@ -18,10 +18,7 @@ def log_sums(values: Array, axis: int = -1) -> Array:
         return np.asarray(np.log(sums) + peaks.squeeze(axis))
 
 
-Numbers = NDArray[np.float64]
-
-
-def squared_distances(off: Numbers, covariance: Numbers) -> Numbers:
+def squared_distances(off: Array, covariance: Array) -> Array:
     """Squared distances `(...)` of vectors `(..., d)` from 0, by covariances `(..., d, d)`."""
-    distances: Numbers = (off * np.linalg.solve(covariance, off[..., None])[..., 0]).sum(axis=-1)
+    distances: Array = (off * np.linalg.solve(covariance, off[..., None])[..., 0]).sum(axis=-1)
     return distances

@@ -38,7 +38,7 @@ def rates_after(images, covered=None, seconds=5.0, dt=0.04):
     unsure = np.zeros(covered.size, np.int8)
     for k in range(round(seconds / dt)):
         rates = learned_rates(
-            sway, images[k % len(images)], known(images[0]), light(), unsure, covered.ravel(), (age, dt)
+            sway, images[k % len(images)].ravel(), known(images[0]), light(), unsure, covered.ravel(), age, dt
         )
         sway, age = Sway(rates, sway.reach), age + dt
     return sway.rates
