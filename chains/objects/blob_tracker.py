@@ -116,7 +116,9 @@ class BlobTracker:
 
     def predict(self, state: BlobState, dt: float) -> BlobState:
         """First-order dynamics: velocity stays, but for a random force."""
-        blobs = detections.moved(state.blobs, dt, self.acceleration, state.detecting)
+        blobs = state.blobs
+        if len(blobs):
+            blobs = detections.moved(blobs, dt, self.acceleration, state.detecting)
         return replace(state, blobs=blobs, elapsed=state.elapsed + dt)
 
     @overload

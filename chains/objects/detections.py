@@ -70,8 +70,6 @@ GIVEN_UP = math.log(0.02 / 0.98)
 
 def moved(blobs: Blobs, dt: float, acceleration: float, detecting: bool) -> Blobs:
     """Blobs `dt` s on: velocity stays, but for a random force of their own lengths/s^2, or a person's."""
-    if not len(blobs):
-        return blobs
     table = blobs.table.copy()
     move(table, dt, kinematic(2, dt).noise, acceleration, ACCELERATION)
     if detecting:

@@ -248,6 +248,8 @@ class GroundPlane:
 
     def predict(self, state: GroundState, dt: float) -> GroundState:
         """Feet walk on, but for a random force; perspective and sizes stay."""
+        if not state.identities.size:
+            return state
         force = 0.5 * (self.acceleration * state.heights[:, None]) ** 2  # px^2/s^3: it lasts half a second
         feet, covariance = kinematic(2, dt).moved(state.feet, state.feet_covariance, force)
         return replace(state, feet=feet, feet_covariance=covariance, unseen=state.unseen + dt)
