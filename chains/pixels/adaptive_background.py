@@ -242,8 +242,8 @@ class AdaptiveBackground:
         composed = others.layers.composition(image, state.size)
         if len(composed.boxes):
             update_behind(
-                (composed.boxes, composed.shift), flat, subtraction.smoothed, prediction.pixels, light,
-                prediction.model, prediction.rounding, colour.to_pixels(channels), (after, second, covered),
+                composed.boxes, composed.shift, flat, subtraction.smoothed, prediction.pixels, light,
+                prediction.model, prediction.rounding, colour.to_pixels(channels), after, second, covered,
             )  # fmt: skip
         sway = learned_rates(
             prediction.sway, flat, prediction.pixels, light, subtraction.log_odds, covered, state.age,

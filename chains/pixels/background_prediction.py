@@ -36,7 +36,7 @@ from .kernels.gaussian import (
 )
 from .kernels.light import Following, follow, interpolate, light_ratios, share_covered
 from .kernels.second_colours import SecondColours
-from .kernels.subtraction import Pooling, subtract
+from .kernels.subtraction import subtract
 from .kernels.sway import Sway
 
 Planes = NDArray[np.float32]
@@ -288,14 +288,15 @@ class BackgroundPrediction:
         after = Gaussians(np.empty_like(mean), np.empty_like(variance), np.empty_like(noise))
         log_odds, smoothed = np.empty((2, self.size[0] * self.size[1]), np.int8)
         flat = np.ascontiguousarray(image).reshape(-1)
-        light, hypotheses = self.light.along_rows, (self.second, np.float32(self.tolerance), self.sway)
-        models = self.model, certain_model(self.model, len(mean)), self.rounding
-        pooling = Pooling(_prior_steps(self.prior), np.float32(self.pooling))
+        light, certain = self.light.along_rows, certain_model(self.model, len(mean))
+        prior, rounding = _prior_steps(self.prior), self.rounding
 
         def work(first: int, end: int) -> None:
             subtract(
-                first, end, flat, self.pixels, light, models, hypotheses, pooling, after, (log_odds, smoothed)
-            )
+                first, end, flat, self.pixels, light, self.model, certain, rounding, self.second,
+                np.float32(self.tolerance), self.sway, prior, np.float32(self.pooling), after, log_odds,
+                smoothed,
+            )  # fmt: skip
 
         over_bands(work, self.size[0])
         return Subtraction(log_odds, smoothed), after

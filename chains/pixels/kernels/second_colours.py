@@ -159,7 +159,9 @@ def learn_second_colours(
 
 
 @compiled
-def update_behind(regions, pixels, log_odds, before, light_field, model, rounding, from_planes, results):
+def update_behind(
+    boxes, shifts, pixels, log_odds, before, light_field, model, rounding, from_planes, after, second, covered
+):
     """Background of some regions again, now with what layers say of it.
 
     Pixels are weighted by their log odds and what is said of them. Where others are sure of background that
@@ -169,12 +171,11 @@ def update_behind(regions, pixels, log_odds, before, light_field, model, roundin
     beginning, and it looks as the prediction does, that was learned from the object: the background is
     unknown there.
 
-    Of each of the `regions` boxes `(n, 4)` have top, left, height and width px, and shifts in one row after
-    the other the log ratio of what layers say for background and for objects. The `results` are the Gaussians
-    and second colours after the frame, and what is covered: it becomes 255 where an object is predicted, and
+    Of each region `boxes` `(n, 4)` have top, left, height and width px, and `shifts` in one row after the
+    other the log ratio of what layers say for background and for objects. Gaussians and second colours are
+    changed to those after the frame; what is `covered` becomes 255 where an object is predicted, and
     `REVEALED` where the picture was taken as it is.
     """
-    (boxes, shifts), (after, second, covered) = regions, results
     width = light_field.rows.shape[1]
     start = 0
     for region in range(len(boxes)):

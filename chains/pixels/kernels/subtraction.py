@@ -4,8 +4,6 @@ Most pixels show the background for sure, which takes neither a logarithm nor an
 looked at again.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ....models.numerics.compiled import compiled, inlined, put
@@ -240,25 +238,19 @@ def _put_out(work, cut, before, here, after, there):
         noise[x] = noise_steps(work[_NOISES + x], cut[x])
 
 
-class Pooling(NamedTuple):
-    """`prior` log odds of background in steps, int16, and the `share` of neighbours, float32."""
-
-    prior: np.int16
-    share: np.float32
-
-
 @compiled
-def subtract(first, end, pixels, before, light_field, models, hypotheses, pooling, after, results):
+def subtract(
+    first, end, pixels, before, light_field, model, certain, rounding, second, tolerance, sway, prior, share,
+    after, log_odds, smoothed,
+):  # fmt: skip
     """Rows `first` to `end` of a picture: log odds of background, and the update that they imply.
 
-    `models` are the pixels' model, what of it pixels need that show background for sure, and what is added
-    to numbers before they are cut off. `hypotheses` are what else a pixel may show and be background: its
-    second colour, within a tolerance, and what sways. `results` get the log odds of each pixel by itself, and
-    smoothed. What rows of other bands add to the neighbours' share is worked out again here, so that no band
-    waits for another one.
+    `certain` is what pixels need of the `model` that show background for sure, `rounding` what is added to
+    numbers before they are cut off. What else a pixel may show and be background is its `second` colour,
+    within a tolerance, and what sways. `log_odds` get those of each pixel by itself, `smoothed` those with
+    the neighbours' `share` of them, less the `prior` ones (int16, in steps). What rows of other bands add to
+    that is worked out again here, so that no band waits for another one.
     """
-    model, (log_odds, smoothed) = models[0], results
-    second, tolerance, sway = hypotheses
     channels, (height, width) = before.mean.shape[0], (light_field.positions.size, light_field.rows.shape[1])
     top, bottom = max(first - HALO, 0), min(end + HALO, height)
     own = np.empty((bottom - top) * width, np.int8)
@@ -276,7 +268,7 @@ def subtract(first, end, pixels, before, light_field, models, hypotheses, poolin
         else:
             stop, to, updated = first if start < first else bottom, 0, beyond
         odds = own[(start - top) * width : (stop - top) * width]
-        highest = _rows(start, stop, pixels, before, light_field, models, to, updated, odds)
+        highest = _rows(start, stop, pixels, before, light_field, model, certain, rounding, to, updated, odds)
         most = max(most, highest) if is_own else most
         start = stop
     recall(top * width, pixels, second, tolerance, model, own)
@@ -284,7 +276,7 @@ def subtract(first, end, pixels, before, light_field, models, hypotheses, poolin
         recall_moved(top, pixels, before, light_field, model, sway, own)
     put(own[(first - top) * width : (end - top) * width], log_odds[first * width : end * width])
     smooth_log_odds(
-        first - top, end - top, bottom - top, width, own, pooling.prior, pooling.share,
+        first - top, end - top, bottom - top, width, own, prior, share,
         smoothed[top * width : bottom * width],
     )  # fmt: skip
     if most > HIGHEST_VARIANCE * VARIANCE_STEPS:  # neighbours tell nothing of a value that nobody knows
@@ -294,9 +286,8 @@ def subtract(first, end, pixels, before, light_field, models, hypotheses, poolin
 
 
 @compiled
-def _rows(first, end, pixels, before, light_field, models, to, after, log_odds):
+def _rows(first, end, pixels, before, light_field, model, certain, rounding, to, after, log_odds):
     """Rows `first` to `end`: their `log_odds`, and the Gaussians `after` them from pixel `to` on."""
-    model, certain, rounding = models
     if before.mean.shape[0] == 3:
         usual_rows_of_colour(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds)
     else:

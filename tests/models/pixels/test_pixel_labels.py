@@ -356,9 +356,9 @@ def test_the_background_behind_layers_is_updated_with_what_they_say(channels, un
     # a second region, in which nobody says anything, and which nothing else is in
     apart = (20, 2, 3, 4)
     update_behind(
-        (np.array([(6, 9, 11, 21), apart]), np.append(shift.reshape(-1), np.zeros(12, np.float32))),
+        np.array([(6, 9, 11, 21), apart]), np.append(shift.reshape(-1), np.zeros(12, np.float32)),
         image.reshape(-1), pooled, scene.pixels, blocks.along_rows, scene.model, scene.rounding,
-        colour.to_pixels(channels), (Gaussians(*after), second, covered),
+        colour.to_pixels(channels), Gaussians(*after), second, covered,
     )  # fmt: skip
     box = (slice(6, 17), slice(9, 30))
     above = position.astype(int)
