@@ -15,6 +15,7 @@ from rsmcm.chains.pixels.kernels import second_colours as seconds
 from rsmcm.chains.pixels.kernels.sway import Sway
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from rsmcm.models.pixels import colour
+from rsmcm.models.pixels.kernels import foreground_spans
 from scipy.integrate import quad
 from scipy.stats import norm
 
@@ -380,7 +381,7 @@ def test_spans_are_where_there_is_foreground():
     for size in (1, 63, 64, 65, 640, 1003):
         log_odds = np.where(rng.random(size) < 0.01, -1, 5).astype(np.int8)
         spans = np.empty(size // 64 + 1, np.int64)
-        found = {int(start) for start in spans[: kernels.foreground_spans(log_odds, spans)]}
+        found = {int(start) for start in spans[: foreground_spans(log_odds, spans)]}
         wanted = {int(i) // 64 * 64 for i in np.flatnonzero(log_odds < 0)}
         assert wanted <= found <= wanted | {size // 64 * 64}
 
