@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.chains import AdaptiveBackground, BlobTracker, GroundPlane
-from rsmcm.chains.objects.blob_tracker import POSITIVE
+from rsmcm.chains.objects.blob_tracker import MORE_THAN_0
 from rsmcm.chains.objects.blobs import Blob
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.models import Frame, ObjectBoxes, PixelLabels
@@ -333,7 +333,7 @@ def test_a_saved_run_with_blobs_goes_on_as_if_it_had_not_stopped(walk, walked, a
         assert tracks_of(belief) == tracks_of(other)
 
 
-@pytest.mark.parametrize("name", POSITIVE)
+@pytest.mark.parametrize("name", MORE_THAN_0)
 @pytest.mark.parametrize("value", [0, -1.5, float("nan")])
 def test_parameters_must_be_positive(name, value):
     with pytest.raises(ValueError, match=rf"^{name}: got {value}, expected more than 0$"):
