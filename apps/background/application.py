@@ -21,8 +21,7 @@ from ..events.page import Happened
 from ..events.watch import EVENTS, EventLog, EventWriter, rounded, write_events
 from ..events.zones import Zones, read_zones
 from ..io.detections import Detections, given_boxes, with_boxes
-from ..io.files import write_image
-from ..io.growing_files import LineWriter, MaskWriter, segment_pattern
+from ..io.files import LineWriter, MaskWriter, segment_pattern, write_image
 from ..io.sources.open_source import Source
 from ..io.tracks import HEADER, TABLE, TrackedObject, columns_of, mot_lines, table_lines
 from ..runs.interruption import Interrupted, Outcome

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...models.body.upper_body import JOINTS
 from ...models.core.frame import Frame
 from ..events.zones import Zones
-from ..io.growing_files import PLAYABLE, SegmentedVideo, Worker
+from ..io.files import PLAYABLE, SegmentedVideo, Worker
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

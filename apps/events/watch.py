@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.files import naming, write_text
-from ..io.growing_files import LineWriter
+from ..io.files import LineWriter
 from ..runs.row_log import RowLog
 from .zones import Zones
 

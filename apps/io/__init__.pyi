@@ -1,6 +1,6 @@
 from .detections import Detections, read_detections, with_boxes
+from .files import MaskWriter
 from .ground_truth import BoxTruth, MaskTruth, read_ground_truth
-from .growing_files import MaskWriter
 from .keypoints import Keypoints, read_keypoints, with_keypoints
 from .point_files import frames_of_tracks, read_points
 from .sources.open_source import Source, open_source

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import BoundingBox
 from ...models.files import LAST_FRAME
-from .growing_files import LineWriter
+from .files import LineWriter
 from .point_files import FARTHEST
 from .tables import Row, is_frame, lines_of
 

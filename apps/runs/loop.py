@@ -22,9 +22,8 @@ from ...inference.engine.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ...models.numerics.threads import thread_count
 from ..drawing.overlay import Draw, OverlayVideo
-from ..io.files import write_json
+from ..io.files import segments_of, write_json
 from ..io.film import SeenFrames
-from ..io.growing_files import segments_of
 from ..io.sources.open_source import Source, describe, open_source
 from ..live.server import Running, live_page
 from ..options.job import FilmJob, read_address

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from ..first_use import compiling_ahead
-from ..io.growing_files import segment_pattern
+from ..io.files import segment_pattern
 from ..options.job import Job
 from ..view.film import FILM, ROWS
 from ..view.page import VIEW

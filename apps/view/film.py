@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
 from ...models.files import sync, write_atomically
-from ..io.growing_files import (
+from ..io.files import (
     PLAYABLE,
     SegmentedVideo,
     Worker,

@@ -21,7 +21,7 @@ from cyclopts import App
 from rsmcm.apps import command_line
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.command_line import main
-from rsmcm.apps.io.growing_files import PLAYABLE, SegmentedVideo
+from rsmcm.apps.io.files import PLAYABLE, SegmentedVideo
 from rsmcm.apps.runs.parallel import in_parallel
 from rsmcm.apps.scenes import sleeping_man
 

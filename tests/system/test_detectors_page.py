@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rsmcm.apps.io import read_detections
-from rsmcm.apps.io.growing_files import PLAYABLE, SegmentedVideo
+from rsmcm.apps.io.files import PLAYABLE, SegmentedVideo
 from rsmcm.models import Frame
 
 from ..fuzz.networks import bright_cells

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.background.demo import write_body
 from rsmcm.apps.io import read_keypoints
-from rsmcm.apps.io.growing_files import PLAYABLE, SegmentedVideo
+from rsmcm.apps.io.files import PLAYABLE, SegmentedVideo
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.models import Frame
 from rsmcm.models.body.upper_body import JOINTS

@@ -18,7 +18,7 @@ from joblib import cpu_count
 
 from ...background.application import run_background
 from ...background.job import BackgroundJob
-from ...io.growing_files import PLAYABLE, SegmentedVideo
+from ...io.files import PLAYABLE, SegmentedVideo
 from ...io.sources.open_source import open_source
 from ...runs.parallel import Workers, in_parallel, working
 from ...runs.saved_run import STATE

@@ -18,7 +18,7 @@ from unittest.mock import patch
 
 from ....inference import RecursiveBP
 from ....models.numerics.threads import set_threads
-from ...io.growing_files import PLAYABLE, SegmentedVideo
+from ...io.files import PLAYABLE, SegmentedVideo
 from ...io.sources.open_source import open_source
 from ...scenes import sleeping_man
 from ..compare import Model

@@ -15,7 +15,7 @@ from rsmcm.apps.body import record as body_record
 from rsmcm.apps.body.application import ANGLE_NAMES, N_DRAWN, read_head
 from rsmcm.apps.body.record import HANDS, RARELY_SEEN, BodyRecord, Hypotheses
 from rsmcm.apps.io import film as films
-from rsmcm.apps.io.growing_files import PLAYABLE, SegmentedVideo
+from rsmcm.apps.io.files import PLAYABLE, SegmentedVideo
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.runs import loop
 from rsmcm.apps.scenes import SignerScene, signer

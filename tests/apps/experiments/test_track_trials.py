@@ -26,7 +26,7 @@ from rsmcm.apps.experiments.track_trials import (
     score_trials,
     whole_film_tracks,
 )
-from rsmcm.apps.io.growing_files import PLAYABLE, SegmentedVideo
+from rsmcm.apps.io.files import PLAYABLE, SegmentedVideo
 from rsmcm.apps.io.tracks import read_tracks
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rsmcm.apps.io import files
-from rsmcm.apps.io.growing_files import MaskWriter
+from rsmcm.apps.io.files import MaskWriter
 
 from ...support.film import mask, names
 

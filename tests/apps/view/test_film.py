@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.io.growing_files import segments_of
+from rsmcm.apps.io.files import segments_of
 from rsmcm.apps.view import film as module
 from rsmcm.apps.view.film import FILM, LONGEST_SIDE, ROWS, FilmWriter, read_film
 from rsmcm.models.core.frame import Frame

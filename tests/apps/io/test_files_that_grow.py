@@ -11,8 +11,8 @@ import av
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.io import growing_files
-from rsmcm.apps.io.growing_files import LOSSLESS_GRAY, PLAYABLE, MaskWriter, SegmentedVideo
+from rsmcm.apps.io import files
+from rsmcm.apps.io.files import LOSSLESS_GRAY, PLAYABLE, MaskWriter, SegmentedVideo
 from rsmcm.apps.io.tracks import TrackWriter
 from rsmcm.apps.runs.output_folder import output_folder
 
@@ -91,7 +91,7 @@ def test_video_that_cannot_be_completed_leaves_nothing(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(growing_files.os, "replace", full)
+    monkeypatch.setattr(files.os, "replace", full)
     with pytest.raises(OSError, match=r"overlay\.mp4"):
         video.close(finished=False)
     assert not list(tmp_path.iterdir())
@@ -113,7 +113,7 @@ def test_kill_loses_only_what_follows_the_last_checkpoint(tmp_path: Path) -> Non
         from pathlib import Path
         sys.path.insert(0, sys.argv[2])
         from film import add, boxes, mask, overlay_of
-        from rsmcm.apps.io.growing_files import MaskWriter
+        from rsmcm.apps.io.files import MaskWriter
         from rsmcm.apps.io.tracks import TrackWriter
         folder = Path(sys.argv[1])
         overlay, tracks = overlay_of(folder / "overlay.mp4"), TrackWriter(folder / "tracks.txt")
