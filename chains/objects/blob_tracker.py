@@ -38,7 +38,7 @@ MORE_THAN_0 = (
     "smallest", "mask_time", "colour_time", "spread", "strength", "temper", "acceleration", "first_speed",
     "patience", "hidden_patience", "confirmed_time", "ghost_evidence", "parting_time", "size_time",
 )  # fmt: skip
-"""Of the parameters of `BlobTracker`."""
+"""Parameters of `BlobTracker` that must be more than 0."""
 
 SWEEP = 0.8
 """s after which a mask is freed of crumbs again."""
