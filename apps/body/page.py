@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import JOINTS, PARTS
-from ..drawing.overlay import CHAINS, TRUNK, BodyOverlay, Draw, TrackedBody, caption, css_colour
+from ..drawing.overlay import TRUNK, BodyOverlay, Draw, TrackedBody, caption, css_colour, skeleton
 from ..view.film import Film, Row
 from ..view.page import (
     BLUE,
@@ -152,7 +152,7 @@ def over_the_film(film: Film, arm: float) -> tuple[dict[str, Any], list[Timeline
     seen = columns["seen"] & ~columns["missing"][:, None]
     inks = dict.fromkeys(range(len(JOINTS)), GREY)
     bones = []
-    for colour, chain in CHAINS:
+    for colour, chain in skeleton():
         ink = GREY if colour == TRUNK else css_colour(colour)
         bones += [(*bone, ink) for bone in pairwise(chain)]
         if colour != TRUNK:

@@ -6,6 +6,7 @@ Everything is drawn from the rows of `view.npz`, as the page draws it.
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol, Self
@@ -14,7 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.body.upper_body import JOINTS
 from ...models.core.frame import Frame
 from ..events.zones import Zones
 from ..io.files import PLAYABLE, SegmentedVideo, Worker
@@ -323,21 +323,27 @@ PANEL: Colour = (45, 45, 45)
 AXIS: Colour = (110, 110, 110)
 INK: Colour = (0, 0, 0)
 
-CHAINS: tuple[tuple[Colour, tuple[int, ...]], ...] = tuple(
-    (colour, tuple(JOINTS.index(name) for name in names))
-    for colour, names in (
+Skeleton = tuple[tuple[Colour, tuple[int, ...]], ...]
+
+
+@cache
+def skeleton() -> Skeleton:
+    """Colour and joints of every line of a skeleton."""
+    from ...models.body.upper_body import JOINTS  # brings scipy, which other applications do not begin with
+
+    lines = (
         (TRUNK, ("head", "neck")),
         (TRUNK, ("left_shoulder", "neck", "right_shoulder")),
         (LEFT, ("left_shoulder", "left_elbow", "left_hand")),
         (RIGHT, ("right_shoulder", "right_elbow", "right_hand")),
     )
-)
-"""Colour and joints of every line of a skeleton."""
+    return tuple((colour, tuple(JOINTS.index(name) for name in names)) for colour, names in lines)
 
-REGIONS = tuple(
-    (colour, JOINTS.index(name))
-    for colour, name in ((TRUNK, "head"), (LEFT, "left_hand"), (RIGHT, "right_hand"))
-)
+
+def ends() -> tuple[tuple[Colour, int], ...]:
+    """Colour and joint of head and hands, whose uncertainty is drawn."""
+    (colour, (head, *_)), _, (left, (*_, left_hand)), (right, (*_, right_hand)) = skeleton()
+    return (colour, head), (left, left_hand), (right, right_hand)
 
 
 @dataclass(frozen=True, eq=False)
@@ -419,7 +425,7 @@ class BodyOverlay:
             _draw_skeleton(canvas, mean, None, round(2 * unit))
             if body.second is not None:
                 _draw_dashed(canvas, _on_canvas(body.second[:, axes] + shift, scale), unit)
-        for colour, joint in REGIONS:
+        for colour, joint in ends():
             place = _on_canvas(body.joints[joint, :2], scale)
             _draw_region(large, place, scale**2 * body.covariances[joint, :2, :2], colour)
         draw_label(large, f"{caption}: {body.state}" if body.state else caption)
@@ -434,7 +440,7 @@ def _on_canvas(places: Array, scale: int) -> Array:
 
 def _draw_skeleton(canvas: Canvas, joints: Array, colour: Colour | None, thickness: int) -> None:
     """Draw a skeleton `(8, 2)` px; in the colours of its sides if none is given."""
-    for own, chain in CHAINS:
+    for own, chain in skeleton():
         points = [_fixed(joints[list(chain)])]
         ink = own if colour is None else colour
         cv2.polylines(canvas, points, False, ink, thickness, cv2.LINE_AA, FRACTION_BITS)
@@ -442,7 +448,7 @@ def _draw_skeleton(canvas: Canvas, joints: Array, colour: Colour | None, thickne
 
 def _draw_dashed(canvas: Canvas, joints: Array, unit: float) -> None:
     """Draw the arms of a skeleton `(8, 2)` px, so that they are no other's."""
-    for colour, chain in CHAINS:
+    for colour, chain in skeleton():
         if colour == TRUNK:
             continue
         pale = tuple((each + 255) // 2 for each in colour)

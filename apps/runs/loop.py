@@ -303,7 +303,7 @@ class Application(ABC, Generic[F]):
     name
         of the application.
     schema
-        of what `state_dict` gives, for `rsmcm.inference.core.checkpoint`.
+        of what `state_dict` gives, for `rsmcm.inference.engine.checkpoint`.
     blank_is_missing
         whether frames that show nothing (black, saturated) count as missing.
     settings
