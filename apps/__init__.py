@@ -1,1 +1,1 @@
-"""Command line, video, scenes, reports and experiments."""
+"""Command line, run loop, readers and writers, pages, scenes and experiments."""

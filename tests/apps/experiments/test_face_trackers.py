@@ -107,7 +107,9 @@ def test_scattered_experts_are_as_far_as_they_should_be(clip: Clip) -> None:
 def test_a_known_texture_brings_scattered_experts_back(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recovery, "SCENE", {"n_frames": recovery.SOON + 1})
     for seed in range(2):
-        assert recovery.recover(seed)[recovery.KNOWN].errors[recovery.SOON] < recovery.NEAR
+        assert (
+            recovery.recover(recovery.N_EXPERTS, seed)[recovery.KNOWN].errors[recovery.SOON] < recovery.NEAR
+        )
 
 
 def made_up(errors: dict[str, float], usual: float, names: list[str]) -> Measured:
