@@ -37,7 +37,7 @@ complaint = run.complaint
 
 Image = NDArray[np.uint8]
 
-GROWING = (("overlay", "mp4"), ("film", "mp4"), ("view", "npz"), ("poses", "npz"))
+GROWING = (("film", "mp4"), ("view", "npz"))
 RESULTS = {
     "film.mp4",
     "view.npz",
@@ -47,7 +47,8 @@ RESULTS = {
     "state.npz",
     "manifest.json",
 }
-SEGMENTS = {f"{name}.part000000005.{kind}" for name, kind in GROWING}
+SEGMENTS = {f"{name}.part000000005.{kind}" for name, kind in GROWING} | {"rows"}
+"""Files of a run that was broken off, by which it can be resumed."""
 N_FRAMES = 16
 SIZE = (320, 180)
 FEW = ("--samples", "100")

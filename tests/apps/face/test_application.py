@@ -32,7 +32,7 @@ from ...support.view_page import shown_page
 run = Command("face")
 complaint = run.complaint
 
-GROWING = (("overlay", "mp4"), ("film", "mp4"), ("view", "npz"), ("poses", "npz"))
+GROWING = (("film", "mp4"), ("view", "npz"))
 RESULTS = {
     "film.mp4",
     "view.npz",
@@ -44,7 +44,8 @@ RESULTS = {
     "state.npz",
     "manifest.json",
 }
-SEGMENTS = {f"{name}.part000000005.{kind}" for name, kind in GROWING}
+SEGMENTS = {f"{name}.part000000005.{kind}" for name, kind in GROWING} | {"rows"}
+"""Files of a run that was broken off, by which it can be resumed."""
 N_FRAMES = 16
 SIZE = (200, 160)
 FEW = ("--experts", "4")
