@@ -225,7 +225,7 @@ def test_control_c(tmp_path: Path) -> None:
     films, out = write_long_films(tmp_path / "films", 4, 2000), tmp_path / "out"
     process = start("batch", "background", films, "--out", out, "--jobs", 2, "--masks", "none", "--every", 5)
     # both have answered frames and kept them: before the first one there is nothing to report
-    wait_until(lambda: len({part.parent for part in out.glob("*/overlay.part*")}) == 2)
+    wait_until(lambda: len({part.parent for part in out.glob("*/film.part*")}) == 2)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does it
     printed, complaints = process.communicate(timeout=60)
     assert process.returncode == 130, complaints
