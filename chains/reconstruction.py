@@ -29,6 +29,7 @@ from ..inference.sfm.perspective.structure import (
     perspective_structure,
 )
 from ..models.core.frame import Frame
+from ..models.core.short_repr import short_repr
 from ..models.points.point_tracks import PointTracks, frames_of_tracks, noise_of_tracks
 from .points.feature_matcher import FeatureMatcher
 from .points.point_tracker import PointTracker
@@ -53,6 +54,7 @@ LASTING = 0.5
 """px per point: a tracker's errors, which last, move points by so much against each other."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
     """Points and cameras that explain the tracks.

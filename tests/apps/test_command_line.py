@@ -115,7 +115,7 @@ def test_wrong_options(
 def test_wrong_subcommands(capfd: pytest.CaptureFixture[str]) -> None:
     assert "unknown command 'backgroud', did you mean background?" in complaint(capfd, "backgroud")
     assert "unknown command 'x', expected background, structure, " in complaint(capfd, "x")
-    assert "unknown command 'nothing', expected sleeping-man, " in complaint(capfd, "reproduce", "nothing")
+    assert "unknown command 'nothing', expected compare, " in complaint(capfd, "reproduce", "nothing")
     assert "unknown option --frobnicate" in complaint(capfd, "--frobnicate")
     assert "SOURCE is needed" in complaint(capfd, "face")
     assert "SOURCE: got no value" in complaint(capfd, "face", "")
@@ -153,7 +153,8 @@ def test_every_option_is_named_in_what_is_wrong_with_it(
     }
     kinds = [kind for kind in get_args(hint) or [hint] if kind is not NoneType]
     values = wrong.get(kinds[0], ["no such choice"])
-    needed = [] if path[0] in ("demo", "reproduce") else ["nowhere"]
+    alone = path[0] == "demo" or (path[0] == "reproduce" and path[1:] != ("compare",))
+    needed = [] if alone else ["nowhere"]
     for other, value in (("--out", "x"), ("--bases", "3"), ("--to", "coco")):
         if other != option and {"--bases": "shape", "--to": "export"}.get(other, path[0]) == path[0]:
             needed += [other, value]
@@ -188,7 +189,7 @@ def test_experiments_in_processes_are_quiet_too(
 ) -> None:
     """What starts processes wants a standard output that can be flushed."""
 
-    def two_numbers(name: str, out: Path) -> None:
+    def two_numbers(name: str, out: Path, long: bool) -> None:
         print(sum(in_parallel(name, [(abs, (-1,)), (abs, (-2,))])))
 
     monkeypatch.setattr(command_line, "run_experiment", two_numbers)

@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from ....models.core.short_repr import short_repr
+
 Numbers = NDArray[np.float64]
 
 HEAVIEST, LIGHTEST = 3.0, 100.0
@@ -23,6 +25,7 @@ ACCURACY = 1e-4
 """Of the logarithm of the variance."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class StudentNoise:
     """Errors of positions in two coordinates.
