@@ -11,7 +11,7 @@ from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import LIMITS, UpperBody
 from scipy.spatial.transform import Rotation
 
-from ....support.body_poses import resting, twists
+from ...support.body_poses import resting, twists
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
