@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rsmcm.inference.least_squares import Damping, levenberg_marquardt
-from scipy.optimize import least_squares
 
 Numbers = np.ndarray
 
@@ -38,11 +37,10 @@ def hardly(before: Numbers, after: Numbers) -> bool:
 
 @settings(max_examples=20)
 @given(st.tuples(st.floats(-3, 3), st.floats(-3, 3)))
-def test_the_minimum_is_that_of_scipy(start: tuple[float, float]) -> None:
+def test_the_minimum_of_rosenbrock_is_found_from_anywhere(start: tuple[float, float]) -> None:
+    """It is at (1, 1); scipy's solver stands still where it begins within rounding of (0, 0)."""
     found = levenberg_marquardt(np.array(start), linearised, hardly, Damping(), most_steps=1000)
-    np.testing.assert_allclose(
-        found.place, least_squares(residuals, start, jacobian, xtol=1e-12).x, atol=1e-6
-    )
+    np.testing.assert_allclose(found.place, 1.0, atol=1e-6)
 
 
 def test_no_step_raises_the_error() -> None:
