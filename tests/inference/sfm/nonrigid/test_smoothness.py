@@ -93,7 +93,7 @@ def test_posterior_of_poses_never_falls() -> None:
 
     # turns small enough for their differences to be nearly linear
     state = replace(state, rotations=exponential(0.05 * np.random.default_rng(1).standard_normal((N, 3))))
-    reached, damping = [posterior(state)], smoothness.FIRST_DAMPING
+    reached, damping = [posterior(state)], smoothness.DAMPING.first
     for _ in range(8):
         found = smoothness.smooth_weights(state, sums, correlations)[0]
         normal, pull = (each / state.noise for each in em.pose_equations(state, sums, found))
