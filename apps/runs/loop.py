@@ -33,7 +33,7 @@ from ..view.page import VIEW, Line, Page, Plot, write_page
 from .interruption import Interrupted, Outcome
 from .memory import check_memory
 from .progress import Progress
-from .row_log import ROWS, RowLog, Values
+from .row_log import ROWS, RowLog, Values, remove_rows
 from .saved_run import STATE, SavedRun, check_source, save_run
 from .session import OVERLAY, Session
 
@@ -429,6 +429,7 @@ class _FilmRun:
             if saved is not None:
                 check_source(saved.about, session.fingerprint)
                 if saved.about["finished"]:
+                    remove_rows(job.out / ROWS)  # a run may have been killed while it removed them
                     summary = saved.about["finished"]
                     return session.outcome(summary, application.in_words(summary))
                 session.earlier_seconds = saved.about["seconds"]

@@ -33,11 +33,11 @@ class _Column:
     def __init__(self, path: Path, dtype: np.dtype[Any], shape: tuple[int, ...], count: int = 0) -> None:
         self.path, self.dtype, self.shape, self.count = path, dtype, shape, count
         self._file: BinaryIO = path.open("r+b" if count else "w+b")
-        if count:
-            self._file.truncate(HEADER + count * self.width)
-            self._file.seek(0, os.SEEK_END)
-        else:
-            self._file.write(self._header())
+        # the header first: a file longer than it says can be read, a shorter one cannot
+        self._file.write(self._header())
+        self._file.flush()
+        self._file.truncate(HEADER + count * self.width)
+        self._file.seek(0, os.SEEK_END)
 
     @classmethod
     def reopened(cls, path: Path, count: int) -> Self:
@@ -235,9 +235,15 @@ class RowLog:
     def remove(self) -> None:
         """Remove the files: nobody goes on with this run."""
         self.__exit__()
-        for path in self._folder.glob("*.npy"):
-            path.unlink()
-        self._folder.rmdir()
+        remove_rows(self._folder)
 
     def _path(self, kind: str, name: str) -> Path:
         return self._folder / f"{kind}.{name}.npy"
+
+
+def remove_rows(folder: Path) -> None:
+    """Remove the folder of a finished run's columns, if it is there."""
+    if folder.exists():
+        for path in folder.glob("*.npy"):
+            path.unlink()
+        folder.rmdir()

@@ -60,6 +60,14 @@ def test_a_log_that_is_cut_and_goes_on_is_as_in_one_go(
     assert_whole(folder, first + 4)
 
 
+def test_a_run_that_is_killed_as_soon_as_it_is_resumed_loses_nothing(tmp_path: Path) -> None:
+    written(tmp_path / "rows", 1, 9, state=9)
+    for _ in range(2):
+        RowLog(tmp_path / "rows", 5).__exit__()  # cut, and no row was appended
+    written(tmp_path / "rows", 6, 9)
+    assert_whole(tmp_path / "rows", 9)
+
+
 def test_columns_can_be_looked_at_while_the_run_goes_on(tmp_path: Path) -> None:
     with RowLog(tmp_path / "rows") as log:
         for number in range(1, 4):
