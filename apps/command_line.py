@@ -163,7 +163,7 @@ def view(run: Path) -> int:
     run
         Folder of the run, or of a batch.
     """
-    from .view.open_page import open_page
+    from .view.page import open_page
 
     print(open_page(run))
     return 0
@@ -198,7 +198,7 @@ def events(run: Path, *, zones: Path) -> int:
     zones
         TOML file with zones and lines of the picture, or JSON as LabelMe writes it.
     """
-    from .events.finished import run_events
+    from .events.page import run_events
 
     print(*run_events(run, zones), sep="\n")
     return 0

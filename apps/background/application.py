@@ -34,7 +34,7 @@ from ..view.page import Page
 from .job import WHOLE_FILM, BackgroundJob, Camera
 from .job import Engine as EngineName
 from .moving_camera import MOVES, CameraWatch
-from .page import background_page, drawn_of
+from .page import RunRecord, background_page, drawn_of
 from .parameters import (
     SECTIONS,
     Parameters,
@@ -43,7 +43,6 @@ from .parameters import (
     read_parameters,
 )
 from .predictions import Predictions
-from .record import RunRecord
 from .whole_film import read_whole, warmed_up
 
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)

@@ -1,6 +1,7 @@
 """The page of a background run: objects and outlines over the film, tracks, numbers over time."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -8,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import GivenBoxes
+from ...models.numerics.evenly_spaced import evenly_spread
 from ..drawing.overlay import css_colour, draw_zones, identity_colour
 from ..events.page import Happened
 from ..events.watch import Event
 from ..events.zones import Zones
 from ..io.tracks import TrackedObject
-from ..runs.frame_lists import listed
+from ..runs.row_log import RowLog
 from ..view.film import LONGEST_SIDE, Film, Row
 from ..view.page import (
     Line,
@@ -23,13 +25,73 @@ from ..view.page import (
     TimelineRow,
     coloured,
     flat,
+    listed,
     paragraph,
     picture,
     rates,
     spans_of,
     table,
 )
-from .record import RunRecord, TrackHistory
+
+MOST_POINTS = 256
+"""Of a track's path."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackHistory:
+    """The life of a track.
+
+    Parameters
+    ----------
+    first, last
+        numbers of its first and last frame.
+    n_frames
+        in which it is reported.
+    width, height
+        of its box, means over these, px.
+    path
+        `(n, 2)` px: where its feet were in the first frame, in some between, and in the last one.
+    """
+
+    first: int
+    last: int
+    n_frames: int
+    width: float
+    height: float
+    path: NDArray[np.float64]
+
+
+class RunRecord:
+    """Numbers of all frames `(n_frames,)`, and the tracks by identity.
+
+    Parameters
+    ----------
+    log
+        the rows of the run.
+    """
+
+    def __init__(self, log: RowLog) -> None:
+        self.numbers: list[int] = log["number"].tolist()
+        self.times: list[float] = log["time"].tolist()
+        self.missing: list[int] = log["number"][log["missing"]].tolist()
+        self.n_tracks, self.seconds = log["objects"], log["seconds"].tolist()
+        self.foreground_share, self.log_evidence = log["foreground"], log["log_evidence"]
+        ids, frames = log.objects("id"), np.repeat(log["number"], log["objects"])
+        x, y, width, height = (log.objects(name) for name in ("x", "y", "width", "height"))
+        feet = np.stack([x + width / 2, y + height], axis=1)
+        order = np.argsort(ids, kind="stable")
+        self.tracks: dict[int, TrackHistory] = {}
+        for rows in np.split(order, np.flatnonzero(np.diff(ids[order])) + 1) if len(ids) else ():
+            path = feet[rows[evenly_spread(len(rows), MOST_POINTS)]]
+            self.tracks[int(ids[rows[0]])] = TrackHistory(
+                int(frames[rows[0]]),
+                int(frames[rows[-1]]),
+                len(rows),
+                float(width[rows].mean()),
+                float(height[rows].mean()),
+                path,
+            )
+
 
 Image = NDArray[np.uint8]
 

@@ -12,8 +12,8 @@ from scipy.sparse.csgraph import connected_components
 from ...chains.body.hand_labelling import HandLabels, hand_labels
 from ...chains.body.samples import BodySamples
 from ...models.body.upper_body import JOINTS, PARTS, UpperBody
-from ..runs.frame_lists import listed_periods, notes_on_missing, periods
 from ..runs.row_log import RowLog
+from ..view.page import listed_periods, notes_on_missing, periods
 from .relabelling import EXCHANGED_PARTS
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ import psutil
 
 from ...models.numerics.threads import thread_count
 from ..io.files import write_json
-from ..runs.versions import versions
+from ..runs.session import versions
 from .expectations import Expectation
 
 ROOT = Path(__file__).resolve().parents[2]

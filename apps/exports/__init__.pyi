@@ -1,5 +1,4 @@
-from .coco import to_coco
-from .cvat import to_cvat
+from .coco import to_coco, to_cvat
 from .finished_run import FinishedRun, RunFrame, read_tracks_table
 from .for_supervision import to_key_points, to_supervision
 from .movement import movement_dataset, to_movement

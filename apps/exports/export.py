@@ -4,8 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal, get_args
 
-from .coco import to_coco
-from .cvat import to_cvat
+from .coco import to_coco, to_cvat
 from .movement import to_movement
 from .video import to_video
 

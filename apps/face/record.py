@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ..runs.frame_lists import listed, listed_periods, notes_on_missing, periods
 from ..runs.row_log import RowLog
+from ..view.page import listed, listed_periods, notes_on_missing, periods
 
 Array = NDArray[np.float64]
 ANGLES = ("turned to the left", "tilted down", "leaned clockwise")

@@ -1,9 +1,13 @@
 """A run in its folder of results: what all applications have in common, whatever they read and write."""
 
+import importlib.metadata
+import platform
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
+
+import cv2
 
 from ..first_use import compiling_ahead
 from ..io.files import segment_pattern
@@ -13,7 +17,7 @@ from ..view.page import VIEW
 from .interruption import Interrupted, Interruption, Outcome
 from .output_folder import OutputFolder, output_folder
 from .saved_run import STATE
-from .versions import versions
+
 
 OVERLAY = "overlay.mp4"
 
@@ -124,3 +128,11 @@ class Session:
     def seconds(self) -> float:
         """Wall time of the work, that before it was resumed included."""
         return self.earlier_seconds + time.perf_counter() - self._started
+
+
+def versions() -> dict[str, str]:
+    """Version of what a result depends on, by name."""
+    found = {"python": platform.python_version()}
+    for name in ("rsmcm", "numpy", "scipy", "numba", "av"):
+        found[name] = importlib.metadata.version(name)
+    return {**found, "opencv": cv2.__version__}

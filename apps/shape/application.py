@@ -14,14 +14,12 @@ from ...models.face.model_files import write_model
 from ..io.files import write_json
 from ..io.point_files import read_shapes, read_track_file
 from ..io.sources.open_source import Selection
-from ..runs.frame_lists import shortened
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.progress import Progress
 from ..runs.session import Session
-from ..view.page import VIEW, write_page
+from ..view.page import VIEW, shortened, write_page
 from .job import AUTO, ShapeJob
-from .page import shape_page
-from .result import MODEL, SHAPES, LearnedShape, Numbers, write_shapes
+from .page import MODEL, SHAPES, LearnedShape, Numbers, shape_page, write_shapes
 
 NAME = "shape"
 

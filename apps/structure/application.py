@@ -30,19 +30,27 @@ from ..exports.colmap import write_colmap
 from ..io.files import write_json
 from ..io.point_files import frames_of_tracks, read_track_file
 from ..io.sources.open_source import DEFAULT_RATE, Selection, open_source
-from ..runs.frame_lists import listed
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.loop import run_film
 from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, check_memory
 from ..runs.progress import Progress
 from ..runs.saved_run import STATE, about_of, check_source
 from ..runs.session import OVERLAY, Session
-from ..view.page import VIEW, write_page
-from .camera import camera_in_words, in_words, known_lens
+from ..view.page import VIEW, listed, write_page
 from .diagnosis import Diagnosis, no_depth, no_points, too_little
 from .files import point_colours, recorded_predictions, write_cameras, write_ply, write_tracks
 from .job import StructureJob
-from .page import EDGE, drawn_of, film_of_tracks, nothing_page, structure_page, write_film
+from .page import (
+    EDGE,
+    camera_in_words,
+    drawn_of,
+    film_of_tracks,
+    in_words,
+    known_lens,
+    nothing_page,
+    structure_page,
+    write_film,
+)
 from .recursive import RecursiveRun
 
 COLMAP = "colmap"

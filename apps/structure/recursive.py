@@ -21,11 +21,10 @@ from ..runs.loop import Application, Columns, Engine, Start
 from ..runs.row_log import RowLog
 from ..view.film import Film, Row
 from ..view.page import Page
-from .camera import camera_in_words, in_words
 from .diagnosis import Diagnosis, no_depth
 from .files import GREY, write_cameras, write_ply, write_tracks
 from .job import StructureJob
-from .page import nothing_page, structure_page
+from .page import camera_in_words, in_words, nothing_page, structure_page
 
 LOOKED_AT = 300
 """Last frames whose motion is told where there is no shape."""

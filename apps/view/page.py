@@ -6,6 +6,9 @@ network, follows the reader's light or dark setting, and prints. What is not `Ma
 
 import base64
 import json
+import os
+import sys
+import webbrowser
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -275,6 +278,39 @@ def encoded(image: Image, kind: str, options: Sequence[int] = ()) -> str:
     return base64.b64encode(data.tobytes()).decode("ascii")
 
 
+# --- frames in words ---
+
+MOST_LISTED = 20
+
+
+def listed(numbers: Sequence[object], thing: str = "frame") -> str:
+    """For instance "frames 3, 4, 7"; long lists are cut short."""
+    text = shortened(numbers)
+    return f"{thing}{'s' if len(numbers) > 1 or ' ' in text else ''} {text}"
+
+
+def shortened(numbers: Sequence[object]) -> str:
+    """For instance "3, 4, 7"; of long lists the beginning."""
+    return ", ".join(map(str, numbers[:MOST_LISTED])) + (", …" if len(numbers) > MOST_LISTED else "")
+
+
+def periods(all_numbers: Sequence[int], chosen: Sequence[int]) -> list[tuple[int, int]]:
+    """First and last of every run of chosen frames among all of them, both in order."""
+    inside = np.isin(np.array(all_numbers), chosen)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8)))
+    return [(all_numbers[first], all_numbers[after - 1]) for first, after in edges.reshape(-1, 2).tolist()]
+
+
+def listed_periods(found: Sequence[tuple[int, int]]) -> str:
+    """For instance "frames 5 to 7, 20"."""
+    return listed([f"{first} to {last}" if last > first else str(first) for first, last in found])
+
+
+def notes_on_missing(numbers: Sequence[int]) -> list[str]:
+    """A sentence about frames without anything to see, if there are any."""
+    return [f"Missing, unreadable or blank, and only predicted: {listed(numbers)}."] if numbers else []
+
+
 # --- the page ---
 
 
@@ -447,3 +483,24 @@ _environment.globals["source"] = lambda name: Markup((_TEMPLATES / name).read_te
 _environment.filters["rounded"] = _rounded
 _environment.tests["numeric"] = _is_numeric
 _parts: Any = _environment.get_template("parts.html").module
+
+
+def open_page(folder: Path) -> Path:
+    """Show the page of a run or batch in the browser, where there is a screen; return it in any case.
+
+    Raises
+    ------
+    ValueError
+        if the folder holds none.
+    """
+    pages = (VIEW, "index.html")
+    page = next((folder / name for name in pages if (folder / name).is_file()), None)
+    if page is None:
+        raise ValueError(
+            f"{folder}: holds none of {', '.join(pages)}, expected the folder of a run's results"
+        )
+    # Windows and macOS need no variable that says where a browser may be shown
+    screens = map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
+    if sys.platform in ("win32", "darwin") or any(screens):
+        webbrowser.open(page.resolve().as_uri())  # without a browser nothing happens, and the page is named
+    return page

@@ -6,7 +6,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
-from rsmcm.apps.background.record import RunRecord
+from rsmcm.apps.background.page import RunRecord
 from rsmcm.apps.io.tracks import TrackedBox, columns_of
 from rsmcm.apps.runs.row_log import RowLog, Values
 

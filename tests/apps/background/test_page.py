@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.apps.background.page import background_page, draw_paths, drawn_of, over_the_film
-from rsmcm.apps.background.record import RunRecord, TrackHistory
+from rsmcm.apps.background.page import (
+    RunRecord,
+    TrackHistory,
+    background_page,
+    draw_paths,
+    drawn_of,
+    over_the_film,
+)
 from rsmcm.apps.drawing.overlay import identity_colour
 from rsmcm.apps.events.page import Happened
 from rsmcm.apps.events.watch import Event, Kind, Moment

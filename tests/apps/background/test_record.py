@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rsmcm.apps.background.record import MOST_POINTS, RunRecord
+from rsmcm.apps.background.page import MOST_POINTS, RunRecord
 from rsmcm.apps.io.tracks import TrackedBox, columns_of
 
 from ...support.records import log_of, recorded

@@ -1,7 +1,7 @@
 """Landmarks as people give them."""
 
 import numpy as np
-from rsmcm.apps.face.landmark_files import GivenLandmarks
+from rsmcm.apps.face.application import GivenLandmarks
 
 
 def test_which_row_belongs_to_which_frame() -> None:

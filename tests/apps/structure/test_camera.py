@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from rsmcm.apps.io.sources.images import DETAILS, focal_of_picture
-from rsmcm.apps.structure.camera import known_lens
+from rsmcm.apps.structure.page import known_lens
 from rsmcm.models.core.frame import Frame, GivenPoints
 from scipy.spatial.transform import Rotation
 

@@ -4,7 +4,7 @@ import webbrowser
 from pathlib import Path
 
 import pytest
-from rsmcm.apps.view.open_page import open_page
+from rsmcm.apps.view.page import open_page
 
 from ...conftest import Command
 

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.apps.runs.frame_lists import listed, listed_periods, periods
+from rsmcm.apps.view.page import listed, listed_periods, periods
 
 
 def test_lists() -> None:
