@@ -18,7 +18,6 @@ from .interruption import Interrupted, Interruption, Outcome
 from .output_folder import OutputFolder, output_folder
 from .saved_run import STATE
 
-
 OVERLAY = "overlay.mp4"
 
 _GROWING = (OVERLAY, FILM, ROWS)
