@@ -1,12 +1,10 @@
 from .body.parts import BodyParts
-from .body.poses import BodyPoses
-from .body.upper_body import UpperBody
+from .body.upper_body import BodyPoses, UpperBody
 from .core.categorical import Categorical
 from .core.frame import Frame, GivenBoxes
 from .core.keypoints import GivenKeypoints
 from .face.detectors import HaarFaces, YuNetFaces
-from .face.morphable_model import MorphableModel
-from .face.pose import Poses
+from .face.morphable_model import MorphableModel, Poses
 from .objects.object_boxes import ObjectBoxes
 from .pixels.layers import Layer, LayerStack
 from .pixels.pixel_labels import PixelLabels, PixelMessage, ScenePixels

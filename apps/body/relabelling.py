@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...chains.body.samples import weighted_moments
-from ...models.body.inverse_kinematics import arm_at, swivels
-from ...models.body.poses import ANGLES, shoulder_rotations
-from ...models.body.upper_body import JOINTS, UpperBody
+from ...models.body.upper_body import ANGLES, JOINTS, UpperBody, arm_at, shoulder_rotations, swivels
 from ...models.numerics.rotations import logarithm
 
 Array = NDArray[np.float64]

@@ -8,15 +8,14 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains.face.gauss_newton import find_modes
+from ...chains.face.experts import find_modes
 from ...chains.face.gflow import GFlow, GFlowState
-from ...chains.face.image_pyramid import Level, image_pyramid
-from ...chains.face.pose_dynamics import PosePrior
+from ...chains.face.pose_terms import PosePrior
 from ...chains.face.texture_filter import UNKNOWN_VARIANCE, Texture
-from ...chains.face.texture_likelihood import TextureLikelihood
+from ...chains.face.texture_likelihood import Level, TextureLikelihood, image_pyramid
 from ...inference.engine.protocols import Incoming
 from ...models.core.frame import Frame
-from ...models.face.pose import Poses
+from ...models.face.morphable_model import Poses
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
 from ..scenes import FaceScene, face
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ...chains.face.gflow import GFlow
-from ...models.face.pose import Poses
+from ...models.face.morphable_model import Poses
 from .expectations import Expectation, over_seeds
 from .experiment import Findings, Plot, by_seed
 from .face_trackers import Clip, ground_truth_texture, states

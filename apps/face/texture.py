@@ -7,10 +7,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ...chains.face.gflow import GFlow, GFlowState
-from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import Poses
-from ...models.face.surface_texels import SurfaceTexels
-from ...models.face.visibility import visible
+from ...models.face.morphable_model import MorphableModel, Poses
+from ...models.face.surface import SurfaceTexels, visible
 from ...models.numerics.rotations import exponential
 from ..io.files import write_image
 

@@ -25,8 +25,7 @@ from ...models.face.built_in_model import (
     on_shield,
     unit_length,
 )
-from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import Poses
+from ...models.face.morphable_model import MorphableModel, Poses
 from ...models.numerics.rotations import exponential
 from .random_fields import mottle, wander
 from .rendering_kernels import FARTHEST, average_samples, draw_mesh, see_vertices

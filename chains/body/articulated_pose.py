@@ -7,14 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
-from ...models.body.part_message import PartMessage
-from ...models.body.parts import BodyParts
-from ...models.body.poses import BodyPoses
-from ...models.body.upper_body import UpperBody
+from ...models.body.parts import BodyParts, PartMessage
+from ...models.body.upper_body import BodyPoses, UpperBody
 from ...models.core.frame import Frame
 from ...models.core.gaussian_mixtures import GaussianMixtures
 from ...models.core.short_repr import short_repr
 from .dynamics import BodyDynamics
+from .fixed_lag import PoseTrajectory, predicted_messages, smoothed_poses
 from .likelihood import BodyLikelihood, PoseLikelihood
 from .proposals import Candidates
 from .samples import (
@@ -28,7 +27,6 @@ from .samples import (
     weighted_moments,
 )
 from .tempering import temper
-from .whole_film import PoseTrajectory, predicted_messages, smoothed_poses
 
 Array = NDArray[np.float64]
 

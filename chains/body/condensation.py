@@ -8,10 +8,8 @@ from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Incoming, Port
 from ...inference.smc import normalised, systematic
-from ...models.body.part_message import PartMessage
-from ...models.body.parts import BodyParts
-from ...models.body.poses import BodyPoses
-from ...models.body.upper_body import UpperBody
+from ...models.body.parts import BodyParts, PartMessage
+from ...models.body.upper_body import BodyPoses, UpperBody
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from .dynamics import BodyDynamics

@@ -7,12 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.body.inverse_kinematics import arm_at
 from ...models.body.kernels import lean
-from ...models.body.poses import BodyPoses
-from ...models.body.upper_body import UpperBody
+from ...models.body.upper_body import BodyPoses, UpperBody, arm_at
 from ...models.core.short_repr import short_repr
-from .kernels.dynamics import draw_terms, least_squares_to_rows, mixture_values
+from .kernels import draw_terms, least_squares_to_rows, mixture_values
 
 Array = NDArray[np.float64]
 

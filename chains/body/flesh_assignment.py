@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...inference.kalman import ornstein_uhlenbeck_velocity
-from ...models.body.part_message import PartMessage
+from ...models.body.parts import PartMessage
 from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
 from ...models.core.kernels import products
 from ...models.numerics.densities import log_sums

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
-from ...models.body.part_message import PartMessage
-from ...models.body.parts import FALSE_HANDS, BodyParts
+from ...models.body.parts import FALSE_HANDS, BodyParts, PartMessage
 from ...models.body.upper_body import UpperBody
 from ...models.core.frame import Frame
 from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
 from ...models.core.short_repr import short_repr
 from ...models.numerics.densities import log_sums
+from .fixed_lag import FleshTrajectory, filtered, predicted_messages
 from .flesh_assignment import (
     VISIBLE,
     Answers,
@@ -31,7 +31,6 @@ from .flesh_assignment import (
     ratios_beside,
 )
 from .flesh_state import HANDS, HEAD, Clutter, ClutterMatch, FleshTracks, anywhere, within_reach
-from .whole_film import FleshTrajectory, filtered, predicted_messages
 
 Array = NDArray[np.float64]
 

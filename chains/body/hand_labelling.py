@@ -20,9 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.smc import log_sum, systematic
-from ...models.body.inverse_kinematics import arm_at
-from ...models.body.poses import BodyPoses
-from ...models.body.upper_body import UpperBody
+from ...models.body.upper_body import BodyPoses, UpperBody, arm_at
 from ...models.core.short_repr import short_repr
 from .dynamics import BodyDynamics
 from .proposals import half_range

@@ -9,20 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.image_features import BodyImage
-from ...models.body.poses import BodyPoses, over_bands_of
 from ...models.body.skin import HIGHEST
-from ...models.body.upper_body import UpperBody
-from .kernels.likelihood import (
+from ...models.body.upper_body import BodyPoses, UpperBody, over_bands_of
+from .kernels import (
+    LANES,
     HandModel,
+    Solid,
     arm_terms,
     blob_terms,
     edge_features,
     forearm_terms,
     hand_terms,
     head_terms,
+    outline_terms,
+    outlines,
     over_density,
 )
-from .kernels.silhouette import LANES, Solid, outline_terms, outlines
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

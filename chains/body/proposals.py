@@ -17,12 +17,10 @@ from numpy.typing import NDArray
 from scipy.special import i0e
 
 from ...inference.smc import normalised, systematic
-from ...models.body.inverse_kinematics import arm_at, log_volume, swivels
-from ...models.body.poses import BodyPoses
-from ...models.body.upper_body import UpperBody
+from ...models.body.upper_body import BodyPoses, UpperBody, arm_at, log_volume, swivels
 from ...models.core.gaussian_mixtures import GaussianMixtures
 from .dynamics import Ancestors, BodyDynamics
-from .kernels.dynamics import choose, closeness_to, guided_values
+from .kernels import choose, closeness_to, guided_values
 from .tempering import Strata
 
 Array = NDArray[np.float64]

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.smc import log_sum, normalised, systematic
-from ...models.body.part_message import PartMessage
-from ...models.body.poses import BodyPoses
-from ...models.body.upper_body import PARTS, UpperBody
+from ...models.body.parts import PartMessage
+from ...models.body.upper_body import PARTS, BodyPoses, UpperBody
 from ...models.core.gaussian_mixtures import GaussianMixtures
 from ...models.core.short_repr import short_repr
 from .dynamics import Ancestors, BodyDynamics

@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.smc import log_sum, normalised, systematic
-from ...models.body.inverse_kinematics import arm_at, log_volume, swivels
-from ...models.body.poses import BodyPoses
-from ...models.body.upper_body import UpperBody
+from ...models.body.upper_body import BodyPoses, UpperBody, arm_at, log_volume, swivels
 from .dynamics import BodyDynamics, around
-from .kernels.dynamics import cut
+from .kernels import cut
 
 Array = NDArray[np.float64]
 

@@ -1,13 +1,11 @@
-"""The background behind an object: background terms of G-flow eq. (17) and (18), and one map an expert.
+"""The pixels that an object covers, and the background behind it: terms of G-flow eq. (17) and (18).
 
-All densities are of raw grey values (or colours) and relative to the uniform density, "anything". Divided by
-its local mean a background would not stay: near the object the mean has a part of the object in it, and the
-same wall has another value wherever the object goes. So the background is compared raw, and the density of
-the object's texture, which is of y' = 128 y / (m + 5), is brought to raw values by 128 / (m + 5).
+Densities are of raw grey values, relative to the uniform density, "anything": divided by its local mean, a
+background would change with the object's place. The object's density, of y' = 128 y / (m + 5), is brought to
+raw values by 128 / (m + 5).
 
-The exact form of eq. (2) and (4) has a map an expert: each expert has its own idea of which pixels it has
-seen the background in. Their Kalman filter is that of the texels, eq. (10) to (12), with a gain of 0 where
-the object hides the pixel.
+The exact form of eq. (2) and (4) has a map an expert. Its Kalman filter is that of the texels, eq. (10) to
+(12), with a gain of 0 where the object hides the pixel.
 """
 
 from dataclasses import dataclass, field, replace
@@ -20,15 +18,21 @@ from numpy.typing import NDArray
 
 from ...models.core.pictures import grey_of
 from ...models.core.short_repr import short_repr
-from ...models.face.pose import Poses
-from ...models.face.visibility import Box, visible
+from ...models.face.morphable_model import MorphableModel, Poses
+from ...models.face.surface import Box, covered, visible
 from ...models.numerics.threads import over_bands
 from ...models.pixels.kernels import ODDS_STEPS
+from ...models.pixels.layers import Layer, LayerStack
 from ...models.pixels.pixel_labels import PixelMessage
-from .image_pyramid import DARKEST, FINE_LIGHT_REACH, MIDDLE_GREY, blurred
-from .kernels import textures as background_map_kernels
-from .kernels import textures as warp_kernels
-from .texture_likelihood import TexturedObject, TextureLikelihood
+from . import kernels
+from .texture_likelihood import (
+    DARKEST,
+    FINE_LIGHT_REACH,
+    MIDDLE_GREY,
+    TexturedObject,
+    TextureLikelihood,
+    blurred,
+)
 
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]
@@ -148,7 +152,7 @@ def _integral(
     positions = surface.positions(poses) - np.array([box.left, box.top], np.float32)
 
     def work(a: int, b: int) -> None:
-        warp_kernels.map_sums(map_, surface.used_texels, on, owner[a:b], positions[a:b], sums[a:b])
+        kernels.map_sums(map_, surface.used_texels, on, owner[a:b], positions[a:b], sums[a:b])
 
     over_bands(work, len(poses))
     return sums
@@ -282,7 +286,7 @@ class ExpertBackground:
         everywhere = np.empty(n)
 
         def work(a: int, b: int) -> None:
-            background_map_kernels.compare_with_maps(
+            kernels.compare_with_maps(
                 grey, self.mean[a:b], self.variance[a:b], box, _noise(elapsed), np.float32(LEAST_RATIO),
                 ratio[a:b], trust[a:b], everywhere[a:b],
             )  # fmt: skip
@@ -306,7 +310,7 @@ class ExpertBackground:
         mean, variance = np.empty((2, n, *grey.shape), np.float32)
 
         def work(a: int, b: int) -> None:
-            background_map_kernels.update_maps(
+            kernels.update_maps(
                 grey,
                 self.mean,
                 self.variance,
@@ -322,8 +326,93 @@ class ExpertBackground:
         return replace(self, mean=mean, variance=variance)
 
 
-def _noise(elapsed: float) -> background_map_kernels.MapNoise:
+def _noise(elapsed: float) -> kernels.MapNoise:
     change = WANDERING * elapsed
-    return background_map_kernels.MapNoise(
-        np.float32(NOISE), np.float32(change), np.float32(UNKNOWN_VARIANCE)
-    )
+    return kernels.MapNoise(np.float32(NOISE), np.float32(change), np.float32(UNKNOWN_VARIANCE))
+
+
+MARGIN = 4
+"""px about the object in which its model may be wrong, and nothing is learned of the background."""
+
+LEAST_SHARE = 1e-3
+"""Weight of the experts who say that a pixel is covered, from which on it may be."""
+
+STRENGTH = 100.0
+"""How much likelier the object is to be where it is followed than something that nobody knows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Pixels that an object covers.
+
+    Parameters
+    ----------
+    box
+        that holds the object, with a margin.
+    inside
+        `(n_experts, height, width)`: 1 where the object covers the pixel as an expert sees it, else 0.
+    share
+        `(height, width)` float32 of the box: probability that the object covers the pixel.
+    """
+
+    box: Box
+    inside: NDArray[np.uint8]
+    share: Map
+
+    @classmethod
+    def of(
+        cls,
+        model: MorphableModel,
+        poses: Poses,
+        weights: NDArray[np.float64],
+        size: tuple[int, int],
+        margin: float = 2 * MARGIN,
+    ) -> "Coverage":
+        """Of experts in `poses`, in a picture of `size` `(height, width)`; the box has a `margin` px wide."""
+        positions = model.project(poses)
+        box = Box.around(positions, margin, size)
+        inside = covered(positions, model.triangles, box)
+        share = np.tensordot(weights.astype(np.float32), inside.astype(np.float32), 1)
+        return cls(box, inside, np.asarray(share, np.float32))
+
+    @cached_property
+    def hidden(self) -> NDArray[np.bool_]:
+        """`(height, width)`: whether a likely expert, or the model's error, may cover the pixel."""
+        return widened(self.share > LEAST_SHARE)
+
+    @cached_property
+    def inner(self) -> NDArray[np.bool_]:
+        """`(height, width)`: whether the pixel is the object's, well inside its outline."""
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * MARGIN + 1, 2 * MARGIN + 1))
+        inner: NDArray[np.bool_] = cv2.erode((self.share > 0.5).astype(np.uint8), disc) > 0
+        return inner
+
+    def layers(self, trust: Map | None) -> LayerStack:
+        """What is said of the pixels: the object, and that there is none where it was until now.
+
+        The second is a ghost where nothing has been known of the background, by its `trust` of the whole
+        picture, and the object is not: what the background remembers there is the object itself. Colours
+        are left out: textures are grey and without the light, and backgrounds judge by colours.
+        """
+        mask = cv2.dilate(self.share, np.ones((3, 3), np.uint8))
+        layer = Layer(self.box.top, self.box.left, np.asarray(mask, np.float32), None, strength=STRENGTH)
+        if trust is None:
+            return LayerStack((layer,))
+        rows, columns = np.flatnonzero((trust <= 0).any(axis=1)), np.flatnonzero((trust <= 0).any(axis=0))
+        if not len(rows):
+            return LayerStack((layer,))
+        top, left = int(rows[0]), int(columns[0])
+        free = trust[top : rows[-1] + 1, left : columns[-1] + 1] == 0
+        hidden = np.zeros(trust.shape, np.bool_)
+        hidden[self.box.window] = self.hidden
+        free &= ~hidden[top : rows[-1] + 1, left : columns[-1] + 1]
+        if not free.any():
+            return LayerStack((layer,))
+        return LayerStack((layer, Layer(top, left, free.astype(np.float32), None, ghost=True)))
+
+
+def widened(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The mask with a margin of `MARGIN` px."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * MARGIN + 1, 2 * MARGIN + 1))
+    wide: NDArray[np.bool_] = cv2.dilate(mask.astype(np.uint8), disc) > 0
+    return wide

@@ -11,16 +11,13 @@ from numpy.typing import NDArray
 from ...inference.engine.protocols import Cavity, Incoming, Port
 from ...models.core.frame import Frame
 from ...models.core.short_repr import PickledByFields, short_repr
-from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import Poses
-from ...models.face.surface_points import SurfacePoints
-from ...models.face.surface_texels import SurfaceTexels
+from ...models.face.morphable_model import MorphableModel, Poses, SurfacePoints
+from ...models.face.surface import SurfaceTexels
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
 from ...models.points.point_tracks import PointMessage, PointTracks
-from .coverage import Coverage
-from .pose_dynamics import PoseDynamics
+from .background import Coverage
 from .pose_filter import GFlowState, PoseFilter, vertex_moments
-from .pose_terms import predicted_points
+from .pose_terms import PoseDynamics, predicted_points
 from .recovery import Finder
 from .texture_filter import TexelNoise, Texture
 from .texture_likelihood import TexturedObject

@@ -3,9 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import RIGID, Poses
-from ...models.face.surface_points import SurfacePoints
+from ...models.face.morphable_model import RIGID, MorphableModel, Poses, SurfacePoints
 
 Array = NDArray[np.float64]
 

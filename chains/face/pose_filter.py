@@ -11,22 +11,26 @@ from numpy.typing import NDArray
 
 from ...inference.smc import log_sum, normalised
 from ...models.core.short_repr import short_repr
-from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import Poses
-from ...models.face.surface_texels import SurfaceTexels
-from ...models.face.visibility import MeshEdges
+from ...models.face.morphable_model import MorphableModel, Poses
+from ...models.face.surface import MeshEdges, SurfaceTexels
 from ...models.pixels.pixel_labels import PixelMessage
 from ...models.points.point_tracks import PointMessage
-from .background import ExpertBackground, OccludedBackground, SharedBackground, first_trust, tones, units
-from .coverage import MARGIN, Coverage, widened
-from .experts import Particles, log_likelihood, propagated, resampled, sampled
-from .gauss_newton import find_modes
-from .image_pyramid import Level, image_pyramid
-from .pose_dynamics import PoseDynamics, PosePrior
-from .pose_terms import PoseEvidence, Silhouette, measured_points
+from .background import (
+    MARGIN,
+    Coverage,
+    ExpertBackground,
+    OccludedBackground,
+    SharedBackground,
+    first_trust,
+    tones,
+    units,
+    widened,
+)
+from .experts import Particles, find_modes, log_likelihood, propagated, resampled, sampled
+from .pose_terms import PoseDynamics, PoseEvidence, PosePrior, Silhouette, measured_points
 from .recovery import CHANCE, ROUNDING, Finder, Trust, apart, brought_to, likely_places
 from .texture_filter import TexelNoise, Texture, explained
-from .texture_likelihood import TexturedObject, TextureLikelihood
+from .texture_likelihood import Level, TexturedObject, TextureLikelihood, image_pyramid
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from ...models.core.frame import Frame
 from ...models.core.short_repr import PickledByFields, short_repr
 from ...models.face.detectors import PartDetector, for_height
-from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import Poses
+from ...models.face.morphable_model import MorphableModel, Poses
 from ...models.numerics.rotations import exponential
 
 Array = NDArray[np.float64]

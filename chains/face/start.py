@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import BoundingBox, Frame
 from ...models.face.detectors import PartDetector, for_height, of_any_pose
-from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import Poses
-from ...models.face.surface_points import SurfacePoints
+from ...models.face.morphable_model import MorphableModel, Poses, SurfacePoints
 from .landmark_fit import LANDMARK_NOISE, fit_landmarks
 from .recovery import AROUND, FACE, UprightView, poses_in_boxes
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ...models.core.short_repr import short_repr
 from ...models.numerics.threads import over_bands
-from .image_pyramid import MIDDLE_GREY
-from .kernels import textures as kernels
-from .pose_dynamics import SHORTEST
+from . import kernels
+from .pose_terms import SHORTEST
+from .texture_likelihood import MIDDLE_GREY
 
 USUAL_RATE = 25.0
 """Frames a second at which gains and temperatures are those of the steady state."""

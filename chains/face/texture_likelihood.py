@@ -1,21 +1,115 @@
-"""What a picture says of poses, given the textures that experts remember: p(y_t | u_1:t, y_1:t-1)."""
+"""What a picture, with the light taken out, says of poses, given the textures that experts remember."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import RIGID, Poses
-from ...models.face.surface_texels import SurfaceTexels
-from ...models.face.visibility import visible
+from ...models.core.pictures import grey_of
+from ...models.face.morphable_model import RIGID, MorphableModel, Poses
+from ...models.face.surface import SurfaceTexels, visible
 from ...models.numerics.compiled import LANES
-from ...models.numerics.threads import over_bands
-from .image_pyramid import Level
-from .kernels import newton as newton_kernels
-from .kernels import textures as warp_kernels
+from ...models.numerics.threads import over_bands, side_by_side
+from . import kernels
+
+Picture = NDArray[np.float32]
+
+MIDDLE_GREY = 128.0
+DARKEST = 5.0
+"""Grey levels added to the local mean, so that black regions do not blow up sensor noise."""
+
+FINE_LIGHT_REACH = 0.1
+"""Standard deviation of the local mean on the finest level, in sizes of the object."""
+
+COARSE_LIGHT_REACH = 0.25
+"""The same on the others, whose textures are wider than the finest one's reach."""
+
+SMOOTHING = (0.0175, 0.05, 0.125)
+"""Standard deviation of the smoothing of each level, in sizes of the object, fine to coarse."""
+
+
+class Level(NamedTuple):
+    """One level of a picture.
+
+    Parameters
+    ----------
+    image
+        `(height, width)` float32 grey, its rows one after the other.
+    scale
+        px of the level per px of the picture: pixel x of the picture is at x scale + (scale - 1) / 2.
+    """
+
+    image: Picture
+    scale: float
+
+
+def image_pyramid(image: NDArray[np.uint8], size: float, *, n_levels: int, local_mean: bool) -> list[Level]:
+    """Levels of a picture, fine to coarse; each is half as large as the one before.
+
+    With `local_mean` grey values are divided by their mean about them, y <- 128 y / (mean + 5), which takes
+    out light that changes slowly over the object; `size` px is that of the object, by which the mean's reach
+    and the smoothing are set. `image` is uint8, grey or BGR.
+
+    Raises
+    ------
+    ValueError
+        if the coarsest level would have less than two px either way.
+    """
+    least = 2 * 2 ** (n_levels - 1)
+    if min(image.shape[:2]) < least:
+        raise ValueError(f"image: got {image.shape[:2]}, expected at least {least} px either way")
+    raw = grey_of(image).astype(np.float32)
+
+    def fine() -> list[Level]:
+        picture = without_light(raw, FINE_LIGHT_REACH * size) if local_mean else raw
+        return [Level(smoothed(picture, SMOOTHING[0] * size), 1.0)]
+
+    def coarse() -> list[Level]:
+        return list(_coarse_levels(raw, size, n_levels=n_levels, local_mean=local_mean))
+
+    return [level for part in side_by_side([fine, coarse]) for level in part]
+
+
+def _coarse_levels(picture: Picture, size: float, *, n_levels: int, local_mean: bool) -> Iterator[Level]:
+    if local_mean and n_levels > 1:
+        picture = without_light(picture, COARSE_LIGHT_REACH * size)
+    already = 0.0
+    for number in range(1, n_levels):
+        scale = 0.5**number
+        height, width = (length // 2 * 2 for length in picture.shape)
+        picture = np.asarray(
+            cv2.resize(picture[:height, :width], (width // 2, height // 2), interpolation=cv2.INTER_AREA),
+            np.float32,
+        )
+        picture = smoothed(picture, np.sqrt((SMOOTHING[number] * size) ** 2 - already**2) * scale)
+        already = SMOOTHING[number] * size
+        yield Level(picture, scale)
+
+
+def without_light(picture: Picture, reach: float) -> Picture:
+    """The picture divided by its mean about every pixel, of standard deviation `reach` px."""
+    return picture * (np.float32(MIDDLE_GREY) / (blurred(picture, reach) + np.float32(DARKEST)))
+
+
+def smoothed(picture: Picture, deviation: float) -> Picture:
+    """Gaussian blur of a few px."""
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), float(deviation)), np.float32)
+
+
+def blurred(picture: Picture, deviation: float) -> Picture:
+    """Gaussian mean about every pixel, worked out on a smaller picture where it is wide."""
+    factor = max(int(deviation / 3), 1)
+    height, width = picture.shape
+    small = cv2.resize(
+        picture, (max(width // factor, 1), max(height // factor, 1)), interpolation=cv2.INTER_AREA
+    )
+    small = cv2.GaussianBlur(small, (0, 0), deviation / factor)
+    return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
+
 
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]
@@ -54,12 +148,12 @@ class TexturedObject:
         return bases
 
     @cached_property
-    def used_texels(self) -> warp_kernels.Texels:
+    def used_texels(self) -> kernels.Texels:
         """The texels as loops take them, with numbers of vertices among those used."""
         groups = np.searchsorted(self._used, self.texels.groups).astype(np.uint32)
         texels = self.texels
         start = texels.first[:-1]
-        return warp_kernels.Texels(
+        return kernels.Texels(
             groups,
             texels.first,
             texels.counts.astype(np.int32),
@@ -69,7 +163,7 @@ class TexturedObject:
         )
 
     @cached_property
-    def _pairs(self) -> newton_kernels.Pairs:
+    def _pairs(self) -> kernels.Pairs:
         """Pairs of the vertices used that have texels in common."""
         n = len(self._used)
         ends = self.used_texels.groups[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
@@ -77,7 +171,7 @@ class TexturedObject:
         of_group = np.concatenate([self.used_texels.groups.T, n + number.reshape(-1, 3).T])
         every = np.arange(n)
         all_ends = np.concatenate([np.stack([every, every], axis=1), edges])
-        return newton_kernels.Pairs(all_ends.astype(np.uint32), of_group.astype(np.uint32))
+        return kernels.Pairs(all_ends.astype(np.uint32), of_group.astype(np.uint32))
 
     def rows(self, poses: Poses) -> tuple[Map, Map]:
         """Positions `(n, n_used, 2)` px of the vertices used, and their rows `(n, n_used, 2, width)`.
@@ -96,9 +190,7 @@ class TexturedObject:
         single = [part.astype(np.float32) for part in (poses.rotations, poses.translations, poses.morphs)]
 
         def write(a: int, b: int) -> None:
-            newton_kernels.vertex_rows(
-                *(part[a:b] for part in single), self._bases, positions[a:b], rows[a:b]
-            )
+            kernels.vertex_rows(*(part[a:b] for part in single), self._bases, positions[a:b], rows[a:b])
 
         return positions, rows, write
 
@@ -135,7 +227,7 @@ class TexturedObject:
         def work(a: int, b: int) -> None:
             area, here = np.empty(visible[a:b].shape, np.float32), visible[a:b]
             for number, level in enumerate(levels):
-                warp_kernels.sample_texels(
+                kernels.sample_texels(
                     level, number, 4**number if within else 1, self.used_texels, visible[a:b],
                     positions[a:b], values[a:b], area,
                 )  # fmt: skip
@@ -154,9 +246,7 @@ class TexturedObject:
         """
         shape = (len(poses), len(self.texels))
         values, area = np.empty((shape[0], 1, shape[1]), np.float32), np.empty(shape, np.float32)
-        warp_kernels.sample_texels(
-            level, 0, 1, self.used_texels, visible, self.positions(poses), values, area
-        )
+        kernels.sample_texels(level, 0, 1, self.used_texels, visible, self.positions(poses), values, area)
         return values[:, 0], area
 
 
@@ -185,11 +275,9 @@ class TextureLikelihood:
     visible: NDArray[np.bool_]
 
     @cached_property
-    def _textures(self) -> warp_kernels.Textures:
+    def _textures(self) -> kernels.Textures:
         mean = np.ascontiguousarray(self.mean)
-        return warp_kernels.Textures(
-            mean, np.reciprocal(self.temperature), np.log(self.temperature), self.visible
-        )
+        return kernels.Textures(mean, np.reciprocal(self.temperature), np.log(self.temperature), self.visible)
 
     def equations(self, level: int, poses: Poses, owner: NDArray[np.int64]) -> "Equations":
         """Normal equations at `poses`, of which number m belongs to expert `owner[m]`."""
@@ -200,10 +288,10 @@ class TextureLikelihood:
 
         def work(a: int, b: int) -> None:
             write_rows(a, b)
-            newton_kernels.normal_equations(
+            kernels.normal_equations(
                 self.levels[level], level, self.surface.used_texels, self.surface._pairs,
                 self._textures, owner[a:b], positions[a:b], rows[a:b], dimension,
-                newton_kernels.NormalSums(matrices[a:b], vectors[a:b], totals[a:b]),
+                kernels.NormalSums(matrices[a:b], vectors[a:b], totals[a:b]),
             )  # fmt: skip
 
         over_bands(work, n, worth=n * len(self.surface.texels) > WORTH * 4**level)
@@ -223,7 +311,7 @@ class TextureLikelihood:
         sums = np.empty((len(poses), 4))
 
         def work(a: int, b: int) -> None:
-            warp_kernels.texel_densities(
+            kernels.texel_densities(
                 self.levels[level], level, self.surface.used_texels, self._textures, owner[a:b],
                 positions[a:b], background, sums[a:b],
             )  # fmt: skip

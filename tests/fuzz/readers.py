@@ -27,7 +27,7 @@ from rsmcm.inference import RecursiveBP
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.detectors import default_faces
 from rsmcm.models.face.model_files import read_correspondences, read_model
-from rsmcm.models.face.pose import Poses
+from rsmcm.models.face.morphable_model import Poses
 
 SIZE = (64, 48)
 MOST_FRAMES = 10_000  # of a film that has eight: more are made up

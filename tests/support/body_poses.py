@@ -2,10 +2,9 @@
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rsmcm.chains.body.kernels.silhouette import NUMBERS, ROW, fronts, put_body
+from rsmcm.chains.body.kernels import NUMBERS, ROW, fronts, put_body
 from rsmcm.chains.body.likelihood import OUTLINE_PARTS, solid_of
-from rsmcm.models.body.poses import BodyPoses, cross, transport
-from rsmcm.models.body.upper_body import UpperBody
+from rsmcm.models.body.upper_body import BodyPoses, UpperBody, cross, transport
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]

@@ -2,9 +2,8 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from rsmcm.chains.face.image_pyramid import Level
-from rsmcm.models.face.morphable_model import MorphableModel, spread
-from rsmcm.models.face.pose import Poses
+from rsmcm.chains.face.texture_likelihood import Level
+from rsmcm.models.face.morphable_model import MorphableModel, Poses, spread
 from rsmcm.models.numerics.rotations import exponential
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from rsmcm.chains import AdaptiveBackground
 from rsmcm.chains.objects.blobs import Blob
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import MorphableModel, PixelLabels, Poses, UpperBody
-from rsmcm.models.body.poses import BodyPoses
+from rsmcm.models.body.upper_body import BodyPoses
 from rsmcm.models.points.patches import sample_patches
 
 TEXT = (Path(__file__).parents[2] / "docs" / "conventions.md").read_text()

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....chains.face.gflow import GFlow, GFlowState
-from ....chains.face.image_pyramid import image_pyramid
 from ....chains.face.texture_filter import Texture
-from ....chains.face.texture_likelihood import TexturedObject, TextureLikelihood
+from ....chains.face.texture_likelihood import TexturedObject, TextureLikelihood, image_pyramid
 from ....inference.engine.protocols import Incoming
 from ....models.core.frame import Frame
-from ....models.face.pose import Poses
-from ....models.face.surface_texels import SurfaceTexels
+from ....models.face.morphable_model import Poses
+from ....models.face.surface import SurfaceTexels
 from ....models.numerics.threads import set_threads
 from ....models.pixels.pixel_labels import PixelLabels, PixelMessage
 from ...scenes import FaceScene, face

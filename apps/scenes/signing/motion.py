@@ -5,9 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.body.inverse_kinematics import arm_at
-from ....models.body.poses import BodyPoses
-from ....models.body.upper_body import UpperBody
+from ....models.body.upper_body import BodyPoses, UpperBody, arm_at
 from ....models.numerics.rotations import exponential
 from ..random_fields import wander
 

@@ -9,8 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.body.poses import BodyPoses, transport
-from ....models.body.upper_body import UpperBody
+from ....models.body.upper_body import BodyPoses, UpperBody, transport
 from ....models.numerics.rotations import exponential
 from .faults import Distractor
 from .paint import Palette, hairiness

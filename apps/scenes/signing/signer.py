@@ -11,8 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.body.poses import BodyPoses
-from ....models.body.upper_body import PARTS, UpperBody
+from ....models.body.upper_body import PARTS, BodyPoses, UpperBody
 from ....models.core.frame import Frame
 from ..random_fields import wander
 from .appearance import Appearance

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....models.core.short_repr import short_repr
-from ....models.face.morphable_model import MorphableModel
-from ....models.face.pose import RIGID, Poses
+from ....models.face.morphable_model import RIGID, MorphableModel, Poses
 from .em import ALIKE, basis_covariance_of_axes
 
 Numbers = NDArray[np.float64]

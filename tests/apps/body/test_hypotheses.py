@@ -5,8 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.body.record import ENOUGH, MOST, WORTH_SAYING, Hypotheses, hypotheses
 from rsmcm.chains.body.samples import BodySamples
-from rsmcm.models.body.poses import BodyPoses
-from rsmcm.models.body.upper_body import UpperBody
+from rsmcm.models.body.upper_body import BodyPoses, UpperBody
 
 from ...support.body_poses import resting
 

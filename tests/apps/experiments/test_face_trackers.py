@@ -22,7 +22,7 @@ from rsmcm.apps.experiments.face_trackers import (
     vertex_errors,
 )
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.pose import Poses
+from rsmcm.models.face.morphable_model import Poses
 
 from ...conftest import names
 

@@ -19,8 +19,7 @@ from rsmcm.models.face import detectors
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.detectors import PartDetector, default_faces
 from rsmcm.models.face.model_files import write_model
-from rsmcm.models.face.morphable_model import MorphableModel
-from rsmcm.models.face.pose import Poses
+from rsmcm.models.face.morphable_model import MorphableModel, Poses
 from rsmcm.models.numerics.rotations import exponential
 
 from ...conftest import Command, names, summary_of

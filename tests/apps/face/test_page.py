@@ -17,7 +17,7 @@ from rsmcm.apps.view.film import Film, read_film
 from rsmcm.apps.view.page import SEEN, Page
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.surface_texels import SurfaceTexels
+from rsmcm.models.face.surface import SurfaceTexels
 
 from ...support.browser import PHONE, Browser, browsing, landmarks, overflow
 from ...support.records import log_of

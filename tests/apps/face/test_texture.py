@@ -7,7 +7,7 @@ import pytest
 from rsmcm.apps.face.texture import texture_picture
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.morphable_model import MorphableModel
-from rsmcm.models.face.surface_texels import SurfaceTexels
+from rsmcm.models.face.surface import SurfaceTexels
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,7 @@ from rsmcm.chains.body.samples import moments, part_message
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.engine.protocols import Incoming
 from rsmcm.models.body.image_features import BodyImage
-from rsmcm.models.body.part_message import PartMessage
-from rsmcm.models.body.parts import BodyParts
+from rsmcm.models.body.parts import BodyParts, PartMessage
 from rsmcm.models.body.upper_body import PARTS, UpperBody
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures

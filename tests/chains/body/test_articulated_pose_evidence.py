@@ -11,7 +11,7 @@ from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
 from rsmcm.chains.body.samples import BodySamples
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.engine.recursive_bp import RunState
-from rsmcm.models.body.poses import BodyPoses
+from rsmcm.models.body.upper_body import BodyPoses
 
 N_SEEDS = 4
 

@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics, usual_arms
 from rsmcm.chains.body.proposals import ANEW, Candidates
-from rsmcm.models.body.poses import BodyPoses
-from rsmcm.models.body.upper_body import UpperBody
+from rsmcm.models.body.upper_body import BodyPoses, UpperBody
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 
 Array = NDArray[np.float64]

@@ -15,10 +15,8 @@ from rsmcm.chains.body.samples import BodySamples
 from rsmcm.inference.engine.checkpoint import load, save
 from rsmcm.inference.engine.protocols import Chain, Incoming, require
 from rsmcm.models.body.image_features import BodyImage
-from rsmcm.models.body.part_message import PartMessage
-from rsmcm.models.body.parts import BodyParts
-from rsmcm.models.body.poses import BodyPoses
-from rsmcm.models.body.upper_body import UpperBody
+from rsmcm.models.body.parts import BodyParts, PartMessage
+from rsmcm.models.body.upper_body import BodyPoses, UpperBody
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 

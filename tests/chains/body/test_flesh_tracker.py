@@ -16,8 +16,7 @@ from rsmcm.chains.body.flesh_state import HEAD, LEFT, MOST_HYPOTHESES, RIGHT, Fl
 from rsmcm.chains.body.flesh_tracker import FleshTracker
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.models.body.image_features import BodyImage
-from rsmcm.models.body.part_message import PartMessage
-from rsmcm.models.body.parts import BodyParts
+from rsmcm.models.body.parts import BodyParts, PartMessage
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
-from rsmcm.chains.body.kernels.dynamics import choose, closeness_to, guided_values
+from rsmcm.chains.body.kernels import choose, closeness_to, guided_values
 from rsmcm.chains.body.proposals import ANYWHERE, GUIDED, Guided, GuidedSampler, half_range
-from rsmcm.models.body.inverse_kinematics import log_volume, swivels
-from rsmcm.models.body.poses import BodyPoses
-from rsmcm.models.body.upper_body import JOINTS, UpperBody
+from rsmcm.models.body.upper_body import JOINTS, BodyPoses, UpperBody, log_volume, swivels
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm, vonmises

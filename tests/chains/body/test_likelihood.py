@@ -8,14 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.chains.body.kernels.likelihood import (
-    FOREARM_POINTS,
-    NECK,
-    arm_terms,
-    blob_terms,
-    forearm_terms,
-    hand_terms,
-)
+from rsmcm.chains.body.kernels import FOREARM_POINTS, NECK, arm_terms, blob_terms, forearm_terms, hand_terms
 from rsmcm.chains.body.likelihood import (
     ARM_POINTS,
     ARM_WEIGHTS,
@@ -41,9 +34,7 @@ from rsmcm.chains.body.likelihood import (
     skin_maps,
 )
 from rsmcm.models.body.image_features import BodyImage, edge_distances
-from rsmcm.models.body.inverse_kinematics import arm_at, swivels
-from rsmcm.models.body.poses import BodyPoses
-from rsmcm.models.body.upper_body import UpperBody
+from rsmcm.models.body.upper_body import BodyPoses, UpperBody, arm_at, swivels
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from scipy.ndimage import map_coordinates
@@ -610,7 +601,7 @@ def test_edges_say_less_where_there_are_many() -> None:
 
 def test_elbows_are_found_by_edges() -> None:
     """Of arms that reach the same hand, edges prefer the true one."""
-    from rsmcm.models.body.inverse_kinematics import arm_at
+    from rsmcm.models.body.upper_body import arm_at
 
     truth = signing()
     random = np.random.default_rng(6)

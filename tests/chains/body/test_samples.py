@@ -17,8 +17,7 @@ from rsmcm.chains.body.samples import (
     predicted,
     stationary,
 )
-from rsmcm.models.body.poses import BodyPoses
-from rsmcm.models.body.upper_body import JOINTS, PARTS, UpperBody
+from rsmcm.models.body.upper_body import JOINTS, PARTS, BodyPoses, UpperBody
 
 Array = NDArray[np.float64]
 

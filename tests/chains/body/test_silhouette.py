@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.chains.body.likelihood import OUTLINE_PARTS, Silhouettes, silhouettes
-from rsmcm.models.body.poses import BodyPoses
-from rsmcm.models.body.upper_body import UpperBody
+from rsmcm.models.body.upper_body import BodyPoses, UpperBody
 from scipy.spatial.transform import Rotation
 
 from ...support.body_poses import masks, resting
@@ -210,7 +209,7 @@ def test_foreshortening_moves_the_outline_without_jumps(seed: int) -> None:
 
 @pytest.mark.parametrize("depth", [-1, 1])
 def test_a_hand_hides_a_face_or_the_face_hides_the_hand(depth: int) -> None:
-    from rsmcm.models.body.inverse_kinematics import arm_at
+    from rsmcm.models.body.upper_body import arm_at
 
     poses = resting(np.array([[280.0, 200.0]]))
     joints = BODY.joints(poses)[0]

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import BodyDynamics
 from rsmcm.chains.body.tempering import EVENLY, LEAST_MASS, MOST_STRATA, NARROW, Strata
 from rsmcm.inference.smc import normalised, systematic
-from rsmcm.models.body.poses import BodyPoses
-from rsmcm.models.body.upper_body import UpperBody
+from rsmcm.models.body.upper_body import BodyPoses, UpperBody
 from scipy.special import logsumexp
 
 Array = NDArray[np.float64]

@@ -10,8 +10,7 @@ from rsmcm.chains.body import tempering
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
 from rsmcm.chains.body.tempering import Strata, Tempered, preselected, temper
 from rsmcm.inference.smc import normalised
-from rsmcm.models.body.poses import BodyPoses
-from rsmcm.models.body.upper_body import JOINTS, UpperBody
+from rsmcm.models.body.upper_body import JOINTS, BodyPoses, UpperBody
 from scipy.stats import ks_2samp
 
 Array = NDArray[np.float64]

@@ -5,12 +5,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.face.experts import log_likelihood, propagated, resampled, sampled
-from rsmcm.chains.face.gauss_newton import Modes
-from rsmcm.chains.face.pose_dynamics import PoseDynamics, PosePrior
+from rsmcm.chains.face.experts import Modes, log_likelihood, propagated, resampled, sampled
+from rsmcm.chains.face.pose_terms import PoseDynamics, PosePrior
 from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood
-from rsmcm.models.face.pose import Poses
-from rsmcm.models.face.surface_texels import SurfaceTexels
+from rsmcm.models.face.morphable_model import Poses
+from rsmcm.models.face.surface import SurfaceTexels
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 

@@ -13,7 +13,7 @@ from rsmcm.chains.face.recovery import (
 )
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.pose import Poses
+from rsmcm.models.face.morphable_model import Poses
 from rsmcm.models.numerics.rotations import exponential
 
 MODEL = face_model()

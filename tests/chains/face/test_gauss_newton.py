@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.face.gauss_newton import find_modes
-from rsmcm.chains.face.image_pyramid import image_pyramid
-from rsmcm.chains.face.pose_dynamics import PoseDynamics, PosePrior
-from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood
-from rsmcm.models.face.pose import Poses
-from rsmcm.models.face.surface_texels import SurfaceTexels
+from rsmcm.chains.face.experts import find_modes
+from rsmcm.chains.face.pose_terms import PoseDynamics, PosePrior
+from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood, image_pyramid
+from rsmcm.models.face.morphable_model import Poses
+from rsmcm.models.face.surface import SurfaceTexels
 from rsmcm.models.numerics.threads import set_threads, thread_count
 
 from ...support.surfaces import bumpy, poses_near, smooth_picture

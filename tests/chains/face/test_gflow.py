@@ -13,8 +13,7 @@ from rsmcm.inference.engine.checkpoint import load, save
 from rsmcm.inference.engine.protocols import Incoming
 from rsmcm.inference.engine.recursive_bp import RunState
 from rsmcm.models import Frame, PixelLabels
-from rsmcm.models.face.pose import Poses
-from rsmcm.models.face.surface_points import SurfacePoints
+from rsmcm.models.face.morphable_model import Poses, SurfacePoints
 from rsmcm.models.pixels.pixel_labels import PixelMessage
 from rsmcm.models.points.point_tracks import PointTracks
 

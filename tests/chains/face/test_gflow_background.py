@@ -15,6 +15,7 @@ from rsmcm.chains.face.background import (
     UNSEEN,
     WANDERING,
     BackgroundContrast,
+    Coverage,
     ExpertBackground,
     OccludedBackground,
     SharedBackground,
@@ -22,19 +23,16 @@ from rsmcm.chains.face.background import (
     tones,
     units,
 )
-from rsmcm.chains.face.coverage import Coverage
 from rsmcm.chains.face.experts import log_likelihood
 from rsmcm.chains.face.gflow import GFlow, GFlowState
-from rsmcm.chains.face.image_pyramid import image_pyramid
-from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood
+from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood, image_pyramid
 from rsmcm.chains.pixels.adaptive_background import AdaptiveBackground, BackgroundState
 from rsmcm.inference.engine.graph import MultiChain
 from rsmcm.inference.engine.protocols import Incoming
 from rsmcm.inference.engine.recursive_bp import RecursiveBP
 from rsmcm.models.core.frame import Frame
-from rsmcm.models.face.pose import Poses
-from rsmcm.models.face.surface_texels import SurfaceTexels
-from rsmcm.models.face.visibility import Box, covered
+from rsmcm.models.face.morphable_model import Poses
+from rsmcm.models.face.surface import Box, SurfaceTexels, covered
 from rsmcm.models.pixels.pixel_labels import PixelLabels, PixelMessage
 
 from ...support.surfaces import bumpy, poses_near, smooth_picture

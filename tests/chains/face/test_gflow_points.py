@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from rsmcm.apps.evaluation.predictions import PairRecorder
 from rsmcm.apps.scenes import FaceScene, face
 from rsmcm.chains.face.gflow import GFlow
-from rsmcm.chains.face.pose_dynamics import PoseDynamics, PosePrior
-from rsmcm.chains.face.pose_terms import measured_points, predicted_points
+from rsmcm.chains.face.pose_terms import PoseDynamics, PosePrior, measured_points, predicted_points
 from rsmcm.chains.points.point_tracker import PointTracker
 from rsmcm.inference.engine.graph import MultiChain
 from rsmcm.inference.engine.protocols import Incoming

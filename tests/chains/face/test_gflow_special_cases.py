@@ -11,14 +11,13 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.face import gauss_newton
+from rsmcm.chains.face import experts as gauss_newton
 from rsmcm.chains.face.gflow import GFlow
-from rsmcm.chains.face.image_pyramid import image_pyramid
-from rsmcm.chains.face.pose_dynamics import PoseDynamics
+from rsmcm.chains.face.pose_terms import PoseDynamics
+from rsmcm.chains.face.texture_likelihood import image_pyramid
 from rsmcm.inference.engine.protocols import Incoming
 from rsmcm.models.core.frame import Frame
-from rsmcm.models.face.morphable_model import MorphableModel
-from rsmcm.models.face.pose import Poses
+from rsmcm.models.face.morphable_model import MorphableModel, Poses
 from rsmcm.models.pixels.pixel_labels import PixelLabels, PixelMessage
 from scipy.ndimage import affine_transform
 from scipy.spatial.transform import Rotation

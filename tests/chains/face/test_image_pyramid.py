@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.face.image_pyramid import DARKEST, SMOOTHING, blurred, image_pyramid
+from rsmcm.chains.face.texture_likelihood import DARKEST, SMOOTHING, blurred, image_pyramid
 
 from ...support.surfaces import smooth_picture
 

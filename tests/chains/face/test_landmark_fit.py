@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from rsmcm.chains.face.landmark_fit import fit_landmarks
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.model_files import read_correspondences, read_model
-from rsmcm.models.face.morphable_model import MorphableModel
-from rsmcm.models.face.pose import Poses
-from rsmcm.models.face.surface_points import SurfacePoints
+from rsmcm.models.face.morphable_model import MorphableModel, Poses, SurfacePoints
 
 Array = NDArray[np.float64]
 

@@ -3,8 +3,8 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.chains.face.pose_dynamics import PoseDynamics, PosePrior
-from rsmcm.models.face.pose import RIGID
+from rsmcm.chains.face.pose_terms import PoseDynamics, PosePrior
+from rsmcm.models.face.morphable_model import RIGID
 from scipy.stats import multivariate_normal
 
 from ...support.surfaces import poses_near

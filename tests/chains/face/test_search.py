@@ -2,7 +2,7 @@
 
 import numpy as np
 from rsmcm.chains.face.recovery import ASIDE, FARTHEST_AHEAD, STRAIGHT, apart
-from rsmcm.models.face.pose import Poses
+from rsmcm.models.face.morphable_model import Poses
 
 N, BASES = 4000, 3
 

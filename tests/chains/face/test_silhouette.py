@@ -7,16 +7,12 @@ import pytest
 from matplotlib.path import Path
 from numpy.typing import NDArray
 from rsmcm.chains.face.background import BackgroundContrast
-from rsmcm.chains.face.gauss_newton import find_modes
-from rsmcm.chains.face.image_pyramid import Level
-from rsmcm.chains.face.pose_dynamics import PoseDynamics, PosePrior
-from rsmcm.chains.face.pose_terms import PointTerms, Silhouette
-from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood
+from rsmcm.chains.face.experts import find_modes
+from rsmcm.chains.face.pose_terms import PointTerms, PoseDynamics, PosePrior, Silhouette
+from rsmcm.chains.face.texture_likelihood import Level, TexturedObject, TextureLikelihood
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.morphable_model import MorphableModel
-from rsmcm.models.face.pose import Poses
-from rsmcm.models.face.surface_texels import SurfaceTexels
-from rsmcm.models.face.visibility import Box, MeshEdges, covered, outline
+from rsmcm.models.face.morphable_model import MorphableModel, Poses
+from rsmcm.models.face.surface import Box, MeshEdges, SurfaceTexels, covered, outline
 from rsmcm.models.numerics.rotations import exponential
 from scipy.spatial import ConvexHull
 

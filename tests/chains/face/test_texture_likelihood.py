@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.pose import Poses
-from rsmcm.models.face.surface_texels import SurfaceTexels
+from rsmcm.models.face.morphable_model import Poses
+from rsmcm.models.face.surface import SurfaceTexels
 from rsmcm.models.numerics.rotations import exponential
 from rsmcm.models.numerics.threads import set_threads, thread_count
 

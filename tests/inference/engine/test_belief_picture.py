@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rsmcm.chains import AdaptiveBackground
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import BodyParts, ObjectBoxes, PixelLabels, PointTracks
-from rsmcm.models.body.part_message import PartMessage
+from rsmcm.models.body.parts import PartMessage
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 from rsmcm.models.objects.box_message import BoxMessage

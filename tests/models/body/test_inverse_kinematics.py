@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.body.inverse_kinematics import REFERENCE, arm_at, log_volume, swivels
-from rsmcm.models.body.upper_body import UpperBody
+from rsmcm.models.body.upper_body import REFERENCE, UpperBody, arm_at, log_volume, swivels
 
 Array = NDArray[np.float64]
 

@@ -5,10 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import around
-from rsmcm.models.body.inverse_kinematics import REFERENCE, arm_at, swivels
 from rsmcm.models.body.kernels import lean
-from rsmcm.models.body.poses import BodyPoses
-from rsmcm.models.body.upper_body import LIMITS, UpperBody
+from rsmcm.models.body.upper_body import LIMITS, REFERENCE, BodyPoses, UpperBody, arm_at, swivels
 from scipy.spatial.transform import Rotation
 
 from ...support.body_poses import resting, twists

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.body.image_features import BodyImage
-from rsmcm.models.body.part_message import MOST_HYPOTHESES, PartMessage
+from rsmcm.models.body.parts import MOST_HYPOTHESES, PartMessage
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal

@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.body.part_message import PartMessage
-from rsmcm.models.body.parts import ANYWHERE, CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
+from rsmcm.models.body.parts import ANYWHERE, CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts, PartMessage
 from rsmcm.models.body.skin import SkinColour
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures

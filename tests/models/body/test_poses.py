@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.body.poses import BodyPoses, shoulder_rotations, transport
+from rsmcm.models.body.upper_body import BodyPoses, shoulder_rotations, transport
 from scipy.spatial.transform import Rotation
 
 from ...support.body_poses import from_angles, resting, twists

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.body.poses import BodyPoses
-from rsmcm.models.body.upper_body import UpperBody, projected_length
+from rsmcm.models.body.upper_body import BodyPoses, UpperBody, projected_length
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.body.poses import BodyPoses
-from rsmcm.models.body.upper_body import JOINTS, PROPORTIONS, UpperBody
+from rsmcm.models.body.upper_body import JOINTS, PROPORTIONS, BodyPoses, UpperBody
 from scipy.spatial.transform import Rotation
 
 from ...support.body_poses import from_angles, resting

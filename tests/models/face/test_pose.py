@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.face.pose import Poses
+from rsmcm.models.face.morphable_model import Poses
 from rsmcm.models.numerics.rotations import exponential
 from scipy.spatial.transform import Rotation
 

@@ -6,9 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.morphable_model import MorphableModel
-from rsmcm.models.face.pose import Poses
-from rsmcm.models.face.surface_points import SurfacePoints
+from rsmcm.models.face.morphable_model import MorphableModel, Poses, SurfacePoints
 
 Array = NDArray[np.float64]
 

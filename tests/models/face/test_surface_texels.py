@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.surface_texels import SurfaceTexels
+from rsmcm.models.face.surface import SurfaceTexels
 
 from ...support.surfaces import bumpy
 

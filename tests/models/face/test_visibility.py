@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.pose import Poses
-from rsmcm.models.face.surface_texels import SurfaceTexels
-from rsmcm.models.face.visibility import front_triangles, visible
+from rsmcm.models.face.morphable_model import Poses
+from rsmcm.models.face.surface import SurfaceTexels, front_triangles, visible
 from rsmcm.models.numerics.rotations import exponential
 
 Array = NDArray[np.float64]

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.face.kernels import newton
-from rsmcm.models.face.pose import Poses
+from rsmcm.chains.face import kernels as newton
+from rsmcm.models.face.morphable_model import Poses
 
 from ....support.surfaces import poses_near
 

@@ -5,11 +5,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.face.image_pyramid import image_pyramid
-from rsmcm.chains.face.kernels.textures import OFF_PICTURE
-from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood
-from rsmcm.models.face.pose import Poses
-from rsmcm.models.face.surface_texels import SurfaceTexels
+from rsmcm.chains.face.kernels import OFF_PICTURE
+from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood, image_pyramid
+from rsmcm.models.face.morphable_model import Poses
+from rsmcm.models.face.surface import SurfaceTexels
 
 from ....support.surfaces import bilinear, bumpy, level, poses_near, smooth_picture
 

@@ -1,0 +1,1145 @@
+"""Compiled loops over poses of bodies: densities of the dynamics, guided draws, maps of an image, outlines.
+
+For outlines a body is a head (ellipsoid), a torso (flat, with a neck, in a plane that leans and turns), two
+hands (spheres) and four limbs (each the union of spheres between its ends), seen along z, with exact depths.
+There, arrays are handed on whole with the number of a row: a view of a row costs as much as ten points.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.body.kernels import rotation
+from ...models.numerics.compiled import compiled, exponential, inlined, logarithm
+
+_f4 = np.float32
+
+
+@compiled
+def _squares_to_rows(point, rows, squares):
+    """Squared distances `(k,)` of a point `(d,)` to rows `(d, k)`, axis after axis for vector units."""
+    squares[:] = _f4(0.0)
+    for axis in range(len(rows)):
+        place, row = point[axis], rows[axis]
+        for j in range(len(squares)):
+            step = place - row[j]
+            squares[j] += step * step
+
+
+@compiled
+def least_squares_to_rows(points, rows, least):
+    """For each point `(n, d)` the least squared distance to any row `(d, k)`, filled into `least`."""
+    squares = np.empty(rows.shape[1], np.float32)
+    for i in range(len(points)):
+        _squares_to_rows(points[i], rows, squares)
+        best = _f4(3e38)
+        for j in range(len(squares)):
+            best = min(best, squares[j])
+        least[i] = best
+
+
+@compiled
+def _products_to_row(i, body, ancestors, nearest, arms, ancestor_arms, weights, concentrations, floors, row):
+    """For pose i, fill `row` `(k,)` with weight, Gaussian of the body's place and kernels of both arms."""
+    upper, fore = concentrations[0], concentrations[1]
+    a0, a1, a2 = arms[i, 0], arms[i, 1], arms[i, 2]
+    a3, a4, a5 = arms[i, 3], arms[i, 4], arms[i, 5]
+    b0, b1, b2 = arms[i, 6], arms[i, 7], arms[i, 8]
+    b3, b4, b5 = arms[i, 9], arms[i, 10], arms[i, 11]
+    floor, floor_2 = floors[i, 0], floors[i, 1]
+    _squares_to_rows(body[i], ancestors, row)
+    for j in range(len(row)):
+        place = exponential(_f4(-0.5) * (row[j] - nearest))
+        left = upper * (
+            a0 * ancestor_arms[0, j] + a1 * ancestor_arms[1, j] + a2 * ancestor_arms[2, j] - _f4(1.0)
+        ) + fore * (a3 * ancestor_arms[3, j] + a4 * ancestor_arms[4, j] + a5 * ancestor_arms[5, j] - _f4(1.0))
+        right = upper * (
+            b0 * ancestor_arms[6, j] + b1 * ancestor_arms[7, j] + b2 * ancestor_arms[8, j] - _f4(1.0)
+        ) + fore * (
+            b3 * ancestor_arms[9, j] + b4 * ancestor_arms[10, j] + b5 * ancestor_arms[11, j] - _f4(1.0)
+        )
+        one = exponential(min(left, _f4(0.0))) + floor
+        other = exponential(min(right, _f4(0.0))) + floor_2
+        row[j] = weights[j] * place * one * other
+
+
+@compiled
+def mixture_values(body, ancestors, least, arms, ancestor_arms, weights, concentrations, floors, values):
+    """Sum over ancestors of weight, Gaussian of the body's place and the kernels of both arms.
+
+    Parameters
+    ----------
+    body, ancestors
+        `(n, d)`, `(d, k)`: what moves like a Gaussian, in units in which half the squared distance is the
+        exponent.
+    least
+        `(n,)`: smallest squared distance of each; exponents are taken relative to it.
+    arms, ancestor_arms
+        `(n, 12)`, `(12, k)`: unit vectors, left upper arm, left forearm, right upper arm, right forearm.
+    weights
+        `(k,)` of the ancestors.
+    concentrations
+        `(2,)` of von Mises and Fisher's density, of upper arms and forearms.
+    floors
+        `(n, 2)`: density of an arm that jumped, by the peak of that of one that did not.
+    values
+        `(n,)` filled in.
+    """
+    row = np.empty(ancestors.shape[1], np.float32)
+    for i in range(len(body)):
+        _products_to_row(
+            i, body, ancestors, least[i], arms, ancestor_arms, weights, concentrations, floors, row
+        )
+        total = _f4(0.0)
+        for j in range(len(row)):
+            total += row[j]
+        values[i] = total
+
+
+@compiled
+def draw_terms(body, ancestors, least, arms, ancestor_arms, weights, concentrations, floors, points, chosen):
+    """For each pose draw a term of the sum of `mixture_values` in proportion to its value.
+
+    Parameters
+    ----------
+    points
+        `(n,)`, evenly drawn from 0 to 1.
+    chosen
+        `(n,)` indices, filled in; all others as of `mixture_values`.
+    """
+    row = np.empty(ancestors.shape[1], np.float32)
+    for i in range(len(body)):
+        _products_to_row(
+            i, body, ancestors, least[i], arms, ancestor_arms, weights, concentrations, floors, row
+        )
+        total = 0.0
+        for j in range(len(row)):
+            total += row[j]
+        rest = points[i] * total
+        last = 0
+        for j in range(len(row)):
+            if row[j] > _f4(0.0):
+                last = j
+                rest -= row[j]
+                if rest < 0.0:
+                    break
+        chosen[i] = last
+
+
+@compiled
+def closeness_to(hands, sides, means, precisions, least, choice, closeness):
+    """By how much more readily each pose is chosen for a target.
+
+    Parameters
+    ----------
+    hands
+        `(n, 2, 2)` px: left and right.
+    sides, means, precisions
+        `(k,)`, `(k, 2)`, `(k, 2, 2)` of the targets and of how far away hands may be.
+    least
+        how readily one is chosen that is anywhere, over one that is there.
+    choice
+        `(n,)`: probabilities with which poses are chosen without a target.
+    closeness
+        `(k, n)` written, with means of 1 under `choice`.
+    """
+    for k in range(len(sides)):
+        side = sides[k]
+        x0, y0, total = means[k, 0], means[k, 1], 0.0
+        xx, xy, yy = precisions[k, 0, 0], precisions[k, 0, 1], precisions[k, 1, 1]
+        for i in range(len(hands)):
+            x, y = hands[i, side, 0] - x0, hands[i, side, 1] - y0
+            near = np.exp(-0.5 * (xx * x * x + 2 * xy * x * y + yy * y * y)) + least
+            closeness[k, i] = near
+            total += choice[i] * near
+        for i in range(len(hands)):
+            closeness[k, i] /= total
+
+
+@compiled
+def choose(choice, closeness, counts, shifts, chosen):
+    """Draw poses for each target by systematic resampling, and at last some for none.
+
+    Parameters
+    ----------
+    choice, closeness
+        `(n,)`, `(k, n)` as of `closeness_to`.
+    counts, shifts
+        `(k + 1,)`: how many are drawn, and numbers from 0 to 1 that say where their steps begin.
+    chosen
+        `(sum of counts,)` indices, written.
+    """
+    n, place = len(choice), 0
+    for k in range(len(counts)):
+        total = 0.0
+        for i in range(n):
+            total += choice[i] * closeness[k, i] if k < len(closeness) else choice[i]
+        step = total / max(counts[k], 1)
+        wanted, so_far, end = shifts[k] * step, 0.0, place + counts[k]
+        for i in range(n):
+            so_far += choice[i] * closeness[k, i] if k < len(closeness) else choice[i]
+            while place < end and wanted < so_far:
+                chosen[place] = i
+                place += 1
+                wanted += step
+        while place < end:  # sums are not exact
+            chosen[place] = n - 1
+            place += 1
+
+
+@compiled
+def guided_values(hands, chosen, walks, completions, sides, means, precisions, heights, closeness, values):
+    """Log densities of poses some of which were drawn with a hand at a target, given their ancestors.
+
+    Parameters
+    ----------
+    hands
+        `(n, 2, 2)` px: left and right.
+    chosen
+        `(n,)` of the ancestors.
+    walks, completions
+        `(n, 2)` nats of each arm: its density if the dynamics moved it, and that of all but its hand's place
+        if it was put in place.
+    sides, means, precisions
+        `(k,)`, `(k, 2)`, `(k, 2, 2)` of the targets.
+    heights
+        `(k + 1,)`: share of the draws times peak of the density; at last the share of those without target.
+    closeness
+        `(k, n_ancestors)` as of `closeness_to`.
+    values
+        `(n,)` filled in.
+    """
+    n = len(hands)
+    totals, limits = np.empty(n), np.empty(n)
+    gains, xs, ys = np.empty((2, n)), np.empty((2, n)), np.empty((2, n))
+    for i in range(n):
+        left, right = completions[i, 0] - walks[i, 0], completions[i, 1] - walks[i, 1]
+        peak = max(max(left, right), 0.0)
+        totals[i] = heights[len(sides)] * np.exp(-peak)
+        gains[0, i], gains[1, i] = np.exp(left - peak), np.exp(right - peak)
+        limits[i] = 2.0 * peak + 90.0  # of farther ones all digits are lost
+        xs[0, i], ys[0, i], xs[1, i], ys[1, i] = (
+            hands[i, 0, 0],
+            hands[i, 0, 1],
+            hands[i, 1, 0],
+            hands[i, 1, 1],
+        )
+    for k in range(len(sides)):
+        side, x0, y0 = sides[k], means[k, 0], means[k, 1]
+        xx, xy, yy = precisions[k, 0, 0], precisions[k, 0, 1], precisions[k, 1, 1]
+        for i in range(n):
+            x, y = xs[side, i] - x0, ys[side, i] - y0
+            square = xx * x * x + 2 * xy * x * y + yy * y * y
+            if square < limits[i]:
+                totals[i] += gains[side, i] * heights[k] * closeness[k, chosen[i]] * np.exp(-0.5 * square)
+    for i in range(n):
+        values[i] = 0.5 * limits[i] - 45.0 + np.log(totals[i]) + walks[i, 0] + walks[i, 1]
+
+
+@inlined
+def _spread(points, order, first, end, variances):
+    """Write into `variances` `(d,)` those of the points `order[first]` to before `order[end]`."""
+    count = end - first
+    for axis in range(points.shape[1]):
+        mean = 0.0
+        for k in range(first, end):
+            mean += points[order[k], axis]
+        mean /= count
+        total = 0.0
+        for k in range(first, end):
+            step = points[order[k], axis] - mean
+            total += step * step
+        variances[axis] = total / count
+
+
+@compiled
+def cut(points, narrow, most, rounds, numbers):
+    """Cut points in two, again and again, where and along which axis they are widest.
+
+    Parameters
+    ----------
+    points
+        `(n, d)`.
+    narrow
+        variance along an axis below which nothing is cut.
+    most
+        pieces.
+    rounds
+        in which the middle between two halves is found, each of which is nearer to its own mean.
+    numbers
+        `(n,)` int64 written: the piece of each point.
+    """
+    n, d = points.shape
+    order, kept = np.arange(n), np.empty(n, np.int64)
+    firsts, ends = np.zeros(most, np.int64), np.zeros(most, np.int64)
+    variances = np.zeros((most, d))
+    ends[0], count = n, 1
+    numbers[:] = 0
+    if n > 1:
+        _spread(points, order, 0, n, variances[0])
+    while count < most:
+        widest, axis = 0, 0
+        for piece in range(count):
+            for k in range(d):
+                if variances[piece, k] > variances[widest, axis]:
+                    widest, axis = piece, k
+        if variances[widest, axis] < narrow:
+            break
+        first, end = firsts[widest], ends[widest]
+        middle = 0.0
+        for k in range(first, end):
+            middle += points[order[k], axis]
+        middle /= end - first
+        for _ in range(rounds):
+            above, below, n_above = 0.0, 0.0, 0
+            for k in range(first, end):
+                value = points[order[k], axis]
+                if value > middle:
+                    above, n_above = above + value, n_above + 1
+                else:
+                    below += value
+            middle = 0.5 * (above / n_above + below / (end - first - n_above))
+        split, n_above = first, 0
+        for k in range(first, end):
+            point = order[k]
+            if points[point, axis] > middle:
+                kept[n_above] = point
+                numbers[point] = count
+                n_above += 1
+            else:
+                order[split] = point
+                split += 1
+        for k in range(n_above):
+            order[split + k] = kept[k]
+        ends[widest], firsts[count], ends[count] = split, split, end
+        _spread(points, order, first, split, variances[widest])
+        _spread(points, order, split, end, variances[count])
+        count += 1
+
+
+NECK = 0.62
+"""Of the way from the head's centre to the root: middle of the neck's skin."""
+
+FOREARM_POINTS = 4
+"""Places between elbow and wrist at which skin is looked up."""
+
+
+@inlined
+def _at(picture, x, y):
+    """Bilinear value of a map `(height, width)`; that of the border outside."""
+    height, width = picture.shape
+    x = min(max(x, _f4(0.0)), _f4(width - 1))
+    y = min(max(y, _f4(0.0)), _f4(height - 1))
+    column, row = min(np.int64(x), width - 2), min(np.int64(y), height - 2)
+    right, down = x - _f4(column), y - _f4(row)
+    above = picture[row, column] + right * (picture[row, column + 1] - picture[row, column])
+    below = picture[row + 1, column] + right * (picture[row + 1, column + 1] - picture[row + 1, column])
+    return above + down * (below - above)
+
+
+@inlined
+def _inside(distance, radius, spread):
+    """Share of a Gaussian window that a large disc covers whose centre is so far from the window's."""
+    steep = min(_f4(1.7) * (distance - radius) / spread, _f4(60.0))  # `exponential` ends at 80
+    return _f4(1.0) / (_f4(1.0) + exponential(steep))
+
+
+@inlined
+def _before(edge, spread):
+    """Share of a Gaussian window that is on the near side of an edge `edge` px beyond its centre."""
+    steep = min(max(_f4(-1.7) * edge / spread, _f4(-60.0)), _f4(60.0))
+    return _f4(1.0) / (_f4(1.0) + exponential(steep))
+
+
+@inlined
+def _in_strip(right, below, arm, half, spread):
+    """Share of a Gaussian window that an arm covers, `half` px wide to each side.
+
+    `right` and `below`: the window's centre from the arm's beginning; `arm`: its direction and length.
+    """
+    along, off = right * arm[0] + below * arm[1], below * arm[0] - right * arm[1]
+    covered = _before(arm[2] - along, spread) - _before(-along, spread)
+    return covered * (_before(half - off, spread) - _before(-half - off, spread))
+
+
+@inlined
+def _seen_or_not(nats, hidden):
+    """Log of a mixture: seen with a likelihood ratio of `nats`, or `hidden` and then of 1."""
+    return logarithm((_f4(1.0) - hidden) * exponential(min(nats, _f4(60.0))) + hidden)
+
+
+class HandModel(NamedTuple):
+    """What a hand's skin looks like, and what else may be there."""
+
+    radius: float
+    """px."""
+    windows: NDArray[np.float64]
+    """`(2,)` px: standard deviations of the inner and the outer window."""
+    head: NDArray[np.float64]
+    """`(2,)` px: its half width and half height."""
+    neck_radius: float
+    """px."""
+    scores: NDArray[np.float64]
+    """`(3,)`: nats of all that a hand shows, and of nothing of it; probability of a hand without skin."""
+    forearm: NDArray[np.float64]
+    """`(2,)` px: its length from the elbow to the hand, and half its width."""
+    bare_scores: NDArray[np.float64]
+    """`(3,)`: the scores of a bare forearm that is seen in its full length."""
+
+
+@inlined
+def _explained(x, y, parts, roots, k, hand, spread):
+    """Share of a Gaussian window at x, y that head and neck of pose k cover."""
+    wide, high = _f4(hand.head[0]), _f4(hand.head[1])
+    radius = np.sqrt(wide * high)
+    neck_x = x - _f4(parts[k, 0, 0] + NECK * (roots[k, 0] - parts[k, 0, 0]))
+    neck_y = y - _f4(parts[k, 0, 1] + NECK * (roots[k, 1] - parts[k, 0, 1]))
+    off_x = (x - _f4(parts[k, 0, 0])) / wide
+    off_y = (y - _f4(parts[k, 0, 1])) / high
+    from_head = np.sqrt(off_x * off_x + off_y * off_y) * radius
+    from_neck = np.sqrt(neck_x * neck_x + neck_y * neck_y)
+    return max(_inside(from_head, radius, spread), _inside(from_neck, _f4(hand.neck_radius), spread))
+
+
+@inlined
+def _forearm(parts, elbows, k, side, radius, arm):
+    """Write direction and length (3,) of a forearm in the picture, from the elbow to the wrist."""
+    x = _f4(parts[k, 1 + side, 0] - elbows[k, side, 0])
+    y = _f4(parts[k, 1 + side, 1] - elbows[k, side, 1])
+    length = max(np.sqrt(x * x + y * y), _f4(1e-3))
+    arm[0], arm[1], arm[2] = x / length, y / length, max(length - radius, _f4(0.0))
+
+
+@compiled
+def hand_terms(parts, roots, elbows, centre, surround, scales, hand, bare, out):
+    """Log likelihood ratios of both hands' skin, added to `out` `(n,)`.
+
+    A hand is a disc of skin amid none, as two Gaussian windows see it: much in the inner one, little in the
+    outer one. What head, neck and the other hand explain counts for neither; two hands at one place see the
+    same skin, which counts once. Bare forearms explain skin as well.
+
+    Parameters
+    ----------
+    parts, roots, elbows
+        `(n, 3, 2)`, `(n, 2)` and `(n, 2, 2)` px.
+    centre, surround
+        maps of skin, from 0 to 1, in the inner and the outer window; `scales` `(2,)` are their entries a px,
+        along x and y.
+    hand
+        a `HandModel`.
+    bare
+        whether forearms are bare.
+    """
+    full, none, hidden = _f4(hand.scores[0]), _f4(hand.scores[1]), _f4(hand.scores[2])
+    inner, outer = _f4(hand.windows[0]), _f4(hand.windows[1])
+    radius, half = _f4(hand.radius), _f4(hand.forearm[1])
+    across, down = _f4(scales[0]), _f4(scales[1])
+    # a disc of skin of the hand's size, as the windows see it from its centre
+    ideal = exponential(_f4(-0.5) * (radius / outer) ** 2) - exponential(_f4(-0.5) * (radius / inner) ** 2)
+    width = outer * outer + _f4(0.25) * radius * radius
+    arms = np.zeros((2, 3), np.float32)
+    for k in range(len(parts)):
+        apart_x = _f4(parts[k, 1, 0] - parts[k, 2, 0])
+        apart_y = _f4(parts[k, 1, 1] - parts[k, 2, 1])
+        squared = apart_x * apart_x + apart_y * apart_y
+        neighbour = _f4(0.5) * radius * radius / width * exponential(_f4(-0.5) * squared / width)
+        least, total = _f4(1e9), _f4(0.0)
+        if bare:
+            for side in range(2):
+                _forearm(parts, elbows, k, side, radius, arms[side])
+        for side in range(1, 3):
+            x, y = _f4(parts[k, side, 0]), _f4(parts[k, side, 1])
+            before = _explained(x, y, parts, roots, k, hand, inner)
+            around = _explained(x, y, parts, roots, k, hand, outer)
+            if bare:
+                for arm in range(2):
+                    right, below = x - _f4(elbows[k, arm, 0]), y - _f4(elbows[k, arm, 1])
+                    around += _in_strip(right, below, arms[arm], half, outer)
+                    if arm != side - 1:
+                        before = max(before, _in_strip(right, below, arms[arm], half, inner))
+            column = (x + _f4(0.5)) * across - _f4(0.5)
+            row = (y + _f4(0.5)) * down - _f4(0.5)
+            # what head, arms and other hand explain tells nothing: it is there anyway; other skin around the
+            # hand speaks against it
+            foreign = max(_at(surround, column, row) - neighbour - around, _f4(0.0))
+            response = (max(_at(centre, column, row) - before, _f4(0.0)) - foreign) / ideal
+            free = _f4(1.0) - before
+            nats = free * none + (full - none) * min(max(response, _f4(0.0)), free)
+            gain = _seen_or_not(nats, hidden)
+            least = min(least, gain)
+            total += gain
+        apart = np.sqrt(squared) / (_f4(2.0) * radius)
+        if apart < _f4(1.0):  # share of a disc that the other one covers: they see the same skin once
+            shared = (np.arccos(apart) - apart * np.sqrt(_f4(1.0) - apart * apart)) * _f4(2.0 / np.pi)
+            total -= min(_f4(2.0) * shared, _f4(1.0)) * max(least, _f4(0.0))
+        out[k] += total
+
+
+@compiled
+def forearm_terms(parts, roots, elbows, centre, scales, hand, out):
+    """Log likelihood ratios of both forearms' skin, if they are bare, added to `out` `(n,)`.
+
+    They are looked up at points between elbow and wrist, and count as far as they are long in the picture.
+    What head, neck, hands and the other forearm explain tells nothing. Parameters as of `hand_terms`.
+    """
+    full, none, hidden = _f4(hand.bare_scores[0]), _f4(hand.bare_scores[1]), _f4(hand.bare_scores[2])
+    inner, radius, half = _f4(hand.windows[0]), _f4(hand.radius), _f4(hand.forearm[1])
+    across, down = _f4(scales[0]), _f4(scales[1])
+    ideal = _before(half, inner) - _before(-half, inner)
+    whole = _f4(hand.forearm[0]) - radius
+    arms = np.zeros((2, 3), np.float32)
+    for k in range(len(parts)):
+        for side in range(2):
+            _forearm(parts, elbows, k, side, radius, arms[side])
+        for side in range(2):
+            nats = _f4(0.0)
+            for step in range(FOREARM_POINTS):
+                share = (_f4(step) + _f4(0.5)) / _f4(FOREARM_POINTS) * arms[side, 2]
+                x = _f4(elbows[k, side, 0]) + share * arms[side, 0]
+                y = _f4(elbows[k, side, 1]) + share * arms[side, 1]
+                before = _explained(x, y, parts, roots, k, hand, inner)
+                for other in range(2):
+                    right, below = x - _f4(parts[k, 1 + other, 0]), y - _f4(parts[k, 1 + other, 1])
+                    before = max(before, _inside(np.sqrt(right * right + below * below), radius, inner))
+                if side == 1:
+                    right, below = x - _f4(elbows[k, 0, 0]), y - _f4(elbows[k, 0, 1])
+                    before = max(before, _in_strip(right, below, arms[0], half, inner))
+                column = (x + _f4(0.5)) * across - _f4(0.5)
+                row = (y + _f4(0.5)) * down - _f4(0.5)
+                free = _f4(1.0) - before
+                response = max(_at(centre, column, row) / ideal - before, _f4(0.0))
+                nats += free * none + (full - none) * min(response, free)
+            nats *= arms[side, 2] / (whole * _f4(FOREARM_POINTS))
+            out[k] += _seen_or_not(nats, hidden)
+
+
+@compiled
+def head_terms(heads, contrast, scales, scores, out):
+    """Log likelihood ratios of skin where the head is to be, added to `out` `(n,)`.
+
+    `heads` are `(n, 2)` px; `contrast`, up to 1, is how much more skin there is in a head's place than
+    around it, `scales` `(2,)` its entries a px; `scores` `(2,)`: nats of a full one, probability of none.
+    """
+    full, hidden = _f4(scores[0]), _f4(scores[1])
+    for k in range(len(heads)):
+        column = (_f4(heads[k, 0]) + _f4(0.5)) * _f4(scales[0]) - _f4(0.5)
+        row = (_f4(heads[k, 1]) + _f4(0.5)) * _f4(scales[1]) - _f4(0.5)
+        response = min(max(_at(contrast, column, row), _f4(0.0)), _f4(1.0))
+        out[k] += _seen_or_not(full * response, hidden)
+
+
+@compiled
+def arm_terms(joints, arms, scales, points, weights, torso, missing, out):
+    """Log likelihood ratios of the colours along arms, added to `out` `(n,)`.
+
+    Before the trunk, whose clothes are those of the arms, nothing is told.
+
+    Parameters
+    ----------
+    joints
+        `(n, 8, 2)` px.
+    arms
+        map of the log odds of an arm's colour; `scales` `(2,)` are its entries a px.
+    points, weights
+        `(2, k)` and `(2,)`: places on upper arm and forearm as shares of their length, and what each counts.
+    torso
+        `(3,)`: share of the shoulders' distance that the trunk is broad, how far above the shoulders it
+        reaches in that distance, and px over which its border is blurred.
+    missing
+        chance that an arm does not look like that.
+    """
+    broad, above, blur = _f4(torso[0]), _f4(torso[1]), _f4(torso[2])
+    across, down, hidden = _f4(scales[0]), _f4(scales[1]), _f4(missing)
+    for k in range(len(joints)):
+        root_x, root_y = _f4(joints[k, 1, 0]), _f4(joints[k, 1, 1])
+        axis_x, axis_y = _f4(joints[k, 2, 0] - joints[k, 5, 0]), _f4(joints[k, 2, 1] - joints[k, 5, 1])
+        length = max(np.sqrt(axis_x * axis_x + axis_y * axis_y), _f4(1.0))
+        axis_x, axis_y = axis_x / length, axis_y / length
+        total = _f4(0.0)
+        for side in range(2):
+            for part in range(2):
+                first = 2 + 3 * side + part
+                x, y = _f4(joints[k, first, 0]), _f4(joints[k, first, 1])
+                along_x, along_y = _f4(joints[k, first + 1, 0]) - x, _f4(joints[k, first + 1, 1]) - y
+                for j in range(points.shape[1]):
+                    share = _f4(points[part, j])
+                    here_x, here_y = x + share * along_x, y + share * along_y
+                    off_x, off_y = here_x - root_x, here_y - root_y
+                    beside = abs(off_x * axis_x + off_y * axis_y) - broad * length
+                    over = off_x * axis_y - off_y * axis_x - above * length
+                    outside = min(max(max(beside, over) / blur, _f4(-20.0)), _f4(20.0))
+                    odds = _at(
+                        arms,
+                        (here_x + _f4(0.5)) * across - _f4(0.5),
+                        (here_y + _f4(0.5)) * down - _f4(0.5),
+                    ) / (_f4(1.0) + exponential(-outside))
+                    total += _f4(weights[part]) * _seen_or_not(odds, hidden)
+        out[k] += total
+
+
+@compiled
+def blob_terms(parts, elbows, blobs, costs, reach, bare, out):
+    """Takes from `out` `(n,)` the `costs` `(m,)` nats of `blobs` `(m, 2)` px that nothing explains.
+
+    A part explains what is within about `reach` `(4,)` px of it, and so do, if they are `bare`, forearms.
+    """
+    arms = np.zeros((2, 3), np.float32)
+    for k in range(len(parts)):
+        total = _f4(0.0)
+        if bare:
+            for side in range(2):
+                _forearm(parts, elbows, k, side, _f4(0.0), arms[side])
+        for j in range(len(blobs)):
+            left = _f4(costs[j])
+            for part in range(3):
+                x = _f4(parts[k, part, 0] - blobs[j, 0])
+                y = _f4(parts[k, part, 1] - blobs[j, 1])
+                scale = _f4(0.5) / _f4(reach[part] * reach[part])
+                left *= _f4(1.0) - exponential(-scale * (x * x + y * y))
+            if bare:
+                for side in range(2):
+                    x = _f4(blobs[j, 0] - elbows[k, side, 0])
+                    y = _f4(blobs[j, 1] - elbows[k, side, 1])
+                    along = min(max(x * arms[side, 0] + y * arms[side, 1], _f4(0.0)), arms[side, 2])
+                    x -= along * arms[side, 0]
+                    y -= along * arms[side, 1]
+                    scale = _f4(0.5) / _f4(reach[3] * reach[3])
+                    left *= _f4(1.0) - exponential(-scale * (x * x + y * y))
+            total += left
+        out[k] -= total
+
+
+@compiled
+def edge_features(edges, directions, nearness, cosine, sine, steps, block, features, coarse):
+    """What is to be known of the edge near each pixel, and its means over blocks of pixels.
+
+    Parameters
+    ----------
+    edges, directions
+        `(height, width)` float32: px and rad.
+    nearness, cosine, sine
+        `(k,)` float32: tables over distances, and over directions; `steps` are their entries a px and a rad.
+    block
+        px: side of a block.
+    features
+        `(height, width, 3)` float32, written: nearness, cosine and sine.
+    coarse
+        float32, written: over blocks the means of nearness, nearness times cosine, nearness times sine.
+    """
+    height, width = edges.shape
+    last = len(nearness) - 1
+    by_distance, by_angle = _f4(steps[0]), _f4(steps[1])
+    for row in range(coarse.shape[0]):
+        top, bottom = row * block, min(row * block + block, height)
+        for column in range(coarse.shape[1]):
+            left, right = column * block, min(column * block + block, width)
+            some, along, across = _f4(0.0), _f4(0.0), _f4(0.0)
+            for y in range(top, bottom):
+                for x in range(left, right):
+                    near = nearness[min(np.int64(edges[y, x] * by_distance + _f4(0.5)), last)]
+                    angle = min(np.int64(directions[y, x] * by_angle + _f4(0.5)), last)
+                    features[y, x, 0] = near
+                    features[y, x, 1] = cosine[angle]
+                    features[y, x, 2] = sine[angle]
+                    some += near
+                    along += near * cosine[angle]
+                    across += near * sine[angle]
+            share = _f4(1.0) / _f4((bottom - top) * (right - left))
+            coarse[row, column, 0] = some * share
+            coarse[row, column, 1] = along * share
+            coarse[row, column, 2] = across * share
+
+
+@compiled
+def over_density(features, coarse, block, least, even):
+    """Divide the nearness in `features` by the density of edges of that direction thereabouts, in place.
+
+    `coarse` are smoothed means over blocks as `edge_features` gives them; the density's first harmonic is
+    some (1 + 2 <cos> cos + 2 <sin> sin), at least `least` and at least `even` times that of all directions.
+    """
+    height, width = features.shape[:2]
+    rows, columns = coarse.shape[:2]
+    scale = _f4(1.0) / _f4(block)
+    floor, share = _f4(least), _f4(even)
+    blended = np.empty((columns, 3), np.float32)
+    for y in range(height):
+        place = min(max((_f4(y) + _f4(0.5)) * scale - _f4(0.5), _f4(0.0)), _f4(rows - 1))
+        above = min(np.int64(place), rows - 2)
+        part = place - _f4(above)
+        for column in range(columns):
+            for k in range(3):
+                upper = coarse[above, column, k]
+                blended[column, k] = upper + part * (coarse[above + 1, column, k] - upper)
+        for x in range(width):
+            place = min(max((_f4(x) + _f4(0.5)) * scale - _f4(0.5), _f4(0.0)), _f4(columns - 1))
+            left = min(np.int64(place), columns - 2)
+            part = place - _f4(left)
+            some = blended[left, 0] + part * (blended[left + 1, 0] - blended[left, 0])
+            along = blended[left, 1] + part * (blended[left + 1, 1] - blended[left, 1])
+            across = blended[left, 2] + part * (blended[left + 1, 2] - blended[left, 2])
+            alike = some + _f4(2.0) * (along * features[y, x, 1] + across * features[y, x, 2])
+            features[y, x, 0] /= max(max(alike, share * some), floor)
+
+
+# parts, as `silhouette.OUTLINE_PARTS` names them
+HEAD, TORSO = 0, 1
+ROUND = (0, 4, 7)
+N_PARTS = 8
+
+NUMBERS = 13
+"""At most so many describe the place of a part."""
+
+ROW = 5
+"""Numbers of each point of an outline: x, y, depth, the normal's x and y."""
+
+_EDGE_ON = 0.1
+"""Cosine to which a torso is turned away at most as far as its picture goes, so that it has an inverse."""
+
+FAR = _f4(1e9)
+"""Depth where a part is not."""
+
+
+class Solid(NamedTuple):
+    """A body as these loops take it; all but `lengths` and `firsts` are float32."""
+
+    lengths: NDArray[np.float64]
+    """`(12,)` px, see `put_body`."""
+    torso: NDArray[np.float32]
+    """`(4, 4)`, see `_torso_fronts`."""
+    torso_points: NDArray[np.float32]
+    """`(r, 4, LANES)`: x and y px of its contour from the root, in its plane, and those of its normals."""
+    circles: NDArray[np.float32]
+    """`(rows, 2, LANES)`: points of unit circles for head and hands."""
+    limb_points: NDArray[np.float32]
+    """`(3, LANES)`: by how many steps a point is from the beginning of a limb's outline, on which side it is,
+    and how many steps there are."""
+    firsts: NDArray[np.intp]
+    """`(9,)`: part j has the rows `firsts[j]` to `firsts[j + 1]`."""
+    counted: NDArray[np.float32]
+    """`(rows, LANES)`: 1 where a point counts, else 0."""
+    tolerance: np.float32
+    """px: a point is hidden by what is so much nearer."""
+    rim: np.float32
+    """Share of a part's squared radius that hides nothing, see `fronts`."""
+
+
+@inlined
+def _put_ellipsoid(shapes, part, bounds, middle, matrix):
+    """An ellipsoid |S^(-1/2) (p - c)| <= 1 from its centre and its matrix S (xx, xy, yy, xz, yz, zz)."""
+    x, y, z = middle
+    xx, xy, yy, xz, yz, zz = matrix
+    inverse = 1 / (xx * yy - xy * xy)
+    gx, gy = inverse * (yy * xz - xy * yz), inverse * (xx * yz - xy * xz)
+    shapes[part, 0], shapes[part, 1], shapes[part, 2] = x, y, z
+    shapes[part, 3], shapes[part, 4], shapes[part, 5] = yy * inverse, -xy * inverse, xx * inverse
+    shapes[part, 6], shapes[part, 7] = gx, gy
+    shapes[part, 8] = zz - gx * xz - gy * yz
+    wide, high = np.sqrt(xx), np.sqrt(yy)
+    bounds[part, 0], bounds[part, 1] = x - wide, x + wide
+    bounds[part, 2], bounds[part, 3] = y - high, y + high
+
+
+@inlined
+def _put_capsule(shapes, part, bounds, start, extent, first, last):
+    """A limb from `start` along `extent`, both x, y, z, whose radius goes from `first` to `last`."""
+    x, y, z = start
+    ex, ey, ez = extent
+    shapes[part, 0], shapes[part, 1], shapes[part, 2] = x, y, z
+    shapes[part, 3], shapes[part, 4], shapes[part, 5] = ex, ey, ez
+    change = last - first
+    a = ex * ex + ey * ey - change * change
+    shapes[part, 6], shapes[part, 7], shapes[part, 8] = first, change, a
+    # nearly end-on counts as end-on, before the division loses all digits
+    if a > 1e-4 * first * first:
+        shapes[part, 9] = 1 / a
+        shapes[part, 10] = ez / np.sqrt(a * (a + ez * ez))
+    else:
+        shapes[part, 8] = shapes[part, 9] = shapes[part, 10] = 0.0
+    bounds[part, 0], bounds[part, 1] = min(x - first, x + ex - last), max(x + first, x + ex + last)
+    bounds[part, 2], bounds[part, 3] = min(y - first, y + ey - last), max(y + first, y + ey + last)
+
+
+@inlined
+def _put_torso(shapes, bounds, axes, depth, x, y, chin, torso, least):
+    """A torso whose plane is `depth` behind the root `(x, y)` and has these `axes`, with its neck.
+
+    The neck goes with the head, which is there already; the chin, `chin` before its middle, is before it.
+    """
+    right, down, away = axes
+    cx, cy, cz = x + depth * away[0], y + depth * away[1], depth * away[2]
+    scale = 1 / max(right[0] * down[1] - right[1] * down[0], _EDGE_ON)
+    off_x, off_y = shapes[HEAD, 0] - cx, shapes[HEAD, 1] - cy
+    across = (down[1] * off_x - down[0] * off_y) * scale
+    foot, bottom = torso[1, 0], torso[3, 0] + torso[3, 1]
+    # its upper end is in the middle of the head
+    top = min((right[0] * off_y - right[1] * off_x) * scale, foot)
+    lean = across / max(foot - top, least)
+    shapes[TORSO, 0], shapes[TORSO, 1], shapes[TORSO, 2] = cx, cy, cz
+    shapes[TORSO, 3] = cz + max(shapes[HEAD, 2] + chin, 0.0)
+    shapes[TORSO, 4], shapes[TORSO, 5] = lean, top
+    shapes[TORSO, 6], shapes[TORSO, 7], shapes[TORSO, 8] = right
+    shapes[TORSO, 9], shapes[TORSO, 10], shapes[TORSO, 11] = down
+    shapes[TORSO, 12] = scale
+    half = max(max(torso[0, 2], torso[1, 2]), max(torso[2, 2], torso[3, 2]))
+    half = max(half, torso[3, 2] + torso[3, 1] * torso[3, 3]) + abs(lean) * (foot - top)
+    wide, high = half * abs(right[0]), half * abs(right[1])
+    if scale * _EDGE_ON > 0.99:  # its picture is not quite this plane's
+        wide = high = FAR
+    bounds[TORSO, 0] = cx + min(top * down[0], bottom * down[0]) - wide
+    bounds[TORSO, 1] = cx + max(top * down[0], bottom * down[0]) + wide
+    bounds[TORSO, 2] = cy + min(top * down[1], bottom * down[1]) - high
+    bounds[TORSO, 3] = cy + max(top * down[1], bottom * down[1]) + high
+
+
+@compiled
+def put_body(roots, torsos, necks, arms, pose, lengths, torso, shapes, bounds):
+    """Describe the parts of a pose in `shapes` `(8, NUMBERS)`, and in `bounds` `(8, 4)` left, right, top and
+    bottom, px, of where each may be.
+
+    `lengths` `(12,)` px: neck, half axes of the head (3), shoulder width, upper arm, forearm, hand, radii of
+    shoulder, elbow and wrist, depth of the torso's plane. Poses as in `BodyPoses`.
+    """
+    x, y, neck = roots[pose, 0], roots[pose, 1], lengths[0]
+    # where the half axes of the head across, down and through it point
+    (r00, r10, r20), (r01, r11, r21), (r02, r12, r22) = rotation(
+        necks[pose, 0], necks[pose, 1], necks[pose, 2]
+    )
+    a, b, c = lengths[1] * lengths[1], lengths[2] * lengths[2], lengths[3] * lengths[3]
+    _put_ellipsoid(
+        shapes, HEAD, bounds, (x - neck * r01, y - neck * r11, -neck * r21), (
+        a * r00 * r00 + b * r01 * r01 + c * r02 * r02,
+        a * r00 * r10 + b * r01 * r11 + c * r02 * r12,
+        a * r10 * r10 + b * r11 * r11 + c * r12 * r12,
+        a * r00 * r20 + b * r01 * r21 + c * r02 * r22,
+        a * r10 * r20 + b * r11 * r21 + c * r12 * r22,
+        a * r20 * r20 + b * r21 * r21 + c * r22 * r22),
+    )  # fmt: skip
+    axes = rotation(torsos[pose, 0], torsos[pose, 1], torsos[pose, 2])
+    _put_torso(shapes, bounds, axes, lengths[11], x, y, lengths[3], torso, 0.25 * neck)
+    right = axes[0]
+    square = lengths[7] * lengths[7]
+    for side in range(2):
+        part = 2 + 3 * side
+        aside = (0.5 - side) * lengths[4]
+        sx, sy, sz = x + aside * right[0], y + aside * right[1], aside * right[2]
+        ex, ey, ez = arms[pose, side, 0, 0], arms[pose, side, 0, 1], arms[pose, side, 0, 2]
+        ex, ey, ez = lengths[5] * ex, lengths[5] * ey, lengths[5] * ez
+        _put_capsule(shapes, part, bounds, (sx, sy, sz), (ex, ey, ez), lengths[8], lengths[9])
+        sx, sy, sz = sx + ex, sy + ey, sz + ez
+        ex, ey, ez = arms[pose, side, 1, 0], arms[pose, side, 1, 1], arms[pose, side, 1, 2]
+        ex, ey, ez = lengths[6] * ex, lengths[6] * ey, lengths[6] * ez
+        _put_capsule(shapes, part + 1, bounds, (sx, sy, sz), (ex, ey, ez), lengths[9], lengths[10])
+        sx, sy, sz = sx + ex, sy + ey, sz + ez
+        _put_ellipsoid(shapes, part + 2, bounds, (sx, sy, sz), (square, 0.0, square, 0.0, 0.0, square))
+
+
+@inlined
+def _ellipsoid_fronts(shapes, part, rim, lines, least, row):
+    """Depths of an ellipsoid `(centre 3, inverse of the outline's matrix 3, slope 2, depth^2)`."""
+    cx, cy, cz = shapes[part, 0], shapes[part, 1], shapes[part, 2]
+    xx, xy, yy = shapes[part, 3], shapes[part, 4], shapes[part, 5]
+    gx, gy, square = shapes[part, 6], shapes[part, 7], shapes[part, 8]
+    for k in range(lines.shape[2]):
+        dx, dy = lines[row, 0, k] - cx, lines[row, 1, k] - cy
+        inner = _f4(1) - (xx * dx + xy * dy) * dx - (xy * dx + yy * dy) * dy
+        front = cz + gx * dx + gy * dy - np.sqrt(square * max(inner, _f4(0)))
+        least[row, k] = min(least[row, k], front if inner > rim else FAR)
+
+
+@inlined
+def _capsule_fronts(shapes, part, rim, lines, least, row):
+    """Depths of a limb `(start 3, extent 3, radius, its change, a, 1 / a, steepness)`.
+
+    Sphere t of 0 to 1 spans h(t) = r(t)^2 - |p - c(t)|^2 = h(0) + 2 b t - a t^2 in depth about its centre; of
+    z(t) - sqrt(h(t)) the least is taken.
+    """
+    cx, cy, cz = shapes[part, 0], shapes[part, 1], shapes[part, 2]
+    ex, ey, ez = shapes[part, 3], shapes[part, 4], shapes[part, 5]
+    radius, change, a = shapes[part, 6], shapes[part, 7], shapes[part, 8]
+    inverse, steepness = shapes[part, 9], shapes[part, 10]
+    square, growth = radius * radius, radius * change
+    for k in range(lines.shape[2]):
+        wx, wy = lines[row, 0, k] - cx, lines[row, 1, k] - cy
+        start = square - wx * wx - wy * wy
+        b = wx * ex + wy * ey + growth
+        widest = b * inverse
+        nearest = min(max(widest, _f4(0)), _f4(1))
+        inner = start + nearest * (_f4(2) * b - a * nearest)
+        t = min(max(widest - steepness * np.sqrt(max(start + b * widest, _f4(0))), _f4(0)), _f4(1))
+        span = max(start + t * (_f4(2) * b - a * t), _f4(0))
+        front = cz + t * ez - np.sqrt(span)
+        least[row, k] = min(least[row, k], front if inner > rim * square else FAR)
+
+
+@inlined
+def _end_on_fronts(shapes, part, rim, lines, least, row):
+    """As `_capsule_fronts` for a limb whose one end holds the other: the nearest of its ends."""
+    cx, cy, cz = shapes[part, 0], shapes[part, 1], shapes[part, 2]
+    ex, ey, ez = shapes[part, 3], shapes[part, 4], shapes[part, 5]
+    radius, other = shapes[part, 6], shapes[part, 6] + shapes[part, 7]
+    first, last = radius * radius, other * other
+    for k in range(lines.shape[2]):
+        wx, wy = lines[row, 0, k] - cx, lines[row, 1, k] - cy
+        start = first - wx * wx - wy * wy
+        wx, wy = wx - ex, wy - ey
+        end = last - wx * wx - wy * wy
+        near = cz - np.sqrt(max(start, _f4(0))) if start > rim * first else FAR
+        behind = cz + ez - np.sqrt(max(end, _f4(0))) if end > rim * last else FAR
+        least[row, k] = min(least[row, k], min(near, behind))
+
+
+@inlined
+def _torso_fronts(torso, shapes, lines, least, row):
+    """Depths of a torso `(middle 2, depth below and above it, lean of the neck, its end, axes 6, scale)`.
+
+    The axes are those of its plane in space, across and down; the scale is the inverse of their determinant
+    in the picture. `torso` `(4, 4)` has, from the top, pieces (beginning and length in px below the root,
+    half width at the beginning, its increase per px); the first is the neck, which leans as the head does,
+    and not in depth as the torso.
+    """
+    cx, cy, low, high = shapes[TORSO, 0], shapes[TORSO, 1], shapes[TORSO, 2], shapes[TORSO, 3]
+    lean, top, scale = shapes[TORSO, 4], shapes[TORSO, 5], shapes[TORSO, 12]
+    across_x, across_y = shapes[TORSO, 10] * scale, -shapes[TORSO, 9] * scale
+    down_x, down_y = -shapes[TORSO, 7] * scale, shapes[TORSO, 6] * scale
+    aside, below = shapes[TORSO, 8], shapes[TORSO, 11]
+    foot, narrow, bottom = torso[1, 0], torso[0, 2], torso[3, 0] + torso[3, 1]
+    length1, steep1 = torso[1, 1], torso[1, 3]
+    begin2, length2, steep2 = torso[2, 0], torso[2, 1], torso[2, 3]
+    begin3, length3, steep3 = torso[3, 0], torso[3, 1], torso[3, 3]
+    for k in range(lines.shape[2]):
+        x, y = lines[row, 0, k] - cx, lines[row, 1, k] - cy
+        off, dy = across_x * x + across_y * y, down_x * x + down_y * y
+        dx = abs(off - lean * max(foot - dy, _f4(0)))
+        half = narrow + steep1 * min(max(dy - foot, _f4(0)), length1)
+        half += steep2 * min(max(dy - begin2, _f4(0)), length2)
+        half += steep3 * min(max(dy - begin3, _f4(0)), length3)
+        outside = max(dx - half, max(top - dy, dy - bottom))
+        front = aside * off + (low + below * dy if dy > _f4(0) else high)
+        least[row, k] = min(least[row, k], front if outside < _f4(0) else FAR)
+
+
+@inlined
+def fronts(shapes, part, torso, rim, lines, least, row):
+    """Bring depths `least` `(rows, n)` down to that of a part's front at the points of a row of `lines`.
+
+    The outermost share `rim` of a round part's squared radius counts as outside.
+    """
+    if part == TORSO:
+        _torso_fronts(torso, shapes, lines, least, row)
+    elif part in ROUND:
+        _ellipsoid_fronts(shapes, part, rim, lines, least, row)
+    elif shapes[part, 9] > _f4(0):
+        _capsule_fronts(shapes, part, rim, lines, least, row)
+    else:
+        _end_on_fronts(shapes, part, rim, lines, least, row)
+
+
+LANES = 16
+"""Points in a row, which are worked on together: rows are of one part each, and some points do not count."""
+
+
+@compiled
+def _trace_torso(shapes, contour, lines, first):
+    """Points of a torso's outline from those in its plane, and their normals, `(r, 4, LANES)`."""
+    cx, cy, cz = shapes[TORSO, 0], shapes[TORSO, 1], shapes[TORSO, 2]
+    ax, ay, az = shapes[TORSO, 6], shapes[TORSO, 7], shapes[TORSO, 8]
+    bx, by, bz = shapes[TORSO, 9], shapes[TORSO, 10], shapes[TORSO, 11]
+    for j in range(len(contour)):
+        row = first + j
+        for k in range(lines.shape[2]):
+            lines[row, 0, k] = cx + ax * contour[j, 0, k] + bx * contour[j, 1, k]
+        for k in range(lines.shape[2]):
+            lines[row, 1, k] = cy + ay * contour[j, 0, k] + by * contour[j, 1, k]
+        for k in range(lines.shape[2]):
+            lines[row, 2, k] = cz + az * contour[j, 0, k] + bz * max(contour[j, 1, k], _f4(0))
+        # normals turn by the inverse, the other way round
+        for k in range(lines.shape[2]):
+            nx = by * contour[j, 2, k] - ay * contour[j, 3, k]
+            ny = ax * contour[j, 3, k] - bx * contour[j, 2, k]
+            lines[row, 3, k] = nx / np.sqrt(nx * nx + ny * ny)
+        for k in range(lines.shape[2]):
+            nx = by * contour[j, 2, k] - ay * contour[j, 3, k]
+            ny = ax * contour[j, 3, k] - bx * contour[j, 2, k]
+            lines[row, 4, k] = ny / np.sqrt(nx * nx + ny * ny)
+
+
+@compiled
+def _trace_ellipsoid(shapes, part, circles, lines, row):
+    """Points of an ellipsoid's outline from points of a circle."""
+    cx, cy, cz = shapes[part, 0], shapes[part, 1], shapes[part, 2]
+    xx, xy, yy = shapes[part, 3], shapes[part, 4], shapes[part, 5]
+    gx, gy = shapes[part, 6], shapes[part, 7]
+    # the outline is the image of the circle under a triangular root of the matrix's inverse
+    diagonal = _f4(1) / np.sqrt(xx)
+    last = _f4(1) / np.sqrt(yy - xy * xy * diagonal * diagonal)
+    below = xy * diagonal * diagonal * last
+    for k in range(lines.shape[2]):
+        lines[row, 0, k] = cx + circles[row, 0, k] * diagonal - circles[row, 1, k] * below
+    for k in range(lines.shape[2]):
+        lines[row, 1, k] = cy + circles[row, 1, k] * last
+    for k in range(lines.shape[2]):
+        lines[row, 2, k] = cz + gx * (lines[row, 0, k] - cx) + gy * (lines[row, 1, k] - cy)
+    for k in range(lines.shape[2]):
+        dx, dy = lines[row, 0, k] - cx, lines[row, 1, k] - cy
+        nx, ny = xx * dx + xy * dy, xy * dx + yy * dy
+        lines[row, 3, k] = nx / np.sqrt(nx * nx + ny * ny)
+    for k in range(lines.shape[2]):
+        dx, dy = lines[row, 0, k] - cx, lines[row, 1, k] - cy
+        nx, ny = xx * dx + xy * dy, xy * dx + yy * dy
+        lines[row, 4, k] = ny / np.sqrt(nx * nx + ny * ny)
+
+
+@inlined
+def _turned(angle):
+    """Sine and cosine of a float32 angle from -pi/2 to pi/2, error below 1e-6."""
+    square = angle * angle
+    sine = _f4(2.7557319e-6) - _f4(2.5052108e-8) * square
+    sine = _f4(-1 / 6) + square * (_f4(1 / 120) + square * (_f4(-1 / 5040) + square * sine))
+    cosine = _f4(1 / 40320) + square * (_f4(-2.7557319e-7) + _f4(2.0876757e-9) * square)
+    cosine = _f4(-0.5) + square * (_f4(1 / 24) + square * (_f4(-1 / 720) + square * cosine))
+    return angle + angle * square * sine, _f4(1) + square * cosine
+
+
+@compiled
+def _trace_capsule(shapes, part, points, lines, row):
+    """Points along a limb's outline without the cap at its end: on both sides from the middle of the cap."""
+    x, y, z, radius = shapes[part, 0], shapes[part, 1], shapes[part, 2], shapes[part, 6]
+    dx, dy, dz, change = shapes[part, 3], shapes[part, 4], shapes[part, 5], shapes[part, 7]
+    if shapes[part, 9] > _f4(0):
+        shrink = _f4(1) / np.sqrt(dx * dx + dy * dy)
+        ex, ey, steep = dx * shrink, dy * shrink, change * shrink
+        side = np.sqrt(shapes[part, 8])
+        level, length = side * shrink, side
+        arc_turn = _f4(0.5 * np.pi) - _f4(np.arcsin(steep))
+    else:
+        ex, ey, steep, level = _f4(0), _f4(-1), _f4(-1), _f4(0)
+        side, length, arc_turn = _f4(1), _f4(0), _f4(np.pi)
+        if change > _f4(0):
+            x, y, z, radius = x + dx, y + dy, z + dz, radius + change
+    arc = radius * arc_turn
+    step = (arc + length) / points[2, 0]
+    turn, slide, begin = step / radius, step / side, arc / side
+    for k in range(lines.shape[2]):
+        forwards, sideways = _turned(min(points[0, k] * turn, arc_turn) - _f4(0.5 * np.pi))
+        on_side = points[0, k] * step >= arc
+        forwards, sideways = -steep if on_side else forwards, level if on_side else sideways
+        lines[row, 3, k] = forwards * ex - points[1, k] * sideways * ey
+    for k in range(lines.shape[2]):
+        forwards, sideways = _turned(min(points[0, k] * turn, arc_turn) - _f4(0.5 * np.pi))
+        on_side = points[0, k] * step >= arc
+        forwards, sideways = -steep if on_side else forwards, level if on_side else sideways
+        lines[row, 4, k] = forwards * ey + points[1, k] * sideways * ex
+    for k in range(lines.shape[2]):
+        t = max(points[0, k] * slide - begin, _f4(0))
+        lines[row, 0, k] = x + t * dx + (radius + t * change) * lines[row, 3, k]
+    for k in range(lines.shape[2]):
+        t = max(points[0, k] * slide - begin, _f4(0))
+        lines[row, 1, k] = y + t * dy + (radius + t * change) * lines[row, 4, k]
+    for k in range(lines.shape[2]):
+        lines[row, 2, k] = z + max(points[0, k] * slide - begin, _f4(0)) * dz
+
+
+@compiled
+def trace(roots, torsos, necks, arms, pose, solid, shapes, bounds, lines, least):
+    """The outlines of a pose, and the depth of the nearest other part at each of their points.
+
+    A part is looked up only for parts that come within its bounds.
+
+    Parameters
+    ----------
+    roots, torsos, necks, arms
+        `(n, 2)`, `(n, 3)`, `(n, 3)`, `(n, 2, 2, 3)` as in `BodyPoses`, of which one `pose` is traced.
+    shapes, bounds
+        `(8, NUMBERS)` and `(8, 4)` float32, to work in.
+    lines, least
+        `(rows, ROW, LANES)` and `(rows, LANES)` float32, written.
+    """
+    torso, firsts = solid.torso, solid.firsts
+    put_body(roots, torsos, necks, arms, pose, solid.lengths, torso, shapes, bounds)
+    for part in range(N_PARTS):
+        if part == TORSO:
+            _trace_torso(shapes, solid.torso_points, lines, firsts[part])
+        elif part in ROUND:
+            for row in range(firsts[part], firsts[part + 1]):
+                _trace_ellipsoid(shapes, part, solid.circles, lines, row)
+        else:
+            _trace_capsule(shapes, part, solid.limb_points, lines, firsts[part])
+    least[:] = FAR
+    for own in range(N_PARTS):
+        for part in range(N_PARTS):
+            apart = (bounds[own, 0] > bounds[part, 1]) | (bounds[own, 1] < bounds[part, 0])
+            apart |= (bounds[own, 2] > bounds[part, 3]) | (bounds[own, 3] < bounds[part, 2])
+            if not (apart | (part == own)):
+                for row in range(firsts[own], firsts[own + 1]):
+                    fronts(shapes, part, torso, solid.rim, lines, least, row)
+
+
+@compiled
+def outlines(roots, torsos, necks, arms, solid, places, points, normals, visible):
+    """Contours of the parts of each pose, and which of their points are seen.
+
+    Poses as of `trace`; `places` `(m, 2)` are rows and lanes of the points. Writes `points`, `normals`
+    `(n, m, 2)` float32 and `visible` `(n, m)` bool.
+    """
+    shapes, bounds = np.zeros((N_PARTS, NUMBERS), np.float32), np.zeros((N_PARTS, 4), np.float32)
+    lines = np.zeros((len(solid.counted), ROW, LANES), np.float32)
+    least = np.zeros((len(solid.counted), LANES), np.float32)
+    for pose in range(len(roots)):
+        trace(roots, torsos, necks, arms, pose, solid, shapes, bounds, lines, least)
+        for k in range(len(places)):
+            row, lane = places[k, 0], places[k, 1]
+            points[pose, k, 0], points[pose, k, 1] = lines[row, 0, lane], lines[row, 1, lane]
+            normals[pose, k, 0], normals[pose, k, 1] = lines[row, 3, lane], lines[row, 4, lane]
+            visible[pose, k] = least[row, lane] >= lines[row, 2, lane] - solid.tolerance
+
+
+@compiled
+def outline_terms(roots, torsos, necks, arms, solid, ratios, worth, directions, hidden, out):
+    """Log likelihood ratios of outlines against edges, added to `out` `(n,)`.
+
+    Parameters
+    ----------
+    roots, torsos, necks, arms
+        as of `trace`. What of an outline is hidden or outside of the picture says nothing.
+    ratios
+        `(height, width, 3)` float32: how much more likely an edge is so near to an outline than anywhere,
+        and cosine and sine of twice the angle of that edge's normal.
+    worth
+        number of independent points that each is worth.
+    directions
+        twice the angle scatters about the outline's by a von Mises density; its concentration and I_0 of it.
+    hidden
+        probability that a point shows no edge.
+    """
+    height, width = _f4(ratios.shape[0]), _f4(ratios.shape[1])
+    flat = ratios.reshape(-1)
+    kappa, none = _f4(directions[0]), _f4(hidden)
+    scale = (_f4(1) - none) / _f4(directions[1])
+    n_rows, tolerance = len(solid.counted), solid.tolerance
+    shapes, bounds = np.zeros((N_PARTS, NUMBERS), np.float32), np.zeros((N_PARTS, 4), np.float32)
+    lines, least = np.zeros((n_rows, ROW, LANES), np.float32), np.zeros((n_rows, LANES), np.float32)
+    places, seen = np.zeros((n_rows, LANES), np.int32), np.zeros((3, LANES), np.float32)
+    products = np.zeros(LANES, np.float32)
+    for pose in range(len(roots)):
+        trace(roots, torsos, necks, arms, pose, solid, shapes, bounds, lines, least)
+        products[:] = _f4(1)
+        for row in range(n_rows):
+            for k in range(places.shape[1]):
+                x, y = np.floor(lines[row, 0, k] + _f4(0.5)), np.floor(lines[row, 1, k] + _f4(0.5))
+                counts = solid.counted[row, k] if least[row, k] >= lines[row, 2, k] - tolerance else _f4(0)
+                counts = counts if (x >= _f4(0)) & (y >= _f4(0)) & (x < width) & (y < height) else _f4(0)
+                places[row, k] = np.int32(y * width + x) if counts > _f4(0) else np.int32(-1)
+            for k in range(LANES):
+                place = 3 * max(places[row, k], np.int32(0))
+                seen[0, k], seen[1, k], seen[2, k] = flat[place], flat[place + 1], flat[place + 2]
+            for k in range(seen.shape[1]):
+                x, y = lines[row, 3, k], lines[row, 4, k]
+                along = (x * x - y * y) * seen[1, k] + _f4(2) * x * y * seen[2, k]
+                value = none + scale * seen[0, k] * exponential(kappa * along)
+                # each is between `none` and about 15: of so few, the product is a number of single precision
+                products[k] *= value if places[row, k] >= np.int32(0) else _f4(1)
+        total = _f4(0)
+        for k in range(products.shape[0]):
+            total += logarithm(products[k])
+        out[pose] += worth * total

@@ -1,1 +1,0 @@
-"""Compiled loops over poses of a body."""
