@@ -1,103 +1,89 @@
 """`rsmcm batch`: films to jobs, jobs to workers, and what becomes of them to a summary."""
 
+import base64
+import logging
 import os
 import shlex
-import signal
 import sys
-import threading
+import time
 from collections import Counter
-from collections.abc import Generator, Iterator, Sequence
-from concurrent.futures import Future
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, fields, replace
+from importlib import import_module
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import av
+import cv2
+import numpy as np
 import psutil
 from joblib import cpu_count
 
+from ...inference.engine import checkpoint
 from ...models.numerics.threads import thread_count
+from ..io.sources.open_source import fingerprint
 from ..io.sources.video_reader import without_password
 from ..options.complaints import one_line
 from ..options.job import Job
-from ..runs.interruption import Interrupted
+from ..options.libraries import opencv_hint
+from ..runs.interruption import SIGNALLED, Interrupted, Interruption, Outcome
 from ..runs.output_folder import lock_of, was_cut_off
-from ..runs.parallel import Workers, as_they_end, chosen_workers, working
-from .film import Told, run_film
+from ..runs.parallel import Workers, as_they_end, chosen_workers, end_working, is_ending, working
+from ..runs.saved_run import STATE, about_of, check_source
+from ..view.film import FILM
 from .job import APPLICATIONS, INDEX, OWN, SUMMARY, Batch, Typed, job_of, typed, words_of
-from .sources import Found, find_films, folder_names
-from .summary import Line, Summary
+from .sources import TRACKS, Found, find_films, folder_names
+from .summary import Line, State, Summary, Told
 
+THUMBNAIL = (160, 120)
+"""Largest width and height, px."""
 
-@dataclass(frozen=True)
-class Film:
-    """A film and its run.
+LOCKED = 10.0
+"""Seconds for which a folder's lock is waited for: that of a process that was killed may outlive it."""
 
-    Parameters
-    ----------
-    name
-        the source as it is shown, without user and password.
-    job
-        of its run.
-    """
+FAILED = 1
 
-    name: str
-    job: Job
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Ended:
-    """How a batch ended.
-
-    Parameters
-    ----------
-    lines
-        of the films of this batch.
-    signal
-        number of the signal that ended it early; `None` if it came to the end.
-    """
+    """Lines of a batch's films, and the number of the signal that ended it early, if one did."""
 
     lines: Sequence[Line]
     signal: int | None = None
 
-    @property
-    def failed(self) -> list[Line]:
-        """Those that went wrong, or were lost."""
-        return [line for line in self.lines if line.told.state in ("failed", "lost")]
+    def report(self, out: Path) -> int:
+        """Print how the batch ended, and failures on standard error; return the exit code."""
+        failed = [line for line in self.lines if line.told.state in ("failed", "lost")]
+        for line in failed:
+            error = line.told.error
+            named = error if error.startswith(line.source) else f"{line.source}: {error}"
+            print(f"rsmcm: {named}", file=sys.stderr)
+        counts = Counter({"complete": 0})
+        counts.update(line.told.state for line in self.lines)
+        listed = ", ".join(f"{count} {state}" for state, count in counts.items())
+        print(f"{len(self.lines)} films: {listed}", f"results: {out / INDEX}", sep="\n")
+        return FAILED * bool(failed) if self.signal is None else SIGNALLED + self.signal
 
 
-class Ending:
-    """SIGINT and SIGTERM to a batch: the first has all runs end with what they have, the second ends them.
+class _Ending(Interruption):
+    """A first signal has all runs on this machine end with what they have, the second ends the batch.
 
-    Parameters
-    ----------
-    here
-        whether the runs are in processes on this machine. Others are not reached, so that the first signal
-        ends the batch; what has begun on a cluster goes on there to its end.
+    Runs on a cluster are not reached: the first signal ends the batch, and what has begun there goes on.
     """
 
     def __init__(self, here: bool) -> None:
-        self.signal: int | None = None
+        super().__init__()
         self._here = here
 
-    @contextmanager
-    def heard(self) -> Iterator[None]:
-        """Hear signals inside the block."""
-        here = threading.current_thread() is threading.main_thread()
-        numbers = (signal.SIGINT, signal.SIGTERM) if here else ()
-        before = {number: signal.signal(number, self._arrive) for number in numbers}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
-    def _arrive(self, number: int, _: FrameType | None) -> None:
-        again, self.signal = self.signal is not None, number
-        if again or not self._here:
-            raise Interrupted(number)
+    def _arrive(self, number: int, frame: FrameType | None) -> None:
+        if self.signal is not None or not self._here:
+            super()._arrive(number, frame)
+        self.signal = number
         for child in psutil.Process().children():
             with suppress(psutil.Error):  # it has just ended by itself
                 child.terminate()
@@ -106,7 +92,7 @@ class Ending:
 def run_batch(application: str, sources: Sequence[str], batch: Batch, options: Any) -> Ended:
     """Run an application over many films; each in a folder of its own in that of the batch.
 
-    What is complete is left as it is, what was broken off goes on, what fails is told and stops nobody.
+    What is complete is left as it is, what was broken off goes on, what fails stops no other film.
 
     Parameters
     ----------
@@ -130,43 +116,35 @@ def run_batch(application: str, sources: Sequence[str], batch: Batch, options: A
     batch.out.mkdir(parents=True, exist_ok=True)
     lock = lock_of(batch.out)  # two batches would write one summary, and give one name to two films
     try:
-        return _carried_out(application, found, jobs, batch, workers)
+        summary = Summary(batch.out)
+        source_of = {job.out.name: source for source, job in jobs.items()}
+        for source, line in list(summary.lines.items()):
+            if source_of.get(line.folder, source) != source:  # of a camera that has another address now
+                del summary.lines[source]
+        for source, job in jobs.items():
+            earlier = None if batch.overwrite else summary.lines.get(source)
+            told = Told("waiting") if earlier is None else earlier.told
+            summary.lines[source] = Line(source, job.out.name, told)
+        summary.write()
+        ending = _Ending(here=workers.dask is None)
+        try:
+            told_by = _all_told(application, jobs, workers, ending)
+            with ending, working(workers), closing(told_by):
+                for source, told in told_by:
+                    summary.tell(Line(source, jobs[source].out.name, told))
+        except Interrupted as stop:
+            ending.signal = stop.signal
+        finally:
+            summary.write()
+        return Ended([summary.lines[source] for source in jobs], ending.signal)
     finally:
         lock.release()
 
 
-def _carried_out(
-    application: str, found: Sequence[Found], jobs: Sequence[Job], batch: Batch, workers: Workers
-) -> Ended:
-    """The batch that is planned, in a folder in which no other one writes."""
-    summary = Summary(batch.out)
-    films = [Film(shown(each.source), job) for each, job in zip(found, jobs, strict=True)]
-    of_film = {film.job.out.name: film.name for film in films}
-    for source, line in list(summary.lines.items()):
-        if of_film.get(line.folder, source) != source:  # of a camera that has another address now
-            del summary.lines[source]
-    for film in films:
-        earlier = summary.lines.get(film.name)
-        told = Told("waiting") if earlier is None or batch.overwrite else earlier.told
-        summary.lines[film.name] = Line(film.name, film.job.out.name, told)
-    summary.write()
-    ending = Ending(here=workers.dask is None)
-    try:
-        told_by = _all_told(application, films, workers, ending)
-        with ending.heard(), working(workers), closing(told_by):
-            for film, told in told_by:
-                summary.tell(Line(film.name, film.job.out.name, told))
-    except Interrupted as stop:
-        ending.signal = stop.signal
-    finally:
-        summary.write()
-    return Ended([summary.lines[film.name] for film in films], ending.signal)
-
-
 def planned(
     application: str, sources: Sequence[str], batch: Batch, options: Typed
-) -> tuple[list[Found], list[Job]]:
-    """The films that are meant, and the job of each.
+) -> tuple[list[Found], dict[str, Job]]:
+    """Return the films that are meant, and the job of each by its source as it is shown.
 
     Raises
     ------
@@ -174,16 +152,16 @@ def planned(
         as of `run_batch`.
     """
     found = find_films(sources, tracks=application == "structure")
-    known = {} if not (batch.out / SUMMARY).exists() else Summary(batch.out).folders
+    earlier = Summary(batch.out).lines.items() if (batch.out / SUMMARY).exists() else ()
     shown_as = [replace(each, source=shown(each.source)) for each in found]
     twice = next((each for each, n in Counter(each.source for each in shown_as).items() if n > 1), None)
     if twice is not None:
         raise ValueError(
             f"{twice}: got it twice, expected sources that differ by more than user and password"
         )
-    names = folder_names(shown_as, known, (SUMMARY, INDEX))
-    jobs = []
-    for each, name in zip(found, names, strict=True):
+    names = folder_names(shown_as, {source: line.folder for source, line in earlier}, (SUMMARY, INDEX))
+    jobs = {}
+    for each, source, name in zip(found, shown_as, names, strict=True):
         words = words_of(application, {**each.options, **options})
         try:
             job = job_of(application, [each.source, "--out", str(batch.out.absolute() / name), *words])
@@ -191,7 +169,7 @@ def planned(
             if not each.where:
                 raise
             raise ValueError(f"{each.where}: {one_line(error)}") from None
-        jobs.append(_from_anywhere(job, batch.overwrite, each.live))
+        jobs[source.source] = _from_anywhere(job, batch.overwrite, each.live)
     return found, jobs
 
 
@@ -226,96 +204,165 @@ def workers_for(found: Sequence[Found], batch: Batch) -> Workers:
         if there would be fewer processes than live cameras.
     """
     workers = chosen_workers(batch.jobs, batch.dask)
-    live, cores = sum(each.live for each in found), cpu_count()
+    live = sum(each.live for each in found)
     if batch.jobs is None:
         workers = replace(workers, jobs=max(workers.jobs, live))
     elif workers.jobs < live:
         raise ValueError(f"--jobs: got {batch.jobs}, expected {live} or more: all live cameras run at once")
-    return replace(workers, threads=max(1, min(thread_count(), cores // workers.jobs)))
+    return replace(workers, threads=max(1, min(thread_count(), cpu_count() // workers.jobs)))
 
 
 def commands(application: str, sources: Sequence[str], batch: Batch, options: Any) -> list[str]:
     """One shell command for each film, which runs it, or goes on with it, as the batch would."""
     found, jobs = planned(application, sources, batch, typed(options))
     threads = workers_for(found, batch).threads
-    return [shlex.join(_command(application, job, threads)) for job in jobs]
-
-
-def _command(application: str, job: Job, threads: int) -> list[str]:
-    kind = APPLICATIONS[application]
-    values = {each.name: getattr(job, each.name) for each in fields(kind) if each.name not in OWN}
-    defaults = {each.name: each.default for each in fields(kind)}
-    given = {name: value for name, value in values.items() if value != defaults[name]}
-    how = ["--overwrite"] * job.overwrite + ["--resume"] * job.resume
-    words = [
-        job.source,
-        "--out",
-        str(job.out),
-        *how,
-        *words_of(application, given),
-        "--threads",
-        str(threads),
-    ]
-    return ["rsmcm", application, *words]
+    lines = []
+    for job in jobs.values():
+        options_of_job = [each for each in fields(APPLICATIONS[application]) if each.name not in OWN]
+        values = {each.name: getattr(job, each.name) for each in options_of_job}
+        given = {each.name: values[each.name] for each in options_of_job if values[each.name] != each.default}
+        how = ["--overwrite"] * job.overwrite + ["--resume"] * job.resume
+        words = [*how, *words_of(application, given), "--threads", str(threads)]
+        lines.append(shlex.join(["rsmcm", application, job.source, "--out", str(job.out), *words]))
+    return lines
 
 
 def _all_told(
-    application: str, films: Sequence[Film], workers: Workers, ending: Ending
-) -> Generator[tuple[Film, Told]]:
-    """What becomes of all films, as they end; whoever takes his process along does not stop the others.
+    application: str, jobs: Mapping[str, Job], workers: Workers, ending: Interruption
+) -> Generator[tuple[str, Told]]:
+    """Each film and what becomes of it, as films end; one that takes its process along stops no other.
 
-    When a process dies, all that wait for it are given back. Those that were begun are run again by
-    themselves, at the end; one that dies again was the one.
+    When a process dies, all films that wait for it are given back. Those that were begun (all, where nothing
+    is known) run again one by one at the end; one that dies again was the cause.
     """
-    waiting, suspects = list(films), list[Film]()
+    waiting, suspects = list(jobs), list[str]()
     while waiting and ending.signal is None:
-        given_back: list[Film] = []
-        for film, told in _told(application, waiting, ending):
+        given_back = []
+        for film, told in _told(application, jobs, waiting, ending):
             if told is None:
                 given_back.append(film)
             else:
                 yield film, told
-        cut_off = [film for film in given_back if was_cut_off(film.job.out)]
-        suspects += cut_off
-        waiting = [film for film in given_back if film not in cut_off]
-        if given_back and not cut_off:  # before they came to their folders: as little is known of any of them
-            suspects, waiting = suspects + waiting, []
+        begun = [film for film in given_back if was_cut_off(jobs[film].out)] or given_back
+        suspects += begun
+        waiting = [film for film in given_back if film not in begun]
     with working(replace(workers, jobs=1)):
         for suspect in suspects:
             if ending.signal is None:
-                for film, told in _told(application, [suspect], ending):
+                for film, told in _told(application, jobs, [suspect], ending):
                     yield film, told or Told("failed", "its process was ended by the system, twice")
 
 
-def _told(application: str, films: Sequence[Film], ending: Ending) -> Iterator[tuple[Film, Told | None]]:
+def _told(
+    application: str, jobs: Mapping[str, Job], films: Sequence[str], ending: Interruption
+) -> Iterator[tuple[str, Told | None]]:
     """Each film with what is told of it; `None` where a process has died that might have had it."""
-    work = [(run_film, (application, film.job)) for film in films]
-    results = as_they_end(application, work, "films", lambda: ending.signal is not None)
-    for number, future in results:
-        if not (ending.signal is not None and isinstance(future.exception(), BrokenProcessPool)):
-            yield films[number], _result(future)
+    work = [(run_film, (application, jobs[film])) for film in films]
+    for number, future in as_they_end(application, work, "films", lambda: ending.signal is not None):
+        told: Told | None = None
+        try:
+            told = future.result()
+        except BrokenProcessPool:
+            if ending.signal is not None:
+                continue
+        except Exception as error:
+            told = Told("failed", f"{type(error).__name__}: {one_line(error)}")
+        yield films[number], told
 
 
-def _result(future: Future[Told]) -> Told | None:
+def run_film(application: str, job: Job) -> Told:
+    """Run a job, or go on with it, unless it is complete; whatever goes wrong is told.
+
+    What is in the job's folder decides what there is to do. So it may be called again, by another process on
+    another machine, wherever an earlier call has ended.
+    """
+    if is_ending():
+        return Told("waiting")
     try:
-        return future.result()
-    except BrokenProcessPool:
-        return None
+        return _run(application, job)
+    except KeyboardInterrupt:
+        end_working()
+        return Told("interrupted")
     except Exception as error:
-        return Told("failed", f"{type(error).__name__}: {one_line(error)}")
+        _log.info("%s", job.source, exc_info=error)
+        line = one_line(error) + opencv_hint(error)
+        if line.startswith("--resume: "):  # of results in the film's folder
+            line = f"{line.removeprefix('--resume: ')}: --overwrite begins anew"
+        expected = isinstance(error, ValueError | OSError)
+        return Told("failed", line if expected else f"{type(error).__name__}: {line}")
 
 
-def in_words(ended: Ended, out: Path) -> list[str]:
-    """How a batch ended, in a line, and where the results are."""
-    states = [line.told.state for line in ended.lines]
-    counts = {state: states.count(state) for state in dict.fromkeys(["complete", *states])}
-    listed = ", ".join(f"{count} {state}" for state, count in counts.items())
-    return [f"{len(states)} films: {listed}", f"results: {out / INDEX}"]
+def _run(application: str, job: Any) -> Told:
+    complete = None if job.overwrite else summary_if_complete(application, job)
+    if complete is not None:
+        outcome = Outcome(complete, None)
+    else:
+        run = getattr(import_module(f"..{application}.application", __package__), f"run_{application}")
+        began = time.monotonic()
+        while True:
+            try:
+                outcome = run(job)
+                break
+            except BlockingIOError:
+                if time.monotonic() - began > LOCKED:
+                    raise
+                time.sleep(0.2)
+    state: State = "complete"
+    error = ""
+    if outcome.signal is not None:
+        end_working()
+        state = "interrupted"
+    elif outcome.lost is not None:
+        state, error = "lost", f"lost for good: {outcome.lost}"
+    elif outcome.nothing is not None:
+        state, error = "failed", outcome.nothing
+    summary = outcome.summary
+    return Told(
+        state,
+        error,
+        summary.get("frames"),
+        len(summary["missing"]) if "missing" in summary else None,
+        summary.get("tracks"),
+        summary.get("seconds"),
+        summary.get("frames_per_second"),
+        thumbnail(job.out / FILM),
+    )
 
 
-def report_failures(ended: Ended) -> None:
-    """A line on standard error for each film that went wrong."""
-    for line in ended.failed:
-        error = line.told.error
-        named = error if error.startswith(line.source) else f"{line.source}: {error}"
-        print(f"rsmcm: {named}", file=sys.stderr)
+def summary_if_complete(application: str, job: Job) -> dict[str, Any] | None:
+    """Return the summary of the run that is complete in the job's folder; `None` if there is none.
+
+    Nothing is written, and no picture decoded.
+
+    Raises
+    ------
+    ValueError
+        if it is of another application, source, or other options.
+    """
+    path = job.out / STATE
+    if not path.exists() or Path(job.source).suffix.lower() in TRACKS:  # which are read at once
+        return None
+    about = about_of(checkpoint.read(path), application, job.settings())
+    summary: dict[str, Any] | None = about["finished"]
+    if summary is not None and "://" not in job.source and not about.get("live", False):
+        check_source(about, fingerprint(job.source))
+    return summary
+
+
+def thumbnail(video: Path) -> str:
+    """A picture from the middle of a video as JPEG in base 64; empty where there is none."""
+    if not video.exists():
+        return ""
+    try:
+        with av.open(str(video)) as container:
+            if container.duration is not None:
+                container.seek(container.duration // 2)
+            picture = next(container.decode(video=0)).to_ndarray(format="bgr24")
+    except (av.FFmpegError, OSError, ValueError, StopIteration):
+        return ""
+    height, width = picture.shape[:2]
+    scale = min(THUMBNAIL[0] / width, THUMBNAIL[1] / height, 1.0)
+    size = (max(1, round(scale * width)), max(1, round(scale * height)))
+    small = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+    _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])
+    return base64.b64encode(data.tobytes()).decode("ascii")

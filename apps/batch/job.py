@@ -16,7 +16,6 @@ from ..face.job import FaceJob
 from ..options.complaints import convert_strictly, one_line
 from ..options.job import Flag, Job
 from ..options.settings import ALWAYS_TYPED, options_from_file
-from ..runs.interruption import SIGNALLED
 from ..structure.job import StructureJob
 
 APPLICATIONS: Mapping[str, type[Job]] = {
@@ -142,8 +141,6 @@ def job_of(application: str, words: Sequence[str]) -> Job:
     return job
 
 
-FAILED = 1
-
 HELP = """Run rsmcm {} over many films or cameras.
 
 Each has a folder of results, as of a run of its own; summary.csv and index.html are over all of them. Run
@@ -166,15 +163,12 @@ def _over_many(application: str) -> Callable[..., int]:
     given = Parameter(name="*")
 
     def over_many(*sources: str, batch: Annotated[Batch, given], options: Any = kind()) -> int:  # noqa: B008
-        from .application import commands, in_words, report_failures, run_batch
+        from .application import commands, run_batch
 
         if batch.only_print:
             print(*commands(application, sources, batch, options), sep="\n")
             return 0
-        ended = run_batch(application, sources, batch, options)
-        report_failures(ended)
-        print(*in_words(ended, batch.out), sep="\n")
-        return SIGNALLED + ended.signal if ended.signal is not None else FAILED * bool(ended.failed)
+        return run_batch(application, sources, batch, options).report(batch.out)
 
     over_many.__doc__ = HELP.format(application)
     over_many.__annotations__["options"] = Annotated[kind, given]

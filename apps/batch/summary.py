@@ -7,36 +7,37 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 from urllib.parse import quote
 
 from markupsafe import Markup
 
 from ...models.files import read_text, write_text
 from ..view.page import Page, Part, paragraph, templates_in, write_page
-from .film import State, Told
 from .job import INDEX, SUMMARY
 from .sources import plain_name
 
-OF_TOLD = ("state", "frames", "missing", "tracks", "seconds", "frames_per_second", "error")
-COLUMNS = ("source", "folder", *OF_TOLD)
+State = Literal["waiting", "complete", "interrupted", "lost", "failed"]
+"""Of a film: not begun; all there; ended by Ctrl-C; lost for good, of a camera; ended by an error."""
 
-MOST_BYTES = 1 << 28
-"""Of a summary that is read: a million films."""
 
-MOST_PICTURES = 2000
-"""On the page, which holds them itself: about 8 MB."""
+@dataclass(frozen=True)
+class Told:
+    """What became of a film: its state, what went wrong, figures of its summary, a small JPEG in base 64."""
 
-PAUSE, SHARE = 1.0, 20
-"""Seconds between two times that the files are written, and how often the time that this took: a batch of
-many thousand films does not spend itself on them."""
-
-_page = templates_in(Path(__file__).parent / "templates").get_template("films.html")
+    state: State
+    error: str = ""
+    frames: int | None = None
+    missing: int | None = None
+    tracks: int | None = None
+    seconds: float | None = None
+    frames_per_second: float | None = None
+    thumbnail: str = ""
 
 
 @dataclass(frozen=True)
 class Line:
-    """A film's line.
+    """A film's line in the summary.
 
     Parameters
     ----------
@@ -51,6 +52,23 @@ class Line:
     source: str
     folder: str
     told: Told
+
+
+OF_TOLD = ("state", "frames", "missing", "tracks", "seconds", "frames_per_second", "error")
+COLUMNS = ("source", "folder", *OF_TOLD)
+NUMBERS = {"frames": int, "missing": int, "tracks": int, "seconds": float, "frames_per_second": float}
+
+MOST_BYTES = 1 << 28
+"""Of a summary that is read: a million films."""
+
+MOST_PICTURES = 2000
+"""On the page, which holds them itself: about 8 MB."""
+
+PAUSE, SHARE = 1.0, 20
+"""Seconds between two times that the files are written, and how often the time that this took: a batch of
+many thousand films does not spend itself on them."""
+
+_page = templates_in(Path(__file__).parent / "templates").get_template("films.html")
 
 
 class Summary:
@@ -78,11 +96,6 @@ class Summary:
         self._out = out
         self.lines = {line.source: line for line in _read(out / SUMMARY)}
         self._next = 0.0
-
-    @property
-    def folders(self) -> dict[str, str]:
-        """Names of folders by source."""
-        return {source: line.folder for source, line in self.lines.items()}
 
     def tell(self, line: Line) -> None:
         """Take in a line, and write both files, if they were not written just now."""
@@ -131,29 +144,25 @@ def _read(path: Path) -> list[Line]:
 
 
 def _line(row: Mapping[str, Any]) -> Line:
-    def number(name: str, kind: Any) -> Any:
-        try:
-            return kind(row[name])
-        except (TypeError, ValueError):
-            return None
-
-    source, folder = row["source"] or "", row["folder"] or ""
-    state: Any = row["state"] or ""
-    if (
-        not source or folder != plain_name(folder) or state not in get_args(State)
-    ):  # where results are written
-        got = ",".join((source, folder, state))[:60]
+    values: dict[str, Any] = {name: row[name] or "" for name in COLUMNS}
+    source, folder, state = values["source"], values["folder"], values["state"]
+    # where results are written
+    if not source or folder != plain_name(folder) or state not in get_args(State):
+        got = f"{source},{folder},{state}"[:60]
         raise ValueError(f"got {got!r}, expected a source, the name of its folder, and a state")
-    whole = {name: number(name, int) for name in ("frames", "missing", "tracks")}
-    parts = {name: number(name, float) for name in ("seconds", "frames_per_second")}
-    return Line(source, folder, Told(state, row["error"] or "", **whole, **parts))
+    for name, kind in NUMBERS.items():
+        try:
+            values[name] = kind(values[name])
+        except ValueError:
+            values[name] = None
+    return Line(source, folder, Told(**{name: values[name] for name in OF_TOLD}))
 
 
 def write_index(out: Path, lines: Sequence[Line]) -> None:
     """Write the page over all films: how many are in which state, and each with its picture and its links."""
-    states = Counter(line.told.state for line in lines)
+    states = Counter[str](line.told.state for line in lines)
+    counted = {state: str(count) for state, count in sorted(states.items())}
     frames = sum(line.told.frames or 0 for line in lines)
-    counted = {str(state): str(count) for state, count in sorted(states.items())}
     parts: list[Part] = []
     if len(lines) > MOST_PICTURES:
         parts.append(paragraph(f"Pictures are shown of the first {MOST_PICTURES} films."))
@@ -164,18 +173,14 @@ def write_index(out: Path, lines: Sequence[Line]) -> None:
 
 
 def _entry(out: Path, line: Line, pictured: bool) -> dict[str, Any]:
-    told, folder = line.told, out / line.folder
+    told = line.told
     numbers = [
         f"{told.frames} frames" if told.frames is not None else "",
         f"{told.missing} missing" if told.missing else "",
         f"{told.tracks} tracks" if told.tracks is not None else "",
         f"{told.frames_per_second:.3g} a second" if told.frames_per_second is not None else "",
     ]
-    files = {
-        "film": "view.html",
-        "video": "overlay.mp4",
-        "tracks": "tracks.csv",
-    }
+    files = {"film": "view.html", "video": "overlay.mp4", "tracks": "tracks.csv"}
     return {
         "name": line.folder,
         "source": line.source,
@@ -184,6 +189,8 @@ def _entry(out: Path, line: Line, pictured: bool) -> dict[str, Any]:
         "numbers": ", ".join(filter(None, numbers)),
         "picture": told.thumbnail if pictured else "",
         "links": {
-            name: quote(f"{line.folder}/{file}") for name, file in files.items() if (folder / file).exists()
+            name: quote(f"{line.folder}/{file}")
+            for name, file in files.items()
+            if (out / line.folder / file).exists()
         },
     }

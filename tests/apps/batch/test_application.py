@@ -12,9 +12,9 @@ import pytest
 from filelock import FileLock
 from rsmcm.apps.batch import application
 from rsmcm.apps.batch.application import run_batch, workers_for
-from rsmcm.apps.batch.film import Told
 from rsmcm.apps.batch.job import Batch, options_of
 from rsmcm.apps.batch.sources import Found
+from rsmcm.apps.batch.summary import Told
 from rsmcm.apps.command_line import main
 from rsmcm.models.numerics.threads import set_threads, thread_count
 

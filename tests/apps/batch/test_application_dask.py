@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from rsmcm.apps.batch import application
 from rsmcm.apps.batch.application import run_batch
-from rsmcm.apps.batch.film import Told
 from rsmcm.apps.batch.job import Batch, options_of
+from rsmcm.apps.batch.summary import Told
 from rsmcm.apps.command_line import main
 
 from ...support.cluster import cluster

@@ -8,7 +8,7 @@ import av
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.batch.film import thumbnail
+from rsmcm.apps.batch.application import thumbnail
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.apps.batch.film import Told
-from rsmcm.apps.batch.summary import Line, Summary
+from rsmcm.apps.batch.summary import Line, Summary, Told
 
 texts = st.text(st.characters(codec="utf-8", exclude_characters="\0\r\n"), max_size=20)
 tolds = st.builds(
