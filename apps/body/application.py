@@ -1,22 +1,24 @@
 """The body application: from a film of a person to the pose of the upper body in every frame."""
 
 import logging
-from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...chains.body.articulated_pose import ArticulatedPose
 from ...chains.body.dynamics import BodyDynamics
-from ...chains.body.fixed_lag import BLOCK, FixedLag, TimedSamples, WaitingFrame
+from ...chains.body.fixed_lag import BLOCK, FixedLag, WaitingFrame
 from ...chains.body.flesh_tracker import FleshTracker
+from ...chains.body.hypotheses import hypotheses
+from ...chains.body.relabelling import relabelled
 from ...chains.body.samples import moments
+from ...chains.body.smoother import SmoothedBelief, Smoother
 from ...chains.body.start import (
     BodyStart,
     ClickedJoints,
@@ -29,8 +31,7 @@ from ...chains.body.start import (
     with_lengths,
 )
 from ...inference import Belief, MultiChain, RecursiveBP
-from ...inference.engine.recursive_bp import RunState
-from ...models.body.parts import CALIBRATION_FRAMES, BodyParts
+from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.body.upper_body import JOINTS, PARTS, UpperBody
 from ...models.core.frame import BoundingBox, Frame
 from ..drawing.overlay import Draw
@@ -46,8 +47,7 @@ from ..view.page import Page
 from .job import LAG, BodyJob
 from .joint_files import read_joints
 from .page import body_page, drawing, drawn_of, with_final_names
-from .record import PART_JOINTS, BodyRecord, hypotheses
-from .relabelling import relabelled
+from .record import PART_JOINTS, BodyRecord
 
 _log = logging.getLogger(__name__)
 
@@ -111,82 +111,6 @@ def read_head(text: str) -> BoundingBox:
     if not (np.isfinite([x, y]).all() and 0 < width < np.inf and 0 < height < np.inf):
         raise ValueError(f"--head: got {text!r}, expected a width and height above 0 px")
     return x, y, width, height
-
-
-class SmoothedBelief(Belief):
-    """What is known of a frame when later ones have spoken.
-
-    Attributes
-    ----------
-    samples
-        poses, given later frames as well.
-    """
-
-    samples: TimedSamples
-
-    @classmethod
-    def of(cls, belief: Belief, samples: TimedSamples) -> Self:
-        """Put poses to a belief."""
-        smoothed = cls(belief.frame, belief.state, None)
-        smoothed.samples = samples
-        return smoothed
-
-
-class Smoother:
-    """Filters frame after frame, and answers for each when it has seen some later ones.
-
-    Parameters
-    ----------
-    engine
-        of the filter.
-    state
-        to go on from.
-    smoothing
-        of the filter's poses.
-    pose, parts
-        the chain whose poses these are, and the node by which it hears the image.
-    seed
-        of what smoothing draws.
-    """
-
-    def __init__(
-        self,
-        engine: RecursiveBP,
-        state: RunState,
-        smoothing: FixedLag,
-        pose: ArticulatedPose,
-        parts: BodyParts,
-        seed: int,
-    ) -> None:
-        self.model, self.state, self.smoothing = engine.model, state, smoothing
-        self._engine, self._newest, self._pose, self._parts, self._seed = engine, state, pose, parts, seed
-        self._waiting: deque[Belief] = deque()
-
-    def step(self, frame: Frame) -> list[Belief]:
-        """Take in a frame, and answer for those that have waited long enough."""
-        belief = self._engine.step(self._newest, frame)
-        self._newest = belief.state
-        # without what else is believed of the frame, which is large
-        self._waiting.append(Belief(belief.frame, belief.state, None))
-        self._begin_draws(frame.number)
-        image = belief.evidence(self._parts).image
-        return self._answered(self.smoothing.add(belief.frame, belief[self._pose], image))
-
-    def rest(self) -> list[Belief]:
-        """Of the last frames, fewer later ones are known."""
-        self._begin_draws(0)
-        return self._answered(self.smoothing.rest())
-
-    def _answered(self, poses: Sequence[TimedSamples]) -> list[Belief]:
-        answered: list[Belief] = [SmoothedBelief.of(self._waiting.popleft(), each) for each in poses]
-        if answered:
-            self.state = answered[-1].state
-        return answered
-
-    def _begin_draws(self, number: int) -> None:
-        """Let what is drawn depend on the frame alone: a run that is resumed takes in frames again."""
-        random = np.random.default_rng((self._seed, number))
-        self.smoothing.waiting = replace(self.smoothing.waiting, random=random)
 
 
 class Body(Application[BodyJob]):

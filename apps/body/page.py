@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...chains.body.hypotheses import WORTH_SAYING
 from ...models.body.upper_body import JOINTS, PARTS
 from ..drawing.overlay import TRUNK, BodyOverlay, Draw, TrackedBody, caption, css_colour, skeleton
 from ..view.film import Film, Row
@@ -26,7 +27,7 @@ from ..view.page import (
     spans_of,
     table,
 )
-from .record import PART_JOINTS, WORTH_SAYING, BodyRecord
+from .record import PART_JOINTS, BodyRecord
 
 Image = NDArray[np.uint8]
 

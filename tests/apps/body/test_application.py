@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rsmcm.apps.body import application
 from rsmcm.apps.body import record as body_record
 from rsmcm.apps.body.application import ANGLE_NAMES, N_DRAWN, read_head
-from rsmcm.apps.body.record import HANDS, RARELY_SEEN, BodyRecord, Hypotheses
+from rsmcm.apps.body.record import RARELY_SEEN, BodyRecord
 from rsmcm.apps.io import film as films
 from rsmcm.apps.io.files import PLAYABLE, SegmentedVideo
 from rsmcm.apps.io.sources.open_source import Source, open_source
@@ -21,6 +21,7 @@ from rsmcm.apps.runs import loop
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.chains.body import start as body_start
 from rsmcm.chains.body.hand_labelling import HandLabels
+from rsmcm.chains.body.hypotheses import HANDS, Hypotheses
 from rsmcm.chains.body.start import SavedPerson, start_from_faces, start_from_head
 from rsmcm.models import Frame
 from rsmcm.models.body.parts import HEAD_OF_BOX

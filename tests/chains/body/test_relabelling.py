@@ -5,13 +5,14 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.body.application import N_DRAWN
-from rsmcm.apps.body.relabelling import ELBOWS, HANDS, ROWS, SHOULDERS, relabelled, with_names_exchanged
 from rsmcm.chains.body.dynamics import BodyDynamics
+from rsmcm.chains.body.relabelling import ELBOWS, HANDS, ROWS, SHOULDERS, relabelled, with_names_exchanged
 from rsmcm.chains.body.samples import BodySamples, moments
 from rsmcm.models.body.upper_body import UpperBody
 
 from ...support.body_poses import resting
+
+N_DRAWN = 40
 
 BODY = UpperBody.from_head(60.0)
 TRUNK = [0, 1, *SHOULDERS]

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains.body.samples import weighted_moments
 from ...models.body.upper_body import ANGLES, JOINTS, UpperBody, arm_at, shoulder_rotations, swivels
 from ...models.numerics.rotations import logarithm
+from .samples import weighted_moments
 
 Array = NDArray[np.float64]
 Row = Mapping[str, NDArray[Any]]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.body.record import ENOUGH, MOST, WORTH_SAYING, Hypotheses, hypotheses
+from rsmcm.chains.body.hypotheses import ENOUGH, MOST, WORTH_SAYING, Hypotheses, hypotheses
 from rsmcm.chains.body.samples import BodySamples
 from rsmcm.models.body.upper_body import BodyPoses, UpperBody
 
