@@ -118,24 +118,12 @@ def listed(application: str) -> list[list[Any]]:
 
 
 def compile_loop(name: str, *arguments: Plain) -> None:
-    """Compile a loop of the list, or load what is kept of it.
-
-    Raises
-    ------
-    ImportError, AttributeError
-        if it, or a type of its arguments, is not there any more.
-    """
+    """Compile a loop of the list, or load what is kept of it."""
     _named(name).compile(tuple(map(type_of, arguments)))
 
 
 def plain(kind: Any) -> Plain:
-    """A type of numba's as JSON.
-
-    Raises
-    ------
-    TypeError
-        if it is none of arrays, also of `RECORDS`, numbers, literals and tuples of these.
-    """
+    """A type of numba's as JSON; TypeError if it is none of arrays, numbers, literals and tuples."""
     if isinstance(kind, types.Literal):
         return {"literal": kind.literal_value}
     if isinstance(kind, types.Array) and isinstance(kind.dtype, types.Record):
@@ -180,13 +168,7 @@ def _named(name: str) -> Any:
 
 
 class Compiled(_Listener):
-    """Takes down what is compiled.
-
-    Attributes
-    ----------
-    loops
-        in the order in which they were done, as on the list.
-    """
+    """Takes down what is compiled: `loops` as on the list, in the order in which they were done."""
 
     def __init__(self) -> None:
         self.loops: list[list[Any]] = []

@@ -109,36 +109,17 @@ def build_model(
 
 @dataclass(frozen=True)
 class Found:
-    """What was found in a frame.
-
-    Parameters
-    ----------
-    foreground
-        `(height, width)` uint8, 0 or 255.
-    tracks
-        objects with boxes in px, identities, and what else is known of them.
-    """
+    """What was found in a frame: the foreground `(height, width)` uint8, 0 or 255, and objects."""
 
     foreground: NDArray[np.uint8]
     tracks: list[TrackedObject]
 
 
 def found_in(belief: Belief, size: tuple[int, int], region: NDArray[np.uint8] | None = None) -> Found:
-    """Read mask and tracks from a belief; of a frame without image, they are what the chains predict.
+    """Read mask and tracks from a belief, where the frame shows them, whatever the camera has moved.
 
-    Parameters
-    ----------
-    belief
-        after the frame.
-    size
-        `(width, height)` px.
-    region
-        `(height, width)` uint8: the mask is 0 where this is, and tracks that stand there are left out.
-
-    Returns
-    -------
-    found
-        where the frame shows it, whatever the camera has moved; the region moves along.
+    Of a frame without image, they are what the chains predict. Where the `region` `(height, width)` is 0, the
+    mask is, and tracks that stand there are left out; `size` is `(width, height)` px.
     """
     if not belief.states:  # no image yet
         return Found(np.zeros((size[1], size[0]), np.uint8), [])

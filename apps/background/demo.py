@@ -42,21 +42,8 @@ PX, MIDDLE = 100.0, (320.0, 240.0)
 def run_demo(out: Path) -> Outcome:
     """Track the person who stands still, and compare with and without feedback.
 
-    Parameters
-    ----------
-    out
-        folder; holds the scene (in CDnet's layout), `cylinder.npz`, `face`, `body` and the results
-        afterwards.
-
-    Returns
-    -------
-    Outcome
-        of what ran last.
-
-    Raises
-    ------
-    OSError
-        if the folder cannot be written to.
+    The folder holds the scene (in CDnet's layout), `cylinder.npz`, `face`, `body` and the results afterwards.
+    The outcome is that of what ran last.
     """
     scene = out / "scene"
     write_scene(sleeping_man(N_FRAMES), scene)
@@ -73,13 +60,7 @@ def run_demo(out: Path) -> Outcome:
 
 
 def write_scene(scene: Scene, folder: Path) -> None:
-    """Write a scene in CDnet's layout, `input/` and `groundtruth/`; an earlier one there is replaced.
-
-    Raises
-    ------
-    OSError
-        if the folder cannot be written to.
-    """
+    """Write a scene in CDnet's layout, `input/` and `groundtruth/`; an earlier one there is replaced."""
     for name in ("input", "groundtruth"):
         if (folder / name).exists():
             shutil.rmtree(folder / name)
@@ -94,13 +75,7 @@ def write_scene(scene: Scene, folder: Path) -> None:
 
 
 def write_cylinder(path: Path) -> None:
-    """Write partial tracks of points on a turning cylinder, without a word of which show the same point.
-
-    Raises
-    ------
-    OSError
-        if the file cannot be written.
-    """
+    """Write partial tracks of points on a turning cylinder, not saying which show the same point."""
     with write_atomically(path) as unfinished:
         np.savez(unfinished, tracks=PX * cylinder(p_loose=P_LOOSE, p_drift=0.1, seed=0).tracks() + MIDDLE)
 
@@ -108,12 +83,7 @@ def write_cylinder(path: Path) -> None:
 def write_face(scene: FaceScene, folder: Path) -> None:
     """Write a film of a face as images, and where its landmarks are in every frame (`landmarks.npy`).
 
-    The landmarks are the vertices of the built-in model. An earlier film in the folder is replaced.
-
-    Raises
-    ------
-    OSError
-        if the folder cannot be written to.
+    The landmarks are the vertices of the built-in model.
     """
     _write_film("face", scene.images(), len(scene), folder / "input")
     with write_atomically(folder / "landmarks.npy") as unfinished:
@@ -121,15 +91,7 @@ def write_face(scene: FaceScene, folder: Path) -> None:
 
 
 def write_body(scene: SignerScene, folder: Path) -> None:
-    """Write a film of a signer as images, and the joints in a few frames as if clicked (`joints.csv`).
-
-    An earlier film in the folder is replaced.
-
-    Raises
-    ------
-    OSError
-        if the folder cannot be written to.
-    """
+    """Write a film of a signer as images, and the joints in a few frames as if clicked (`joints.csv`)."""
     _write_film("signer", scene.images(), len(scene), folder / "input")
     clicked = np.unique(np.linspace(0, len(scene) - 1, CLICKED_FRAMES).astype(int))
     lines = [

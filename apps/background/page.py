@@ -43,10 +43,8 @@ class TrackHistory:
 
     Parameters
     ----------
-    first, last
-        numbers of its first and last frame.
-    n_frames
-        in which it is reported.
+    first, last, n_frames
+        numbers of its first and last frame, and in how many it is reported.
     width, height
         of its box, means over these, px.
     path
@@ -62,13 +60,7 @@ class TrackHistory:
 
 
 class RunRecord:
-    """Numbers of all frames `(n_frames,)`, and the tracks by identity.
-
-    Parameters
-    ----------
-    log
-        the rows of the run.
-    """
+    """Numbers of all frames `(n_frames,)` of a run's log, and the tracks by identity."""
 
     def __init__(self, log: RowLog) -> None:
         self.numbers: list[int] = log["number"].tolist()
@@ -107,17 +99,7 @@ LEAST_SIDE = 960
 def drawn_of(
     foreground: NDArray[np.uint8], tracks: Sequence[TrackedObject], given: GivenBoxes | None = None
 ) -> Row:
-    """What is drawn on a frame: objects, and the foreground's outlines, in px of the source.
-
-    Parameters
-    ----------
-    foreground
-        `(height, width)` uint8, 0 or 255.
-    tracks
-        objects of the frame.
-    given
-        boxes of a detector.
-    """
+    """What is drawn on a frame, in px of the source: objects, outlines of the foreground, given boxes."""
     outlines = _outlines(foreground)
     covariances = np.array([track.position_covariance for track in tracks], np.float32).reshape(-1, 4)
     boxes = np.zeros((0, 4)) if given is None else given.xyxy
@@ -152,20 +134,8 @@ def background_page(
 ) -> Page:
     """Fill the page of a run.
 
-    Parameters
-    ----------
-    title
-        heading.
-    record
-        numbers of all frames, and the tracks.
-    summary
-        content of `summary.json`.
-    film
-        with columns of `drawn_of`; `None` if no frame could be read.
-    background
-        `(height, width[, 3])` uint8, BGR: the picture of the background at the end.
-    happened
-        what happened to zones and lines, if there were any.
+    The film has columns of `drawn_of`, and is `None` if no frame could be read; `background` is the picture
+    `(height, width[, 3])` uint8, BGR, at the end.
     """
     zones = None if happened is None else happened.zones
     sections: list[Section] = []

@@ -89,10 +89,7 @@ def build_chain(section: str, parameters: Parameters) -> Any:
 def other_chains(parameters: Parameters) -> dict[str, Any]:
     """Make the chains of others, by the names under which they are announced.
 
-    Raises
-    ------
-    ValueError
-        if there is no such chain, it cannot be loaded, or a parameter is out of range.
+    It is a ValueError if there is no such chain, it cannot be loaded, or a parameter is out of range.
     """
     made = {}
     for name, values in parameters.get(OTHERS, {}).items():

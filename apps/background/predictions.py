@@ -33,13 +33,7 @@ MOST_FRAMES = 4000
 
 
 class Predictions:
-    """Gathers, while a run goes on, what its chains predict of what they have in common.
-
-    Parameters
-    ----------
-    model
-        the run's, with chains `background` and `blobs` on `pixels`.
-    """
+    """Gathers, while a run goes on, what its chains `background` and `blobs` predict of what they share."""
 
     def __init__(self, model: MultiChain) -> None:
         self._before = RunState()
@@ -79,11 +73,6 @@ class PixelScores:
     Both chains' messages of the run have heard of the image (the light, the blobs' places), so that they are
     worked out again from the states before: under the light of the frame before, at the predicted places.
     Which pixels are judged is decided by the prediction as well.
-
-    Parameters
-    ----------
-    model
-        the run's, with chains `background` and `blobs` on `pixels`.
     """
 
     def __init__(self, model: MultiChain) -> None:

@@ -29,18 +29,7 @@ def read_whole(
 ) -> tuple[RunState, ObjectsOverTime]:
     """The state before a film's first frame, and who was where in it, given all of it.
 
-    Parameters
-    ----------
-    job
-        what is asked for.
-    source
-        the film, opened; here it is opened again for every pass.
-    model
-        the filter that will write the masks.
-    known
-        puts to frames what is known of them beforehand.
-    interruption
-        asked between frames.
+    The source is opened again for every pass; `known` puts to frames what is known of them beforehand.
 
     Raises
     ------
@@ -79,10 +68,7 @@ def read_whole(
 def warmed_up(seconds: float, frames: Iterator[Frame], model: MultiChain) -> tuple[RunState, Iterator[Frame]]:
     """The state before the first frame, given the first `seconds` of frames, and all frames again.
 
-    Raises
-    ------
-    ValueError
-        if the model's background cannot begin with an empty scene.
+    It is a ValueError if the model's background cannot begin with an empty scene.
     """
     scene, held = SceneFilter(model), []
     for frame in frames:

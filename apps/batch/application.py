@@ -92,18 +92,8 @@ class _Ending(Interruption):
 def run_batch(application: str, sources: Sequence[str], batch: Batch, options: Any) -> Ended:
     """Run an application over many films; each in a folder of its own in that of the batch.
 
-    What is complete is left as it is, what was broken off goes on, what fails stops no other film.
-
-    Parameters
-    ----------
-    application
-        a key of `APPLICATIONS`.
-    sources
-        as of `find_films`.
-    batch
-        where the results go, and who works.
-    options
-        of the application, as of `options_of`.
+    What is complete is left as it is, what was broken off goes on, what fails stops no other film. Options
+    are of `options_of`.
 
     Raises
     ------
@@ -144,13 +134,7 @@ def run_batch(application: str, sources: Sequence[str], batch: Batch, options: A
 def planned(
     application: str, sources: Sequence[str], batch: Batch, options: Typed
 ) -> tuple[list[Found], dict[str, Job]]:
-    """Return the films that are meant, and the job of each by its source as it is shown.
-
-    Raises
-    ------
-    ValueError, OSError
-        as of `run_batch`.
-    """
+    """Return the films that are meant, and the job of each by its source as it is shown."""
     found = find_films(sources, tracks=application == "structure")
     earlier = Summary(batch.out).lines.items() if (batch.out / SUMMARY).exists() else ()
     shown_as = [replace(each, source=shown(each.source)) for each in found]
@@ -198,10 +182,7 @@ def shown(source: str) -> str:
 def workers_for(found: Sequence[Found], batch: Batch) -> Workers:
     """Who works: all live cameras at once, and no more threads together than there are cores.
 
-    Raises
-    ------
-    ValueError
-        if there would be fewer processes than live cameras.
+    It is a ValueError if there would be fewer processes than live cameras.
     """
     workers = chosen_workers(batch.jobs, batch.dask)
     live = sum(each.live for each in found)
@@ -332,12 +313,8 @@ def _run(application: str, job: Any) -> Told:
 def summary_if_complete(application: str, job: Job) -> dict[str, Any] | None:
     """Return the summary of the run that is complete in the job's folder; `None` if there is none.
 
-    Nothing is written, and no picture decoded.
-
-    Raises
-    ------
-    ValueError
-        if it is of another application, source, or other options.
+    Nothing is written, and no picture decoded. It is a ValueError if it is of another application, source, or
+    other options.
     """
     path = job.out / STATE
     if not path.exists() or Path(job.source).suffix.lower() in TRACKS:  # which are read at once

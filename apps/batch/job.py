@@ -118,13 +118,7 @@ def _option(name: str, hint: Any) -> str:
 
 
 def job_of(application: str, words: Sequence[str]) -> Job:
-    """The job that a command line asks for, without the name of the application.
-
-    Raises
-    ------
-    ValueError, OSError
-        in one line, if it is wrong.
-    """
+    """The job that a command line asks for, without the name of the application; ValueError in one line."""
     kind: Any = APPLICATIONS[application]
 
     def asked(job: Any) -> None:

@@ -69,16 +69,11 @@ class Found:
 
 
 def find_films(sources: Iterable[str], *, tracks: bool = False) -> list[Found]:
-    """All films that some sources name, each once, in their order.
+    """All films that some sources name, each once, in their order; track files are films if `tracks` says so.
 
-    Parameters
-    ----------
-    sources
-        video files, folders of images or of films, globs of them in quotation marks, addresses, numbers of
-        cameras, and TOML files that list cameras: `[[camera]]` with `source`, perhaps `name`, and any option
-        of the application; options at the top are for all of them.
-    tracks
-        whether track files are films.
+    Sources are video files, folders of images or of films, globs of them in quotation marks, addresses,
+    numbers of cameras, and TOML files that list cameras: `[[camera]]` with `source`, perhaps `name`, and any
+    option of the application; options at the top are for all of them.
 
     Raises
     ------
@@ -208,20 +203,10 @@ LONGEST = 80
 def folder_names(films: Sequence[Found], known: Mapping[str, str], taken: Iterable[str] = ()) -> list[str]:
     """Names of the folders of films, no two the same, also where a file system does not tell a from A.
 
-    Parameters
-    ----------
-    films
-        to be named, by the name in a list, or the last part of the source (`street` of `films/street.mp4`);
-        where several have that, by as many parts as tell them apart, else by a number.
-    known
-        names that earlier batches have given, by source.
-    taken
-        names that nobody may have.
-
-    Raises
-    ------
-    ValueError
-        if a list gives one name to two cameras.
+    A film is named by the name in a list, or the last part of the source (`street` of `films/street.mp4`);
+    where several have that, by as many parts as tell them apart, else by a number. Names that are `known` of
+    earlier batches stay, those that are `taken` nobody gets. A list that gives one name to two cameras is a
+    ValueError.
     """
     given = Counter(plain_name(film.name).casefold() for film in films if film.name is not None)
     for film in films:

@@ -37,17 +37,7 @@ class Told:
 
 @dataclass(frozen=True)
 class Line:
-    """A film's line in the summary.
-
-    Parameters
-    ----------
-    source
-        without user and password of an address.
-    folder
-        of its results, in that of the batch.
-    told
-        what became of it.
-    """
+    """A film's line: its source without password, its folder in that of the batch, what became of it."""
 
     source: str
     folder: str
@@ -72,17 +62,7 @@ _page = templates_in(Path(__file__).parent / "templates").get_template("films.ht
 
 
 class Summary:
-    """The lines of all films whose results are in a folder, those of earlier batches included.
-
-    Parameters
-    ----------
-    out
-        the folder.
-
-    Attributes
-    ----------
-    lines
-        by source.
+    """The lines of all films whose results are in a folder, by source, those of earlier batches included.
 
     Raises
     ------

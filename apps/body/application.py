@@ -97,13 +97,7 @@ def run_body(job: BodyJob) -> Outcome:
 
 
 def read_head(text: str) -> BoundingBox:
-    """Read `x,y,width,height` px of a head.
-
-    Raises
-    ------
-    ValueError
-        if it is no such text, or the box is empty.
-    """
+    """Read `x,y,width,height` px of a head; ValueError if it is no such text, or the box is empty."""
     try:
         x, y, width, height = (float(number) for number in text.split(","))
     except ValueError:

@@ -33,12 +33,10 @@ APART = 0.5
 
 @dataclass(frozen=True)
 class MisTrack:
-    """A hand that was not followed for a while.
+    """A hand (0 left, 1 right) that was not followed for a while.
 
     Parameters
     ----------
-    hand
-        0 left, 1 right.
     start
         first frame with the error above half a head's height, index from 0.
     seen
@@ -69,11 +67,9 @@ class BodyTrial:
 
     Parameters
     ----------
-    errors
-        `(n_frames, 4)` px: distance in the picture of the posterior mean of the joints `MEASURED` from the
-        truth; NaN of joints that the tracker knows nothing of.
-    errors_3d
-        `(n_frames, 4)` px: the same in space.
+    errors, errors_3d
+        `(n_frames, 4)` px: distance in the picture, and in space, of the posterior mean of the joints
+        `MEASURED` from the truth; NaN of joints that the tracker knows nothing of.
     nees
         `(n_frames, 2)`: squared Mahalanobis distance of left and right hand in the picture, with the
         posterior's mean and covariance.
@@ -177,12 +173,8 @@ def exchanged_hands(hands: Numbers, truth: Numbers, apart: float) -> Numbers:
 def longest_exchange(numbers: NDArray[np.int64], exchanged: Numbers) -> int:
     """Frames from the first to the last of the longest stretch with exchanged hands.
 
-    Parameters
-    ----------
-    numbers
-        `(n,)` of the frames, in order, with gaps perhaps.
-    exchanged
-        `(n,)` as of `exchanged_hands`; frames in which nobody can say do not end a stretch.
+    `numbers (n,)` are those of the frames, in order; where `exchanged (n,)`, as of `exchanged_hands`, is NaN,
+    nobody can say, and a stretch does not end.
     """
     told = np.isfinite(exchanged)
     longest, first = 0, None

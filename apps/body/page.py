@@ -116,20 +116,9 @@ def _tracked(row: Row) -> TrackedBody:
 def body_page(
     title: str, record: BodyRecord, summary: Mapping[str, Any], film: Film | None, arm: float
 ) -> Page:
-    """Fill the page of a run.
+    """Fill the page of a run of one frame at least.
 
-    Parameters
-    ----------
-    title
-        heading.
-    record
-        numbers of all frames, one at least.
-    summary
-        content of `summary.json`.
-    film
-        with columns of `drawn_of`.
-    arm
-        length of a stretched one, px.
+    The film has columns of `drawn_of`; `arm` is the length of a stretched one, px.
     """
     layers, timeline = ({}, []) if film is None else over_the_film(film, arm)
     return Page(

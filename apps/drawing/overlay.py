@@ -109,14 +109,7 @@ ZONES: Colour = (0, 200, 255)  # amber: no identity is that bright
 def draw_zones(canvas: Canvas, zones: Zones, scale: float = 1.0) -> None:
     """Draw borders, lines with an arrow from left to right, and all names.
 
-    Parameters
-    ----------
-    canvas
-        is drawn into.
-    zones
-        px of the film.
-    scale
-        px of the picture per px of the film.
+    Zones are in px of the film; `scale` is px of the canvas per px of the film.
     """
     thick = max(1, round(1.5 * canvas.shape[0] / 480))
     for zone in zones.zones:
@@ -166,11 +159,6 @@ class TracksOverlay:
     """Draws the foreground, boxes with identities, their trails, a detector's boxes, and zones.
 
     Frames are drawn in their order: trails are those of the two seconds before.
-
-    Parameters
-    ----------
-    zones
-        if any are looked after.
     """
 
     def __init__(self, zones: Zones | None = None) -> None:
@@ -273,12 +261,7 @@ FACES_OF_DOTS = 110.0
 def draw_face(image: Image, row: Row, number: int, time: float, *, missing: bool) -> Image:
     """Draw points of a face (yellow), landmarks that are carried on it (light blue), and whether it is lost.
 
-    Parameters
-    ----------
-    row
-        as of `apps.face.page.FaceDrawing`.
-    image, number, time, missing
-        see `Draw`.
+    The row is as of `apps.face.page.FaceDrawing`, the rest as of `Draw`.
     """
     scale = enlargement(image, LEAST_FACE_HEIGHT)
     canvas = cv2.resize(canvas_of(image), None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
@@ -354,10 +337,8 @@ class TrackedBody:
     ----------
     samples
         `(n, 8, 3)` px: joints of poses that were drawn from the posterior.
-    joints
-        `(8, 3)` px: their posterior means.
-    covariances
-        `(8, 3, 3)` px^2.
+    joints, covariances
+        `(8, 3)` px and `(8, 3, 3)` px^2: their posterior means and covariances.
     state
         text that is written after the frame's number: what was not seen, for instance.
     second
@@ -377,33 +358,17 @@ class BodyOverlay:
     On the frame, the samples' skeletons thin and translucent, the mean bold, and ellipses that hold head and
     hands with a probability of 90 %; the arms of a second answer dashed and paler. The person's left arm is
     blue, the right one orange. Right of it the same from the side, at the same height and scale: z to the
-    right, so the viewer stands on the left.
-
-    Parameters
-    ----------
-    reach
-        px: length of a stretched arm, by which the side view is as wide as it is.
+    right, so the viewer stands on the left. `reach` is the length of a stretched arm, px, by which the side
+    view is as wide as it is.
     """
 
     def __init__(self, reach: float) -> None:
         self._reach = reach
 
     def draw(self, image: Image, body: TrackedBody, caption: str) -> Image:
-        """Draw a body on a copy of its frame, and from the side.
+        """Draw a body on a copy of its frame `(height, width[, 3])` BGR, and from the side.
 
-        Parameters
-        ----------
-        image
-            `(height, width)` or `(height, width, 3)` BGR.
-        body
-            what is known of it.
-        caption
-            text in the upper left corner, before the body's state.
-
-        Returns
-        -------
-        NDArray[np.uint8]
-            `(height, wider, 3)` BGR, enlarged by a whole number below 360 lines.
+        The caption is written before the body's state. Below 360 lines the picture is enlarged.
         """
         scale = enlargement(image, LEAST_HEIGHT)
         large = cv2.resize(canvas_of(image), None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
@@ -510,28 +475,21 @@ class Draw(Protocol):
     """Draws what was found on frames, which come in their order."""
 
     def __call__(self, image: Image, row: Row, number: int, time: float, *, missing: bool) -> Image:
-        """Draw on a copy of a frame.
+        """Draw on a copy of a frame, perhaps enlarged: `(height, width, 3)` BGR.
 
         Parameters
         ----------
         image
-            `(height, width[, 3])` of the frame, or of the one before where it is missing.
+            `(height, width[, 3])` of the frame, or of the one before where it is `missing`.
         row
             its row of `view.npz`.
         number, time
             from 1, and s.
-        missing
-            whether it has no image.
-
-        Returns
-        -------
-        NDArray[np.uint8]
-            `(height, width, 3)` BGR, perhaps enlarged.
         """
 
 
 class OverlayVideo:
-    """A video of frames with what was found on them, drawn in a thread.
+    """A video of frames with what was found on them, drawn in their order in a thread.
 
     Parameters
     ----------
@@ -540,7 +498,7 @@ class OverlayVideo:
     rate
         pictures per second.
     draw
-        draws a frame; frames come in their order.
+        draws a frame.
     resume_after
         number of the frame after which this run goes on; 0 for a new one.
     show
@@ -579,10 +537,7 @@ class OverlayVideo:
     def add(self, frame: Frame, row: Callable[[], Row]) -> None:
         """Append a frame and what was found on it, made in a thread by `row`; it must not change any more.
 
-        Raises
-        ------
-        OSError
-            if the video cannot be written; it may come with a later frame.
+        An OSError, if the video cannot be written, may come with a later frame.
         """
         self._worker.submit(self._add, frame, row)
 

@@ -33,10 +33,8 @@ class Happened:
 
     Parameters
     ----------
-    zones
-        that were looked after.
-    events
-        of the whole film.
+    zones, events
+        that were looked after, and of the whole film.
     span
         times of the first and the last frame, s.
     """
@@ -162,13 +160,6 @@ def run_events(run: Path, zones: Path) -> list[str]:
     """Write `events.csv` and `events.html` of a finished run of `rsmcm background`, and its summary's counts.
 
     Events are those that the run would have written itself. What an earlier call wrote is replaced.
-
-    Parameters
-    ----------
-    run
-        folder of its results.
-    zones
-        as of `read_zones`.
 
     Returns
     -------

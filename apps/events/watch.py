@@ -258,11 +258,6 @@ class Watch:
     """What happens to zones and lines, frame after frame; memory grows with those who are there at a time.
 
     Events come when they are known: a crossing when it is sure, that somebody is gone after `Zones.patience`.
-
-    Parameters
-    ----------
-    zones
-        to look after.
     """
 
     def __init__(self, zones: Zones) -> None:
@@ -306,19 +301,9 @@ COLUMNS = ("time", "frame", "event", "zone", "id", "x", "y", "duration", "direct
 
 
 class EventLog:
-    """What happens to zones in a run, frame after frame.
+    """What happens to zones in a run, frame after frame: `events` so far.
 
-    Parameters
-    ----------
-    zones
-        to look after.
-    log
-        the rows until now of a run that goes on: what happened there is found again.
-
-    Attributes
-    ----------
-    events
-        so far.
+    Of a run that goes on, what happened in the rows of its log is found again.
     """
 
     def __init__(self, zones: Zones, log: RowLog) -> None:
@@ -341,15 +326,7 @@ class EventLog:
 
 
 class EventWriter(LineWriter):
-    """`events.csv`, with the columns of `COLUMNS`, in the order in which events are known.
-
-    Parameters
-    ----------
-    path
-        of the file.
-    events
-        so far.
-    """
+    """`events.csv`, with the columns of `COLUMNS`, in the order in which events are known."""
 
     def __init__(self, path: Path, events: Sequence[Event] = ()) -> None:
         super().__init__(path, ",".join(COLUMNS))
@@ -413,15 +390,7 @@ def line_of(event: Event) -> str:
 
 
 def read_events(path: str | Path) -> list[Event]:
-    """Read what `EventWriter` wrote.
-
-    Raises
-    ------
-    ValueError
-        naming file and line, if it is no such file.
-    OSError
-        if it cannot be read.
-    """
+    """Read what `EventWriter` wrote; ValueError, naming file and line, if it is no such file."""
     path, found = Path(path), []
     with path.open(encoding="utf-8", newline="") as file:
         rows = csv.reader(file)

@@ -58,17 +58,9 @@ class Zone:
         object.__setattr__(self, "_inner", ~on_edge.any(axis=1))
 
     def distance(self, places: ArrayLike) -> NDArray[np.float64]:
-        """How far places are inside of the border, px; negative outside, infinite where there is no border.
+        """How far places `(..., 2)` px are inside of the border, px; negative outside.
 
-        Parameters
-        ----------
-        places
-            `(..., 2)` px; one out of the picture counts as the nearest one in it.
-
-        Returns
-        -------
-        distances
-            `(...)`.
+        It is infinite where there is no border. A place out of the picture counts as the nearest one in it.
         """
         size = np.array(self.size, np.float64)
         within = np.minimum(np.maximum(places, WITHIN * size), (1 - WITHIN) * size)
@@ -210,10 +202,7 @@ def read_zones(path: str | Path, size: tuple[int, int]) -> Zones:
 
 
 def read_entries(path: Path) -> dict[str, Any]:
-    """What a file of zones holds, as plain values; parameters and errors as of `read_zones`.
-
-    Those of a LabelMe file are as the same in TOML would be.
-    """
+    """What a file of zones holds, as plain values: those of a LabelMe file are as in TOML."""
     try:
         return _read_labelme(path) if path.suffix.lower() == ".json" else read_settings(path)
     except ValueError as error:
@@ -221,13 +210,7 @@ def read_entries(path: Path) -> dict[str, Any]:
 
 
 def zones_of(entries: Mapping[str, Any], size: tuple[int, int], where: str) -> Zones:
-    """Zones and lines from plain values; `where` begins the line of an error.
-
-    Raises
-    ------
-    ValueError
-        if they are none.
-    """
+    """Zones and lines from plain values; `where` begins the line of a ValueError, if they are none."""
     unknown = next((key for key in entries if key not in (*KEYS, *OPTIONS)), None)
     if unknown is not None:
         raise _unknown(where, unknown, (*KEYS, *OPTIONS))

@@ -24,14 +24,8 @@ def to_coco(run: str | Path, out: str | Path) -> str:
     Images have the numbers of frames (from 1) as `id`, and the names of the source's files where it is a
     folder of pictures, else `000001.png` and so on. Annotations have `bbox` (x, y, width, height, px from 0),
     `track_id`, `score` (the tracker's confidence), `area` px, and as `segmentation` what of the foreground
-    lies in the box, in compressed run lengths; without masks in the run it is empty.
-
-    Parameters
-    ----------
-    run
-        folder of the run.
-    out
-        JSON to write, whole or not at all, in memory that does not grow with the run.
+    lies in the box, in compressed run lengths; without masks in the run it is empty. Memory does not grow
+    with the run, and the file is written whole or not at all.
 
     Returns
     -------
@@ -104,7 +98,7 @@ BITS, GOES_ON, NEGATIVE = 5, 0x20, 0x10
 
 
 def object_masks(foreground: NDArray[np.uint8], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """What of the foreground lies in each box.
+    """What of the foreground lies in each box: `(n, height, width)` pixels whose middle is in it.
 
     A run stores one mask for all of its objects: where boxes overlap, a pixel is taken for both.
 
@@ -114,11 +108,6 @@ def object_masks(foreground: NDArray[np.uint8], boxes: NDArray[np.float64]) -> N
         `(height, width)`, 0 or 255.
     boxes
         `(n, 4)` px: x, y, width, height.
-
-    Returns
-    -------
-    NDArray[np.bool_]
-        `(n, height, width)`: pixels whose middle is in the box.
     """
     masks = np.zeros((len(boxes), *foreground.shape), bool)
     for mask, (x, y, width, height) in zip(masks, boxes.tolist(), strict=True):
@@ -134,16 +123,11 @@ def _pixels(start: float, length: float, limit: int) -> slice:
 
 
 def compressed(mask: NDArray[np.bool_]) -> str:
-    """A mask as COCO's compressed run lengths, `counts` of its `segmentation`.
+    """A mask `(height, width)` as COCO's compressed run lengths, `counts` of its `segmentation`.
 
     Runs of pixels that are 0 and 1 by turns, column after column, beginning with 0; from the fourth on, each
     is written as the difference from the one before the last, in characters of 5 bits (`rleToString` of the
     COCO API, by P. Dollár and T.-Y. Lin).
-
-    Parameters
-    ----------
-    mask
-        `(height, width)`.
     """
     pixels = mask.ravel(order="F")
     edges = np.flatnonzero(pixels[1:] != pixels[:-1]) + 1
@@ -175,26 +159,7 @@ def to_cvat(run: str | Path, out: str | Path) -> str:
     A line is frame (from 1), identity, x, y, width, height (px; from 0, as CVAT has them, unlike MOT), 1 (not
     ignored), 1 (the first label), and visibility: 1, or 0 where the object is only predicted, which CVAT
     shows as occluded. `rsmcm background --ground-truth` reads the file back, and what was corrected in CVAT
-    and exported from there.
-
-    Parameters
-    ----------
-    run
-        folder of the run.
-    out
-        zip file to write, whole or not at all.
-
-    Returns
-    -------
-    str
-        what was written, in words.
-
-    Raises
-    ------
-    ValueError
-        if this is no background run, or its files are damaged.
-    OSError
-        if a file cannot be read or written.
+    and exported from there. Result and errors as of `to_coco`.
     """
     finished = FinishedRun.of(run, "background")
     boxes, identities = 0, set()

@@ -23,28 +23,19 @@ def write_colmap(
     colours: NDArray[np.uint8],
     images: Sequence[tuple[int, str]],
 ) -> None:
-    """Write `cameras.txt`, `images.txt` and `points3D.txt`, each whole or not at all.
+    """Write `cameras.txt`, `images.txt` and `points3D.txt` to a folder, each whole or not at all.
 
     Frames that show too little for a camera are left out, as COLMAP leaves out pictures that it cannot
     register.
 
     Parameters
     ----------
-    folder
-        to write to; it is made.
-    found
-        cameras and points.
     places, observed
         `(n_frames, n_points, 2)` px and `(n_frames, n_points)`: where points were seen.
     colours
         `(n_points, 3)` BGR.
     images
         number and name of each frame's picture.
-
-    Raises
-    ------
-    OSError
-        if it cannot be written.
     """
     folder.mkdir(exist_ok=True)
     cameras, (height, width) = found.cameras, found.size

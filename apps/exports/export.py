@@ -20,23 +20,7 @@ EXPORTS: Mapping[Format, tuple[str, Callable[[Path, Path], str]]] = {
 
 
 def run_export(run: Path, to: Format, out: Path, *, overwrite: bool = False) -> str:
-    """Write the results of a run in the format of another tool.
-
-    Parameters
-    ----------
-    run
-        folder of the run.
-    to
-        the format: one of `EXPORTS`.
-    out
-        file to write, whole or not at all.
-    overwrite
-        replace it if it is there.
-
-    Returns
-    -------
-    str
-        what was written, in words.
+    """Write the results of a run in the format of another tool; return in words what was written.
 
     Raises
     ------
@@ -44,7 +28,7 @@ def run_export(run: Path, to: Format, out: Path, *, overwrite: bool = False) -> 
         if the run holds nothing for that format, its files are damaged, `out` has another suffix, or a
         package is missing.
     OSError
-        if a file cannot be read, or `out` is there or cannot be written.
+        if a file cannot be read, or `out` is there without `overwrite` or cannot be written.
     """
     if to not in EXPORTS:
         raise ValueError(f"--to: got {to!r}, expected one of {', '.join(get_args(Format))}")

@@ -25,16 +25,9 @@ SUMMARY = "summary.json"
 
 
 class RunFrame(NamedTuple):
-    """A frame of a background run.
+    """A frame of a background run: its number from 1, and the objects in it, whose covariances are NaN.
 
-    Parameters
-    ----------
-    number
-        from 1.
-    tracks
-        objects in it; their covariances are in no file, and NaN.
-    foreground
-        `(height, width)` uint8, 0 or 255; `None` where the run wrote no mask.
+    `foreground` is `(height, width)` uint8, 0 or 255; `None` where the run wrote no mask.
     """
 
     number: int
@@ -44,17 +37,7 @@ class RunFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A run whose results are in a folder.
-
-    Parameters
-    ----------
-    folder
-        of the results.
-    application
-        that wrote them: "background", "structure", "face" or "body".
-    summary
-        the content of its `summary.json`.
-    """
+    """A run of an application whose results are in a folder, and the content of its `summary.json`."""
 
     folder: Path
     application: str
@@ -141,12 +124,7 @@ class FinishedRun:
         return [path.name for path in images_among(Path(self.source).iterdir())]
 
     def frames(self, masks: bool = True) -> Iterator[RunFrame]:
-        """Read the frames of a background run, one after the other.
-
-        Parameters
-        ----------
-        masks
-            whether masks are wanted.
+        """Read the frames of a background run, one after the other, with masks if these are wanted.
 
         Raises
         ------
@@ -224,8 +202,6 @@ def read_tracks_table(path: str | Path) -> dict[str, NDArray[Any]]:
     ------
     ValueError
         naming file and line, if it is no such table.
-    OSError
-        if the file cannot be read.
     """
     path = Path(path)
     numbers = array("d")

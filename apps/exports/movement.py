@@ -23,13 +23,6 @@ SPACE = ["x", "y"]
 def to_movement(run: str | Path, out: str | Path) -> str:
     """Write what a run has tracked as a netCDF file of `movement`, whole or not at all.
 
-    Parameters
-    ----------
-    run
-        folder of a background, body or face run; see `movement_dataset`.
-    out
-        netCDF file to write.
-
     Returns
     -------
     str

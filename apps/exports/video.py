@@ -20,17 +20,11 @@ from .finished_run import FinishedRun
 
 
 def to_video(run: str | Path, out: str | Path) -> str:
-    """Write the film of a run, what the page of the run plays, with what was found drawn on it.
+    """Write the film of a run, what the page of the run plays, with what was found drawn on it, as MP4.
 
     Its pictures are of the size of the source, but their detail is that of `film.mp4`, whose sides are at
-    most 640 px; `--video` of the run itself draws on the frames as they are.
-
-    Parameters
-    ----------
-    run
-        folder of the run.
-    out
-        MP4 file to write, whole or not at all.
+    most 640 px; `--video` of the run itself draws on the frames as they are. The file is written whole or not
+    at all.
 
     Returns
     -------

@@ -42,13 +42,7 @@ MORPH_INKS = (
 
 
 class FaceDrawing:
-    """What the page shows of a model.
-
-    Parameters
-    ----------
-    model
-        the person's own.
-    """
+    """What the page shows of a person's own model."""
 
     def __init__(self, model: MorphableModel) -> None:
         self._model = model
@@ -82,14 +76,8 @@ class FaceDrawing:
     def layer(self, film: Film, textures: Mapping[str, Image], on_texture: Array) -> dict[str, Any]:
         """What is drawn over a film with what `drawn` gives, and beside it.
 
-        Parameters
-        ----------
-        film
-            with columns of `drawn`.
-        textures
-            pictures of the texture by their captions, and
-        on_texture
-            `(n_vertices, 2)` px: where on them the vertices are.
+        `textures` are pictures by their captions; `on_texture` `(n_vertices, 2)` px says where on them
+        vertices are.
         """
         columns, model = film.columns, self._model
         numbers = columns["numbers"]
@@ -118,22 +106,10 @@ def face_page(
     layer: Mapping[str, Any],
     names: Sequence[str],
 ) -> Page:
-    """Fill the page of a run.
+    """Fill the page of a run of one frame at least.
 
-    Parameters
-    ----------
-    title
-        heading.
-    record
-        numbers of all frames, one at least.
-    summary
-        content of `summary.json`.
-    film
-        with columns of `FaceDrawing.drawn`.
-    layer
-        what is drawn over it, of `FaceDrawing.layer`.
-    names
-        of the morph bases.
+    The film has columns of `FaceDrawing.drawn`, `layer` is what is drawn over it; `names` are those of the
+    morph bases.
     """
     sections: list[Section] = []
     if error := summary["error"]:

@@ -43,18 +43,7 @@ def _places(texels: SurfaceTexels, vertices: Array) -> Array:
 
 
 def texture_picture(model: MorphableModel, morphs: Array, texels: SurfaceTexels, values: Array) -> Array:
-    """A texture on its shape, seen from the front.
-
-    Parameters
-    ----------
-    model
-        of the face.
-    morphs
-        `(n_bases,)` px, of its shape.
-    texels
-        where the texture's elements are.
-    values
-        `(n_texels,)`.
+    """A texture with `values (n_texels,)` on a model's shape of `morphs (n_bases,)` px, seen from the front.
 
     Returns
     -------

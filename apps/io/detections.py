@@ -98,13 +98,7 @@ class Detections:
         return self.at(frame.number)
 
     def of_classes(self, names: Sequence[str]) -> "Detections":
-        """Only the boxes of some classes; the detector ran where it did.
-
-        Raises
-        ------
-        ValueError
-            naming what there is, if there is no class of a name.
-        """
+        """Only the boxes of some classes; ValueError, naming what there is, if there is none of a name."""
         if self.class_index is None:
             raise ValueError(f"--classes: got {','.join(names)!r}, but {self.path} tells no classes")
         known = self.class_names.tolist()
@@ -128,16 +122,7 @@ class Detections:
         return {"boxes": int(np.isin(self.frame, looked).sum()), "frames": len(looked)}
 
     def check(self, film: str, size: tuple[int, int], last: int | None) -> None:
-        """Make sure that the boxes can be of a film.
-
-        Parameters
-        ----------
-        film
-            its name.
-        size
-            `(width, height)` px.
-        last
-            number of its last frame; `None` if that is not known.
+        """Make sure that the boxes can be of a film with this name, `(width, height)` px and last frame.
 
         Raises
         ------
@@ -303,23 +288,10 @@ EXPECTED = "MOT's det.txt, CSV with a header, or COCO's JSON"
 def _table(
     path: Path, found: Iterable[Found], looked: frozenset[int] | None = None, classes: Iterable[str] = ()
 ) -> Detections:
-    """Gather boxes, sorted by frame, in as little memory as they take.
+    """Gather boxes in any order, sorted by frame, in as little memory as they take.
 
-    Parameters
-    ----------
-    path
-        of the file.
-    found
-        in any order.
-    looked
-        the frames on which the detector ran; `None`: as far as the boxes tell (see `frames_looked_at`).
-    classes
-        names that are known without a box.
-
-    Raises
-    ------
-    ValueError
-        naming the place, if a number is out of range, or some boxes have a score or a class and others not.
+    `looked` are the frames on which the detector ran (default: as `frames_looked_at` tells), `classes` names
+    that are known without a box. What is out of range is a ValueError that names the place.
     """
     frame, place, index = array("q"), array("q"), array("i")
     xyxy, confidence = array("d"), array("d")
@@ -359,18 +331,12 @@ def _table(
 
 
 def frames_looked_at(found: NDArray[np.int64]) -> range | frozenset[int]:
-    """The frames on which a detector ran, as far as those tell in which it found something.
+    """The frames on which a detector ran, given numbers `(n,)` of those in which it found something.
 
     A file of boxes does not say where the detector ran and found nothing. It is taken to have run on every
     n-th frame from the first to the last that are listed, n being the least distance of two of them. Where
-    that does not meet all of them, it ran irregularly, and on those that are listed. Before the first and
-    after the last nothing is known. So a frame is taken for empty only between frames in which something was
-    found at the same regular distance.
-
-    Parameters
-    ----------
-    found
-        `(n,)` numbers of frames, any order, repeated.
+    that does not meet all of them, it ran irregularly, and on those that are listed. So a frame is taken for
+    empty only between frames in which something was found at the same regular distance.
     """
     listed = np.unique(found)
     if len(listed) < 2:
@@ -442,16 +408,14 @@ def with_found(
 def given_boxes(
     path: Path | None, classes: Sequence[str], source: Source, start: int, stop: int | None, step: int
 ) -> Detections | None:
-    """Read what a detector has found in a source, if that is given, and make sure that it belongs to it.
+    """Read what a detector has found in an opened source, if that is given, and check that it belongs to it.
 
     Parameters
     ----------
     path, classes
         as of `read_detections`; without a path there is nothing.
-    source
-        opened.
     start, stop, step
-        which of its frames are taken.
+        which of the source's frames are taken.
 
     Raises
     ------
@@ -467,13 +431,7 @@ def given_boxes(
 
 
 def check_not_live(source: Source, option: str) -> None:
-    """Make sure that somebody can have seen the frames of a source before; an `option` says so.
-
-    Raises
-    ------
-    ValueError
-        if it is live.
-    """
+    """Make sure that a source could be looked at before; ValueError, naming the option, if it is live."""
     if source.live:
         raise ValueError(f"{option}: {source.name} is live, so nobody has seen its frames before")
 

@@ -94,17 +94,8 @@ class SegmentedVideo:
 
     Pictures go to a segment, `name.partNNNNNNNNN.suffix`, that is complete at each checkpoint and named by
     its last frame. Closing joins the segments without encoding anew into the whole video. A resumed run drops
-    segments behind its frame. Segments stay until a run is finished, since --resume needs them.
-
-    Parameters
-    ----------
-    path
-        of the whole video.
-    rate
-        pictures per second. Time stamps follow the frames' times in units of 1/rate, so that a picture
-        missing in between does not shift the later ones.
-    resume_after
-        number of the frame after which this run goes on; 0 for a new one.
+    segments behind its frame. Segments stay until a run is finished, since --resume needs them. Time stamps
+    follow the frames' times in units of 1/rate, so that a picture missing in between does not shift others.
     """
 
     def __init__(self, path: Path, rate: float, form: VideoForm, resume_after: int = 0) -> None:
@@ -253,13 +244,7 @@ def drop_segments(path: Path, behind: int = 0) -> None:
 
 
 def join_segments(path: Path, join: Callable[[Sequence[Path], Path], None], *, finished: bool) -> None:
-    """Write the whole file, by what joins its segments, if any; when the run is finished, remove them.
-
-    Raises
-    ------
-    OSError
-        if the file cannot be written; it is then as before.
-    """
+    """Write the whole file, by what joins its segments, if any; when the run is finished, remove them."""
     segments = segments_of(path)
     if segments:
         with write_atomically(path) as unfinished:
@@ -271,12 +256,7 @@ def join_segments(path: Path, join: Callable[[Sequence[Path], Path], None], *, f
 class Worker:
     """A thread that does jobs in order; what goes wrong there is raised at a later call here.
 
-    Parameters
-    ----------
-    name
-        of the thread.
-    waiting
-        jobs that may wait, before `submit` does.
+    At most `waiting` jobs wait before `submit` does.
     """
 
     def __init__(self, name: str, waiting: int = 8) -> None:
@@ -309,14 +289,7 @@ class Worker:
 class LineWriter:
     """A text file of lines that begin with the number of their frame, and survives the end of its process.
 
-    Parameters
-    ----------
-    path
-        of the file; what is there is replaced.
-    header
-        its first line, without the line's end; "" for none.
-    resume_after
-        number of the frame up to which lines that are there are kept; 0 for none.
+    What is there is replaced, but for the header's and the lines' part up to frame `resume_after`.
     """
 
     def __init__(self, path: str | Path, header: str = "", resume_after: int = 0) -> None:

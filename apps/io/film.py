@@ -30,11 +30,6 @@ class Film(LazyFrames):
     ----------
     error
         by which the source breaks in the middle, where the film ends; `None` if it does not.
-
-    Raises
-    ------
-    ValueError, OSError
-        as opening does.
     """
 
     def __init__(
@@ -111,14 +106,7 @@ def is_blank(image: NDArray[np.uint8]) -> bool:
 
 
 class SeenFrames:
-    """The frames of a source until it ends, or breaks, with blank ones as missing.
-
-    Parameters
-    ----------
-    frames
-        of the source.
-    blank_is_missing
-        if not, blank frames come as they are.
+    """The frames of a source until it ends, or breaks, with blank ones as missing if `blank_is_missing`.
 
     Attributes
     ----------

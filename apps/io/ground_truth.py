@@ -114,16 +114,10 @@ class MaskTruth:
         return sorted(self.files)
 
     def labels(self, number: int) -> NDArray[np.uint8]:
-        """Read the labels of frame `number`.
-
-        Returns
-        -------
-        `(height, width)` uint8 of 0, 50, 85, 170, 255; 85 outside the region of interest.
+        """Read the labels of an annotated frame: `(height, width)` uint8, 85 outside the region of interest.
 
         Raises
         ------
-        KeyError
-            if the frame is not annotated.
         ValueError
             if the file is no picture, or the region of interest has another size.
         """
@@ -177,14 +171,9 @@ def read_ground_truth(path: str | Path) -> BoxTruth | MaskTruth:
 
 
 def common_frames(truth: BoxTruth | MaskTruth, processed: range) -> Sequence[int]:
-    """Return the frame numbers, ascending, that are both annotated and processed.
+    """Return the frame numbers that are both annotated and processed; ValueError if there are none.
 
     Nothing grows with the numbers: true boxes and announced frames may be as many as files say.
-
-    Raises
-    ------
-    ValueError
-        if there are none.
     """
     annotated = truth.frames
     common: Sequence[int]

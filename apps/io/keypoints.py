@@ -95,16 +95,7 @@ class Keypoints:
         return {"persons": len(taken), "frames": len(np.unique(taken))}
 
     def check(self, film: str, size: tuple[int, int], last: int | None) -> None:
-        """Make sure that the points can be of a film.
-
-        Parameters
-        ----------
-        film
-            its name.
-        size
-            `(width, height)` px.
-        last
-            number of its last frame; `None` if that is not known.
+        """Make sure that the points can be of a film with this name, `(width, height)` px and last frame.
 
         Raises
         ------
@@ -305,13 +296,7 @@ class _Persons:
         return self._points[number]
 
     def table(self) -> Keypoints:
-        """All of it, sorted by frame; of whom nothing was found that counts, nothing is kept.
-
-        Raises
-        ------
-        ValueError
-            if that is nobody.
-        """
+        """All of it, sorted by frame; of whom nothing was found that counts, nothing is kept."""
         points = np.array(self._points, np.float64).reshape(-1, len(POINTS), 3)
         given = GivenKeypoints.named(points)
         frame = np.array([number for number, _ in self._rows], np.int64)
@@ -351,16 +336,7 @@ def with_keypoints(
 
 
 def given_keypoints(path: Path, source: Source, start: int, stop: int | None, step: int) -> Keypoints:
-    """Read what a detector has found in a source, and make sure that it belongs to it.
-
-    Parameters
-    ----------
-    path
-        as of `read_keypoints`.
-    source
-        opened.
-    start, stop, step
-        which of its frames are taken.
+    """Read what a detector has found in an opened source, and check that it belongs to it.
 
     Raises
     ------

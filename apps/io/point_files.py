@@ -215,14 +215,7 @@ def _wrong(path: Path, key: str, array: NDArray[Any], expected: str) -> ValueErr
 def read_track_file(
     path: Path, selection: Selection, *, half: bool = False
 ) -> tuple[NDArray[np.float64], range]:
-    """Read some frames of a file of tracks.
-
-    Parameters
-    ----------
-    path, half
-        as for `read_points`.
-    selection
-        which of its frames.
+    """Read the selected frames of a file of tracks, `path` and `half` as for `read_points`.
 
     Returns
     -------
@@ -233,8 +226,6 @@ def read_track_file(
     ------
     ValueError
         naming what came and what was expected, if it is no such file, or the selection lies beyond its end.
-    OSError
-        if the file cannot be read.
     """
     tracks = read_points(path, half=half)
     numbers = selection.numbers(len(tracks))

@@ -28,17 +28,7 @@ BLANK = " \t\r\n"
 
 
 class Row(NamedTuple):
-    """A row of a table.
-
-    Parameters
-    ----------
-    path
-        of the file, for messages.
-    unit, place
-        where it stands in the file, for instance "line" 3.
-    values
-        by the names of columns: numbers and texts, or what JSON holds.
-    """
+    """A row of a table: its values by the names of columns, and where it stands in the file, as "line" 3."""
 
     path: str | Path
     unit: str
@@ -50,13 +40,7 @@ class Row(NamedTuple):
         return ValueError(f"{self.path}, {self.unit} {self.place}: got {got}, expected {expected}")
 
     def number(self, name: str) -> float | None:
-        """A number of JSON; `None` if there is none.
-
-        Raises
-        ------
-        ValueError
-            if it is something else.
-        """
+        """A number of JSON; `None` if there is none, and ValueError if it is something else."""
         value = self.values.get(name)
         try:
             return None if value is None else float(value)
@@ -82,13 +66,7 @@ class Column(NamedTuple):
     empty: bool = False
 
     def read(self, name: str, text: str, row: Row) -> float | str:
-        """The value that a text says.
-
-        Raises
-        ------
-        ValueError
-            naming the place, if it is none of this column.
-        """
+        """The value that a text says; ValueError, naming the place, if it is none of this column."""
         if self.kind == "text":
             return text.strip()
         try:
@@ -127,14 +105,12 @@ def digest(path: Path, pattern: str = "*") -> str:
 
 
 def first_line(path: Path, forms: str) -> str:
-    """The first line of a file that is not empty, by which its form is known.
+    """The first line of a file that is not empty, by which its form is known; `forms` are expected.
 
     Raises
     ------
     ValueError
-        naming the file and what is expected, the `forms`, if there is none or it is no text.
-    OSError
-        if the file cannot be read.
+        naming the file, if there is none or it is no text.
     """
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         line = next((line for line in lines_of(file) if line.strip()), "")
@@ -161,17 +137,13 @@ def csv_rows(
         of the file.
     columns
         that are read, by the names of values.
-    needed
-        the header has to name all columns of one of these.
-    expected
-        this in words.
+    needed, expected
+        the header has to name all columns of one of these; this in words.
 
     Raises
     ------
     ValueError
         naming file and line, if it is no such text.
-    OSError
-        if the file cannot be read.
     """
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
         lines = _csv_lines(path, file)
@@ -208,17 +180,14 @@ def _csv_lines(path: Path, file: TextIO) -> Iterator[str]:
 class JsonStream:
     """A JSON text, of which lists and objects are entered and their values taken one by one.
 
+    What is broken or too long is a ValueError that names file and line.
+
     Parameters
     ----------
     path
         of its file.
     expected
         what it should hold, for messages.
-
-    Raises
-    ------
-    OSError
-        if the file cannot be read.
     """
 
     def __init__(self, path: Path, expected: str) -> None:
@@ -248,13 +217,7 @@ class JsonStream:
                 return ""
 
     def items(self) -> Iterator[Any]:
-        """The values of the list that begins here.
-
-        Raises
-        ------
-        ValueError
-            naming file and line, if it is no list, or broken.
-        """
+        """The values of the list that begins here."""
         self._take("[")
         while self.peek() != "]":
             yield self.value()
@@ -262,13 +225,7 @@ class JsonStream:
         self._take("]")
 
     def entries(self) -> Iterator[str]:
-        """The keys of the object that begins here; after each, its value is to be taken.
-
-        Raises
-        ------
-        ValueError
-            naming file and line, if it is no object, or broken.
-        """
+        """The keys of the object that begins here; after each, its value is to be taken."""
         self._take("{")
         while self.peek() != "}":
             key = self.value()
@@ -280,13 +237,7 @@ class JsonStream:
         self._take("}")
 
     def value(self) -> Any:
-        """The value that begins here, whole.
-
-        Raises
-        ------
-        ValueError
-            naming file and line, if it is broken, or too long.
-        """
+        """The value that begins here, whole."""
         self.peek()
         while True:
             try:
@@ -302,13 +253,7 @@ class JsonStream:
                 return value
 
     def skip(self) -> None:
-        """Pass over the value that begins here; of a list, over one value after the other.
-
-        Raises
-        ------
-        ValueError
-            naming file and line, if it is broken.
-        """
+        """Pass over the value that begins here; of a list, over one value after the other."""
         if self.peek() == "[":
             for _ in self.items():
                 pass
@@ -316,13 +261,7 @@ class JsonStream:
             self.value()
 
     def end(self) -> None:
-        """Make sure that nothing follows.
-
-        Raises
-        ------
-        ValueError
-            naming file and line, if something does.
-        """
+        """Make sure that nothing follows."""
         if self.peek():
             raise self._wrong("more behind the end")
 
@@ -353,13 +292,7 @@ class JsonStream:
         return ValueError(f"{self._path}, line {line}: got {got}, expected {self._expected}")
 
     def rows(self, unit: str, needed: Sequence[str]) -> Iterator[Row]:
-        """The objects of the list that begins here, a row each, whose values have the names that are needed.
-
-        Raises
-        ------
-        ValueError
-            naming the place, if a value is no such object; or as of `items`.
-        """
+        """The objects of the list that begins here, a row each; each has the names that are needed."""
         for place, item in enumerate(self.items(), start=1):
             row = Row(self._path, unit, place, item)
             if not isinstance(item, dict):
@@ -387,13 +320,7 @@ class Pictures:
         self._numbers = {name: number for number, name in enumerate(pictures, start=1)}
 
     def frame(self, row: Row, image: object) -> int:
-        """The number of the frame of an image.
-
-        Raises
-        ------
-        ValueError
-            naming the row, if it is no image of the film.
-        """
+        """The number of the frame of an image; ValueError, naming the row, if it is none of the film."""
         number = image_id(row, image)
         if isinstance(number, str):
             name = PurePosixPath(number.replace("\\", "/")).name
@@ -409,13 +336,7 @@ class Pictures:
 
 
 def image_id(row: Row, value: object) -> int | str:
-    """A number or a name of an image.
-
-    Raises
-    ------
-    ValueError
-        naming the row, if it is neither.
-    """
+    """A number or a name of an image; ValueError, naming the row, if it is neither."""
     if isinstance(value, int | str) and not isinstance(value, bool):
         return value
     raise row.wrong(f"image {brief(value)}", "a number or a name")

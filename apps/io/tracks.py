@@ -76,13 +76,7 @@ class TrackedObject(Protocol):
 
 @dataclass(frozen=True)
 class TrackedBox:
-    """A tracked object of which perhaps nothing else is known.
-
-    Parameters
-    ----------
-    identity, box, confidence, velocity, seen, position_covariance
-        as in `TrackedObject`.
-    """
+    """A tracked object of which perhaps nothing else is known; fields as of `TrackedObject`."""
 
     identity: int
     box: BoundingBox
@@ -189,20 +183,10 @@ def read_tracks(path: str | Path) -> NDArray[np.void]:
 
 
 def mot_rows(path: Path) -> Iterator[tuple[Row, list[float]]]:
-    """Read the lines of a file in MOT format, separated by commas or blanks; blank lines are left out.
+    """Lines of a file in MOT format, separated by commas or blanks: where each stands, and its numbers.
 
-    Yields
-    ------
-    tuple
-        where it stands, and its numbers: frame, identity, x, y, width and height as they are there (px from
-        1), and whatever follows.
-
-    Raises
-    ------
-    ValueError
-        naming file and line, if a line is no such box.
-    OSError
-        if the file cannot be read.
+    These are frame, identity, x, y, width and height as they are there (px from 1), and whatever follows.
+    Blank lines are left out; a line that is no such box is a ValueError that names it.
     """
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         yield from mot_rows_of(file, str(path))
@@ -229,19 +213,12 @@ def mot_rows_of(file: TextIO, name: str) -> Iterator[tuple[Row, list[float]]]:
 
 
 def check_box(row: Row, name: str, frame: float, identity: float, box: Sequence[float]) -> None:
-    """Make sure that numbers of a row are those of a box.
-
-    Parameters
-    ----------
-    row, name
-        where they stand, and what the identity is called there.
-    frame, identity, box
-        numbers; x, y, width, height, px.
+    """Make sure that numbers of a row are a frame, an identity and a box (x, y, width, height, px).
 
     Raises
     ------
     ValueError
-        naming the place, if they are none.
+        naming the place, and the identity by its `name` there, if they are none.
     """
     left, top, width, height = box
     if not is_frame(frame) or identity % 1 or abs(identity) > LAST_IDENTITY:

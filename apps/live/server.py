@@ -46,15 +46,10 @@ class Picture(NamedTuple):
 
 
 class Running:
-    """A run as it is just now.
+    """A run as it is just now, whose results go to the folder `out`.
 
     The run calls `begin`, `show`, `take_in`, `finish` and `end`, none of which waits for anybody; other
     threads call the rest.
-
-    Parameters
-    ----------
-    out
-        folder of the results.
     """
 
     def __init__(self, out: Path) -> None:
@@ -201,12 +196,7 @@ HEADERS = {
 def live_page(address: Address, running: Running) -> Iterator[str]:
     """Serve a run's page for as long as the block lasts; its address, and who can look if it is anybody.
 
-    Those who look are told how the run has ended.
-
-    Raises
-    ------
-    OSError
-        in one line, if nothing can be served there.
+    Those who look are told how the run has ended. It is an OSError if nothing can be served there.
     """
     server = _Server(address, running)
     thread = threading.Thread(target=server.serve_forever, args=(0.1,), name="live", daemon=True)

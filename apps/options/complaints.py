@@ -31,12 +31,7 @@ EXPECTED = {int: "a whole number", float: "a number", bool: "true or false", str
 def convert_strictly(kind: Any, tokens: Sequence[Token]) -> Any:
     """Convert what was typed as cyclopts does, but nothing empty, and only digits to a whole number.
 
-    Otherwise an empty path would be the current folder, and 1.5 be rounded.
-
-    Raises
-    ------
-    ValueError
-        if it is not what is expected.
+    Otherwise an empty path would be the current folder, and 1.5 be rounded. What is wrong is a ValueError.
     """
     words = [word for each in _kinds(kind) if get_origin(each) is Literal for word in get_args(each)]
     for typed in (token.value for token in tokens if token.implicit_value is UNSET):

@@ -153,12 +153,9 @@ class Address(NamedTuple):
 
 
 def read_address(typed: str) -> Address:
-    """Read `PORT`, of the loopback interface, or `HOST:PORT`; an address of IPv6 is in brackets.
+    """Read `PORT`, of the loopback interface, or `HOST:PORT`, with an address of IPv6 in brackets.
 
-    Raises
-    ------
-    ValueError
-        if it is neither.
+    It is a ValueError if it is neither.
     """
     parts = re.fullmatch(r"(?:(\[[0-9a-fA-F:.]+\]|[\w.-]+):)?([0-9]{1,5})", typed, re.ASCII)
     if parts is None or int(parts[2]) > MOST:

@@ -33,16 +33,8 @@ EXPECTED = "opencv-python-headless"
 def opencv_hint(error: BaseException) -> str:
     """What is added to the message of an error that other packages of OpenCV may have led to.
 
-    Parameters
-    ----------
-    error
-        whatever was raised.
-
-    Returns
-    -------
-    str
-        names the packages; empty if the error does not come from OpenCV, or there is only the one that is
-        expected.
+    It names the packages; it is empty if the error does not come from OpenCV, or there is only the one that
+    is expected.
     """
     found = sorted(set(packages_distributions().get("cv2", []))) if _of_opencv(error) else []
     if not set(found) - {EXPECTED}:
@@ -110,13 +102,7 @@ def own_standard_error() -> Iterator[None]:
 
 
 def needed(package: str) -> Any:
-    """Import a package that the extra of its name brings.
-
-    Raises
-    ------
-    ImportError
-        that says what to install.
-    """
+    """Import a package that the extra of its name brings; the ImportError says what to install."""
     try:
         return import_module(package)
     except ImportError as error:

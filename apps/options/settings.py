@@ -26,15 +26,7 @@ SCALARS = (bool, int, float, str)
 
 
 def read_settings(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises
-    ------
-    ValueError
-        naming the file, if it is none.
-    OSError
-        if it cannot be read.
-    """
+    """Read a TOML file; ValueError, naming the file, if it is none."""
     text = read_text(path, "expected a TOML file of parameters", MOST_SETTINGS)
     try:
         return tomllib.loads(text)
@@ -47,13 +39,7 @@ def read_settings(path: Path) -> dict[str, Any]:
 def options_from_file(app: App, commands: tuple[str, ...], arguments: ArgumentCollection) -> None:
     """Take options that were not typed from the file that was, as `cyclopts.App.config` has it.
 
-    Raises
-    ------
-    ValueError
-        if there is no option of a name in the file, or as of `read_settings`; values are judged like those
-        that are typed.
-    OSError
-        as of `read_settings`.
+    An option that there is not is a ValueError; values are judged like those that are typed.
     """
     path = next((each.tokens[0].value for each in arguments if OPTION in each.names and each.tokens), "")
     if path:
@@ -84,10 +70,7 @@ def top_level(settings: Mapping[str, Any]) -> dict[str, Any]:
 def make(kind: type[T], values: Mapping[str, Any]) -> T:
     """A dataclass with these values; fields that are left out are at their defaults.
 
-    Raises
-    ------
-    ValueError
-        if one has no default, or a value is out of range.
+    It is a ValueError if one has no default, or a value is out of range.
     """
     try:
         signature(kind).bind(**values)
@@ -101,10 +84,7 @@ def read_fields(
 ) -> dict[str, Any]:
     """Read the values of a section as the fields of a dataclass; the keys `also` are none of them.
 
-    Raises
-    ------
-    ValueError
-        beginning with `where`, if there is no such field, or a value is of another type or out of range.
+    A ValueError begins with `where`: there is no such field, or a value is of another type or out of range.
     """
     if not isinstance(values, dict):
         raise ValueError(f"{where}: got {values!r}, expected a section")
@@ -149,13 +129,7 @@ def _readable(kind: Any) -> bool:
 
 
 def _read(value: Any, kind: Any) -> Any:
-    """A TOML value of a kind; whole numbers are numbers, true and false are neither, arrays are tuples.
-
-    Raises
-    ------
-    TypeError
-        if it is of another kind.
-    """
+    """A TOML value of a kind, or TypeError; whole numbers are numbers, arrays are tuples."""
     if get_origin(kind) is tuple and isinstance(value, list):
         parts = get_args(kind)
         if parts[-1] is Ellipsis:

@@ -15,17 +15,7 @@ SIGNALLED = 128
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended.
-
-    Parameters
-    ----------
-    summary
-        the content of `summary.json`.
-    signal
-        number of the signal that ended it early; `None` if it came to the end.
-    words
-        the summary in a few lines.
-    """
+    """How a run ended: its `summary.json`, the signal that ended it early, if any, and a few lines."""
 
     summary: dict[str, Any]
     signal: int | None

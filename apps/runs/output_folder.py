@@ -28,13 +28,7 @@ HOLDER = ".running.json"
 
 
 class OutputFolder:
-    """A folder that is locked for one run; see `output_folder`.
-
-    Attributes
-    ----------
-    path
-        of the folder.
-    """
+    """A folder that is locked for one run; see `output_folder`."""
 
     def __init__(self, path: Path, application: str) -> None:
         self.path = path
@@ -48,13 +42,8 @@ class OutputFolder:
     def begin(self, names: Sequence[str], *, resume: bool = False) -> None:
         """Remove the results of an earlier run, unless they are gone on with, and what a kill left over.
 
-        Parameters
-        ----------
-        names
-            of the files that the run may write, patterns of `glob` among them. They are known from here on
-            as this run's.
-        resume
-            go on with the results that are there.
+        `names` are files that the run may write, patterns of `glob` among them, known as its own from here
+        on.
 
         Raises
         ------
@@ -81,13 +70,7 @@ class OutputFolder:
         self._write_manifest(list(dict.fromkeys([*earlier, *names])))
 
     def add(self, names: Sequence[str]) -> None:
-        """Make more files known as results of the run that is complete here.
-
-        Raises
-        ------
-        FileExistsError
-            if one of these files is there that no run has written.
-        """
+        """Make more files known as results of the run that is complete here; errors as of `begin`."""
         earlier = _listed(self.path)
         self._refuse_foreign(names, earlier)
         self._write_manifest(list(dict.fromkeys([*earlier, *names])))
@@ -121,34 +104,24 @@ class OutputFolder:
 def output_folder(
     path: Path, application: str, *, overwrite: bool = False, resume: bool = False, add: bool = False
 ) -> Iterator[OutputFolder]:
-    """Lock a folder for a run, and make it if need be.
+    """Lock a folder for a run of an application, and make it if need be.
 
     No result in it is changed before `OutputFolder.begin`. If that is never called, a folder that was made is
     removed again.
 
     Parameters
     ----------
-    path
-        of the folder.
-    application
-        which writes there.
-    overwrite
-        results of an earlier run may be replaced.
-    resume
-        results of an earlier run of the same application are gone on with.
-    add
-        more files go to the results that are there.
+    overwrite, resume, add
+        results of an earlier run may be replaced, are gone on with, or get more files.
 
     Raises
     ------
     FileExistsError
         if the folder holds results, and none of these is given.
-    NotADirectoryError
-        if it is no folder.
     ValueError
         if the results to go on with are another application's.
     OSError
-        if another run writes there (it says which), or the folder cannot be made.
+        if it is no folder, another run writes there (it says which), or it cannot be made.
     """
     there = next((folder for folder in (path, *path.parents) if folder.exists()), None)
     if there is not None and not there.is_dir():
@@ -226,10 +199,7 @@ def _holder(path: Path) -> str:
 def _manifest(path: Path) -> dict[str, Any]:
     """What the folder's manifest says; nothing where there is none.
 
-    Raises
-    ------
-    ValueError
-        if it is none of ours: what it lists would be removed.
+    One that is none of ours is a ValueError: what it lists would be removed.
     """
     file = path / MANIFEST
     if not file.exists():
@@ -253,12 +223,6 @@ def _listed(path: Path) -> list[str]:
 
 
 def application_of(path: Path) -> str | None:
-    """Name of the application whose results a folder holds; `None` if it holds none.
-
-    Raises
-    ------
-    ValueError
-        if its manifest is none of a run.
-    """
+    """Name of the application whose results a folder holds; `None` if it holds none."""
     application: str | None = _manifest(path)["application"]
     return application

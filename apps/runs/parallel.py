@@ -44,16 +44,11 @@ class Workers:
     Parameters
     ----------
     jobs
-        processes; as many as there are cores if not given.
+        processes, 1 or more; as many as there are cores if not given.
     threads
         of each of them.
     dask
         address of a scheduler whose workers do it instead, in one thread each.
-
-    Raises
-    ------
-    ValueError
-        if there would be no process.
     """
 
     jobs: int = field(default_factory=cpu_count)
@@ -66,13 +61,7 @@ class Workers:
 
 
 def chosen_workers(jobs: int | None, dask: str | None) -> Workers:
-    """Workers as they are asked for by options of a command.
-
-    Raises
-    ------
-    ValueError
-        if there would be no process, or both are given.
-    """
+    """Workers as they are asked for by options of a command; ValueError if both are given."""
     if jobs is not None and dask is not None:
         raise ValueError("--jobs and --dask: got both, expected one of them (its workers are the jobs)")
     return Workers(jobs=cpu_count() if jobs is None else jobs, dask=dask)
@@ -105,14 +94,7 @@ def as_they_end(
 ) -> Generator[tuple[int, Future[Any]]]:
     """Number of each task and what became of it, in the order in which they end.
 
-    Parameters
-    ----------
-    label, unit
-        of the progress that is shown.
-    work
-        the tasks.
-    stopping
-        when it is true, what has not been begun is left out.
+    Progress is shown with `label` and `unit`. When `stopping` is true, what has not been begun is left out.
 
     Raises
     ------

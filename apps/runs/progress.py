@@ -32,18 +32,8 @@ class _BesideProgress(logging.Handler):
 class Progress:
     """Progress: a bar in a terminal, elsewhere a line every 10 s at most.
 
-    The rate in a line is without the first update, in which loops may be compiled for a minute.
-
-    Parameters
-    ----------
-    label
-        what is being done.
-    total
-        how many are expected; `None` for an unknown length.
-    done
-        frames that an earlier run has done; they do not count for the rate either.
-    unit
-        what is counted, in the plural.
+    The rate in a line is without the first update, in which loops may be compiled for a minute, and without
+    what an earlier run has `done`. A `total` of `None` is an unknown length; `unit` is in the plural.
     """
 
     def __init__(self, label: str, total: int | None, done: int = 0, unit: str = "frames") -> None:

@@ -14,7 +14,7 @@ Mask = NDArray[np.uint8]
 
 
 def read_region(text: str, size: tuple[int, int]) -> Mask:
-    """Read a region of interest.
+    """Read a region of interest: `(height, width)` uint8, 255 inside and 0 outside.
 
     Parameters
     ----------
@@ -23,11 +23,6 @@ def read_region(text: str, size: tuple[int, int]) -> Mask:
         video's size that is not black inside the region.
     size
         `(width, height)` px of the video.
-
-    Returns
-    -------
-    NDArray[np.uint8]
-        `(height, width)`, 255 inside and 0 outside.
 
     Raises
     ------

@@ -42,16 +42,13 @@ class SavedRun:
     Attributes
     ----------
     about
-        plain JSON: `application`, `settings`, `source` (its fingerprint), whether that was `live`, the
-        `clock` (s since 1970) when it was saved, `seconds` of work, numbers of the frames `before`
-        the track starts and of `blank` ones, `notes`, and the summary if it is `finished`.
+        plain JSON, see `ABOUT`: `source` is the fingerprint, `clock` s since 1970 when it was saved,
+        `seconds` of work, `before` and `blank` numbers of frames, `finished` the summary.
 
     Raises
     ------
     ValueError
         if it is broken, another application's, or of a run with other settings.
-    OSError
-        if it cannot be read.
     """
 
     def __init__(self, path: Path, application: str, settings: Mapping[str, Any] | None = None) -> None:
@@ -74,23 +71,11 @@ class SavedRun:
         return tuple(shape) if isinstance(shape, list) else None
 
     def state(self, chains: Mapping[str, Any]) -> RunState:
-        """That of the engine, of these chains by name.
-
-        Raises
-        ------
-        ValueError
-            if it is of others.
-        """
+        """That of the engine, of these chains by name; ValueError if it is of others."""
         return RunState.restored(self._part("run", RunState.kinds(chains)))
 
     def memory(self, schema: Mapping[str, Any]) -> dict[str, Any]:
-        """What the application has kept beside it.
-
-        Raises
-        ------
-        ValueError
-            if that is no such thing as `schema` says.
-        """
+        """What the application has kept beside it; ValueError if that is no such thing as `schema` says."""
         memory: dict[str, Any] = self._part("memory", schema)
         return memory
 
@@ -109,13 +94,7 @@ def save_run(
     memory: Mapping[str, Any],
     schema: Mapping[str, Any],
 ) -> None:
-    """Write what `SavedRun` reads, everything or nothing.
-
-    Raises
-    ------
-    OSError
-        if it cannot be written.
-    """
+    """Write what `SavedRun` reads, everything or nothing."""
     values = {"about": dict(about), "run": state.saved(), "memory": dict(memory)}
     checkpoint.save(path, values, {"about": ABOUT, "run": RunState.kinds(chains), "memory": schema})
 
@@ -123,13 +102,7 @@ def save_run(
 def about_of(
     contents: checkpoint.Contents, application: str, settings: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """What a saved run is about; parameters as of `SavedRun.load`.
-
-    Raises
-    ------
-    ValueError
-        if it is of another application or other settings.
-    """
+    """What a saved run is about; ValueError if it is of another application or other settings."""
     about, path = contents.plain("about"), contents.path
     option = "--from" if settings is None else "--resume"
     if not isinstance(about, dict) or not all(
@@ -146,24 +119,12 @@ def about_of(
 
 
 def check_source(about: Mapping[str, Any], fingerprint: Mapping[str, Any]) -> None:
-    """Refuse to resume with another source than that of the saved run.
-
-    Raises
-    ------
-    ValueError
-        if it is another one.
-    """
+    """Refuse to resume with another source than that of the saved run, with a ValueError."""
     refuse_other("source", _identity(about["source"]), _identity(fingerprint))
 
 
 def refuse_other(what: str, saved: Mapping[str, Any], now: Mapping[str, Any], above: str = "") -> None:
-    """Refuse to resume where a value was another one.
-
-    Raises
-    ------
-    ValueError
-        naming it, by the names of the mappings that it is in.
-    """
+    """Refuse to resume where a value was another one: a ValueError names it, and what it is in."""
     for name in [*saved, *(name for name in now if name not in saved)]:
         before, after = saved.get(name), now.get(name)
         if isinstance(before, Mapping) and isinstance(after, Mapping):

@@ -27,12 +27,8 @@ NAME = "shape"
 def run_shape(job: ShapeJob) -> Outcome:
     """Run the shape application; all results are in the job's folder afterwards.
 
-    Nothing is saved before the end: a run takes seconds, and there is no `--resume`.
-
-    Raises
-    ------
-    ValueError, OSError, Interrupted
-        as `run_film` does.
+    Nothing is saved before the end: a run takes seconds, and there is no `--resume`. Errors are those of
+    `run_film`.
     """
     session = Session(NAME, job, job.settings())
     with session.running():
@@ -109,15 +105,7 @@ def in_words(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _read_truth(path: Path, tracks: Numbers, numbers: range) -> Numbers:
-    """The true shapes of the frames that were selected.
-
-    Raises
-    ------
-    ValueError
-        if they are none, or of other frames or points.
-    OSError
-        if they cannot be read.
-    """
+    """The true shapes of the selected frames; ValueError if they are none, or of other frames or points."""
     truth = read_shapes(path)
     if len(truth) <= numbers[-1] - 1 or truth.shape[1] != tracks.shape[1]:
         raise ValueError(

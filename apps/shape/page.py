@@ -109,17 +109,7 @@ SWING = 2.0
 
 
 def shape_page(title: str, found: LearnedShape, summary: Mapping[str, Any]) -> Page:
-    """Fill the page of a run.
-
-    Parameters
-    ----------
-    title
-        heading.
-    found
-        the shape and its tracks.
-    summary
-        content of `summary.json`.
-    """
+    """Fill the page of a run."""
     learned = found.learned
     positions = found.shapes[..., :2]
     followed = FollowedPoints(positions, found.covariances[..., :2, :2], found.residuals, "shape and pose")

@@ -64,16 +64,14 @@ class Film:
 
     Parameters
     ----------
-    name
-        the source.
+    name, fingerprint
+        of the source, and by which it is known again.
     frames
         with images, or with the points of a track file.
     rate
         frames per second, of those that were selected.
     n_tracks
         columns of the track file; `None` where there are images.
-    fingerprint
-        by which the source is known again.
     notes
         what is out of the ordinary, a sentence each.
     pictures
@@ -106,12 +104,7 @@ def run_structure(job: StructureJob) -> Outcome:
     """Run the structure application; all results are in the job's folder afterwards.
 
     The state is saved after every round of the ascent. A signal ends it after the current one, with complete
-    results. A source that breaks in the middle leaves none.
-
-    Raises
-    ------
-    ValueError, OSError, Interrupted
-        as `run_film` does.
+    results. A source that breaks in the middle leaves none. Errors are those of `run_film`.
     """
     if job.engine == "recursive-bp":
         if Path(job.source).suffix.lower() in TRACK_FILES:
@@ -294,12 +287,8 @@ class _StructureRun:
 def read_film(job: StructureJob) -> Film:
     """Read all frames of the job's source, which is a track file or anything that `open_source` takes.
 
-    Raises
-    ------
-    ValueError
-        if the source is live and has no end, or its frames or arrays are not what they should be.
-    OSError
-        if it cannot be read.
+    A source that is live and has no end, or frames or arrays that are not what they should be, are
+    ValueErrors.
     """
     return _tracks(job) if Path(job.source).suffix.lower() in TRACK_FILES else _images(job)
 

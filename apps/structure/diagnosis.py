@@ -22,14 +22,9 @@ CONTRAST = 4.0
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Why there is no structure.
+    """Why there is no structure: a sentence or two each, and figures that show it.
 
-    Parameters
-    ----------
-    missing, why, advice
-        a sentence or two each.
-    figures
-        that show it, in px, frames and grey levels; `None` for what could not be measured.
+    Figures are in px, frames and grey levels; `None` where one could not be measured.
     """
 
     missing: str
@@ -75,14 +70,7 @@ def too_little(frames: Sequence[Frame], n_tracks: int | None) -> Diagnosis | Non
 def no_points(frames: Sequence[Frame], tracks: Numbers, reason: str) -> Diagnosis:
     """Why none of the points that were followed became one of a shape.
 
-    Parameters
-    ----------
-    frames
-        all of them.
-    tracks
-        `(n_frames, n_tracks, 2)` px, NaN where not seen.
-    reason
-        what else is known of it, or nothing.
+    `tracks` are `(n_frames, n_tracks, 2)` px, NaN where not seen; `reason` is what else is known of it.
     """
     motion = motion_of(tracks)
     pictures = [grey_of(frame.image) for frame in frames if frame.image is not None]

@@ -48,17 +48,7 @@ PERSPECTIVE_CONVENTION = (
 
 
 def write_ply(path: Path, found: Reconstruction, colours: NDArray[np.uint8]) -> None:
-    """Write the points as binary little-endian PLY, whole or not at all.
-
-    Parameters
-    ----------
-    path
-        file to write.
-    found
-        whose shape is written.
-    colours
-        `(n_points, 3)` BGR.
-    """
+    """Write the points as binary little-endian PLY, whole or not at all, in colours `(n_points, 3)` BGR."""
     vertices = np.zeros(found.n_points, VERTEX)
     for name, values in zip("xyz", found.shape.T, strict=True):
         vertices[name] = values
@@ -80,17 +70,7 @@ def write_ply(path: Path, found: Reconstruction, colours: NDArray[np.uint8]) -> 
 
 
 def write_cameras(path: Path, found: Reconstruction, frames: Sequence[Frame]) -> None:
-    """Write every frame's camera as JSON; what is not known is `null`.
-
-    Parameters
-    ----------
-    path
-        file to write.
-    found
-        whose cameras are written.
-    frames
-        as many as there are cameras.
-    """
+    """Write every frame's camera as JSON; what is not known is `null`."""
     entries = []
     scales, rotations = orthographic_parts(found.cameras)
     for frame, camera, scale, rotation in zip(frames, found.cameras, scales, rotations, strict=True):

@@ -26,14 +26,7 @@ from .files import GREY, orthographic_parts
 def known_lens(frames: Sequence[Frame], focal: float | None, picture: Path | None) -> tuple[Lens, str]:
     """What is known of the camera, and what was taken for granted, in a sentence.
 
-    Parameters
-    ----------
-    frames
-        with images or with given points.
-    focal
-        px; `None` where it is not given.
-    picture
-        a file of the film that may tell the focal length, as cameras write it there.
+    The focal length is in px, `None` where it is not given; `picture` is a file of the film that may tell it.
     """
     pictures = any(frame.image is not None for frame in frames)
     stated = focal_of_picture(picture) if pictures and focal is None and picture is not None else None
@@ -102,13 +95,7 @@ SIDES = (("from the front", 0, 1), ("from the right", 2, 1), ("from above", 0, 2
 def write_film(
     folder: Path, frames: Sequence[Frame], rate: float, found: Reconstruction | None = None
 ) -> Film:
-    """Write the film without drawings to the folder, with the places of points, and read what there is of it.
-
-    Raises
-    ------
-    OSError
-        if it cannot be written.
-    """
+    """Write the film without drawings to the folder, with the places of points, and read it again."""
     with FilmWriter(folder, rate) as writer:
         for index, frame in enumerate(frames):
             writer.add(frame, dict if found is None else partial(drawn_of, found, index))
@@ -138,22 +125,8 @@ def structure_page(
 ) -> Page:
     """Fill the page of a run.
 
-    Parameters
-    ----------
-    title
-        heading.
-    frames
-        all of them.
-    found
-        points and cameras.
-    colours
-        `(n_points, 3)` BGR: of the points in space.
-    summary
-        content of `summary.json`.
-    film
-        of all frames, or of the last ones.
-    corner
-        px, in the coordinates of points: the upper left one of the film.
+    `colours (n_points, 3)` BGR are those of the points in space; the film is of all frames, or of the last
+    ones, and `corner` its upper left one, in the points' px.
     """
     shown = np.isin([frame.number for frame in frames], film.numbers)
     points = evenly_spread(found.n_points, MOST_POINTS)
@@ -198,12 +171,7 @@ def nothing_page(
 ) -> Page:
     """Fill the page of a run that has found nothing: what is missing, why, and the film that it has seen.
 
-    Parameters
-    ----------
-    figures
-        what was measured, by names as they are in `summary.json`.
-    title, frames, summary, film
-        as of `structure_page`; no film where there are no pictures.
+    `figures` were measured, by names as they are in `summary.json`; without pictures there is no film.
     """
     known = {name.replace("_", " "): f"{value:.3g}" for name, value in figures.items() if value is not None}
     return Page(
@@ -233,17 +201,7 @@ def _cards(found: Reconstruction, summary: Mapping[str, Any]) -> dict[str, str]:
 
 
 def three_sides(found: Reconstruction, colours: NDArray[np.uint8], name: str = "") -> list[Plot]:
-    """The points from three sides.
-
-    Parameters
-    ----------
-    found
-        of a shape that is not undetermined.
-    colours
-        `(n_points, 3)` BGR.
-    name
-        stands before the captions.
-    """
+    """The points of a shape that is not undetermined, from three sides; `name` stands before the captions."""
     centred = found.shape - np.median(found.shape, axis=0)
     # what is badly known lies anywhere, and would make everything else small
     shown = np.all(np.abs(centred) <= 2 * np.quantile(np.abs(centred), 0.9, axis=0), axis=1)

@@ -43,16 +43,8 @@ class FilmWriter:
     """`film.mp4` and `view.npz`, of the last part of a run if it is long.
 
     Both grow by segments as `SegmentedVideo` does. Whenever they take more than `MOST_BYTES`, the oldest go,
-    so that a stream may last for ever. A frame without image shows the one before.
-
-    Parameters
-    ----------
-    folder
-        of the results.
-    rate
-        frames per second.
-    resume_after
-        number of the frame after which this run goes on; 0 for a new one.
+    so that a stream may last for ever. A frame without image shows the one before. A run that goes on does so
+    after frame `resume_after`.
     """
 
     def __init__(self, folder: Path, rate: float, resume_after: int = 0) -> None:
@@ -81,10 +73,7 @@ class FilmWriter:
     def add(self, frame: Frame, drawn: Callable[[], Row]) -> None:
         """Append a frame and what is drawn on it, made in a thread by `drawn`; it must not change any more.
 
-        Raises
-        ------
-        OSError
-            if it cannot be written; it may come with a later frame.
+        An OSError, if it cannot be written, may come with a later frame.
         """
         self._worker.submit(self._add, frame, drawn)
 
@@ -179,13 +168,7 @@ class Film:
 
 
 def read_film(folder: Path) -> Film:
-    """Read what `FilmWriter` has written.
-
-    Raises
-    ------
-    OSError
-        if there is nothing.
-    """
+    """Read what `FilmWriter` has written."""
     path = folder / FILM
     with np.load(folder / ROWS) as file:
         arrays = dict(file)

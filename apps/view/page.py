@@ -210,13 +210,7 @@ def paragraph(text: str) -> Markup:
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]], caption: str = "") -> Markup:
-    """A table; numbers are rounded to four digits and set to the right.
-
-    Raises
-    ------
-    ValueError
-        if a row has another number of cells than the header.
-    """
+    """A table; numbers are rounded to four digits and set to the right. Rows are as long as the header."""
     lines = list(rows)
     for row in lines:
         if len(row) != len(header):
@@ -246,13 +240,7 @@ def picture(image: Image, caption: str = "") -> Markup:
 
 
 def picture_file(path: Path, caption: str) -> Markup:
-    """A picture from a PNG file.
-
-    Raises
-    ------
-    OSError
-        if the file cannot be read.
-    """
+    """A picture from a PNG file."""
     data = base64.b64encode(path.read_bytes()).decode("ascii")
     return Markup(_parts.captioned(Markup(_parts.image("png", data, caption)), caption))
 
@@ -265,13 +253,7 @@ def _inlined(image: Image, description: str) -> Markup:
 
 
 def encoded(image: Image, kind: str, options: Sequence[int] = ()) -> str:
-    """A picture as a file of that kind (`.png`, `.jpg`) with OpenCV's options, in base 64.
-
-    Raises
-    ------
-    ValueError
-        if a picture of this form cannot be such a file.
-    """
+    """A picture as a file of that kind (`.png`, `.jpg`) with OpenCV's options, in base 64."""
     done, data = cv2.imencode(kind, image, options)
     if not done:
         raise ValueError(f"image: got {image.shape} {image.dtype}, which cannot be stored as {kind}")
@@ -315,13 +297,7 @@ def notes_on_missing(numbers: Sequence[int]) -> list[str]:
 
 
 def write_page(path: Path, page: Page) -> None:
-    """Write a page as one HTML file.
-
-    Raises
-    ------
-    OSError
-        if its film cannot be read, or the file cannot be written; nothing half-written stays behind.
-    """
+    """Write a page as one HTML file, whole or not at all."""
     film = page.film
     plots: list[Plot] = list(page.plots)
     sections = []
@@ -486,12 +462,9 @@ _parts: Any = _environment.get_template("parts.html").module
 
 
 def open_page(folder: Path) -> Path:
-    """Show the page of a run or batch in the browser, where there is a screen; return it in any case.
+    """Show the page of a run or batch in the browser, where there is a screen, and return its path.
 
-    Raises
-    ------
-    ValueError
-        if the folder holds none.
+    A folder that holds none is a ValueError.
     """
     pages = (VIEW, "index.html")
     page = next((folder / name for name in pages if (folder / name).is_file()), None)

@@ -59,14 +59,7 @@ class FollowedPoints:
     def over(self, film: Film, shown: NDArray[np.bool_], corner: tuple[float, float]) -> dict[str, Any]:
         """The layer `LAYER` over a film.
 
-        Parameters
-        ----------
-        film
-            that they are drawn over.
-        shown
-            `(n_frames,)`: which frames it has.
-        corner
-            px, in the coordinates of points: its upper left one.
+        `shown (n_frames,)` says which frames it has; `corner` is its upper left one in the points' px.
         """
         tracked = self.tracked(film)
         observed = self.observed
@@ -131,12 +124,7 @@ def film_of_points(
 ) -> tuple[Film, tuple[float, float]]:
     """A film without pictures that is as large as points need, and its upper left corner, px.
 
-    Parameters
-    ----------
-    places
-        `(n_frames, n_points, 2)` px, some finite.
-    numbers, times
-        of the frames: 1-based, s.
+    `places` are `(n_frames, n_points, 2)` px, some finite; frames are numbered from 1, times in s.
     """
     known = places[np.isfinite(places).all(axis=2)]
     low, high = known.min(axis=0), known.max(axis=0)

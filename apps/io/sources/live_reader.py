@@ -95,17 +95,9 @@ class _Clock:
 class LiveReader(Reader):
     """What a camera or stream sends, with real times.
 
-    When the connection is lost, a new one is made as soon as there is somebody to connect to. The gap is
-    missing frames: numbers go on in step with time at the source's rate.
-
-    Parameters
-    ----------
-    feed
-        the first connection.
-    connect
-        makes another one.
-    reconnect
-        seconds for which that is tried after a loss, until a picture has come; `None`: not at all.
+    When the connection is lost, a new one is made by `connect` as soon as there is somebody to connect to,
+    for up to `reconnect` seconds (`None`: not at all). The gap is missing frames: numbers go on in step with
+    time at the source's rate.
     """
 
     live = True

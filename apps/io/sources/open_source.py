@@ -94,11 +94,7 @@ class Source:
             raise
 
     def _begin(self, selection: Selection) -> None:
-        """Wait for the first readable frame.
-
-        That costs nothing in sum, and tells before any result is written that a source is unreadable or ends
-        before `start`.
-        """
+        """Wait for the first readable frame: what cannot be read, or ends before `start`, is told at once."""
         item = self._queue.get()
         if isinstance(item, Exception):
             raise item
@@ -276,13 +272,7 @@ def open_source(
 
 
 def fingerprint(source: str) -> dict[str, Any]:
-    """Return what `Source.fingerprint` does, of a file or a folder or glob of images; no picture is decoded.
-
-    Raises
-    ------
-    ValueError, OSError
-        as of `open_source`.
-    """
+    """Return `Source.fingerprint` of a file or a folder or glob of images; no picture is decoded."""
     reader = _open_reader(source, None, None)
     try:
         return reader.fingerprint()
@@ -340,15 +330,7 @@ WAKE_EVERY = 0.5  # seconds: on Windows, a wait without a limit is deaf to Ctrl-
 class FrameQueue:
     """A few frames that wait, and in the end `None`, or by what error it came to the end.
 
-    Parameters
-    ----------
-    size
-        how many frames may wait that are put; of the newest, as many images at least.
-
-    Attributes
-    ----------
-    dropped
-        how many images `put_newest` has thrown away.
+    `dropped` counts the images that `put_newest` has thrown away.
     """
 
     def __init__(self, size: int) -> None:

@@ -49,16 +49,8 @@ class Selection:
 class Gap:
     """A stretch without pictures in a live source: its connection was lost, and came back.
 
-    Parameters
-    ----------
-    lost_at
-        seconds: time of the last picture before.
-    back_after
-        seconds from that picture to the next one.
-    frames
-        how many are missing in between, at the source's rate.
-    reason
-        what ended the connection.
+    `lost_at` and `back_after` are s, from the first picture and from the last one before the loss; `frames`
+    are missing in between, at the source's rate.
     """
 
     lost_at: float

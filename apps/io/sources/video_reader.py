@@ -38,16 +38,9 @@ av.logging.set_level(None)
 
 
 class VideoReader(Reader):
-    """A video file, or an address: of a file (with an end) or of a stream (without), whose `total` is `None`.
+    """A video file, or an address: of a file (with an end) or a stream (without), whose `total` is `None`.
 
-    Parameters
-    ----------
-    source
-        path or address.
-    network
-        whether it is an address.
-    reconnect
-        seconds for which a file's server may be gone: it is asked for the rest then, and nothing is missing.
+    For `reconnect` seconds a file's server may be gone: it is asked for the rest then; nothing is missing.
     """
 
     def __init__(self, source: str, *, network: bool, reconnect: float | None = None) -> None:
