@@ -14,7 +14,6 @@ from ...chains.objects.object_trajectories import ObjectsOverTime
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...inference.engine.recursive_bp import RunState
 from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
-from ..drawing.overlay import Draw, TracksOverlay
 from ..evaluation.predictions import FILE, write_predictions
 from ..evaluation.scoring import Scoring, scoring_of
 from ..events.page import Happened
@@ -30,6 +29,7 @@ from ..runs.memory import BACKGROUND
 from ..runs.region import inside, read_region
 from ..runs.row_log import RowLog
 from ..view.film import Film
+from ..view.overlay import Draw, TracksOverlay
 from ..view.page import Page
 from .job import WHOLE_FILM, BackgroundJob, Camera
 from .job import Engine as EngineName

@@ -34,7 +34,6 @@ from ...inference import Belief, MultiChain, RecursiveBP
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.body.upper_body import JOINTS, PARTS, UpperBody
 from ...models.core.frame import BoundingBox, Frame
-from ..drawing.overlay import Draw
 from ..io.film import SeenFrames
 from ..io.keypoints import Keypoints, given_keypoints, with_keypoints
 from ..io.sources.open_source import Source, open_source
@@ -43,6 +42,7 @@ from ..runs.loop import Application, Columns, Engine, Start, run_film
 from ..runs.memory import BODY, KEPT_IMAGE, KEPT_SAMPLE, SAMPLE
 from ..runs.row_log import RowLog
 from ..view.film import Film
+from ..view.overlay import Draw
 from ..view.page import Page
 from .job import LAG, BodyJob
 from .joint_files import read_joints

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import JOINTS
-from ..drawing.overlay import REGION_90, TrackedBody
+from ..view.overlay import REGION_90, TrackedBody
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ...chains.body.hypotheses import WORTH_SAYING
 from ...models.body.upper_body import JOINTS, PARTS
-from ..drawing.overlay import TRUNK, BodyOverlay, Draw, TrackedBody, caption, css_colour, skeleton
 from ..view.film import Film, Row
+from ..view.overlay import TRUNK, BodyOverlay, Draw, TrackedBody, caption, css_colour, skeleton
 from ..view.page import (
     BLUE,
     GREEN,

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 from markupsafe import Markup
 
-from ..drawing.overlay import draw_zones
 from ..exports.finished_run import SUMMARY, FinishedRun, read_tracks_table
 from ..io.files import write_json
 from ..io.tracks import TABLE
 from ..runs.output_folder import output_folder
 from ..view import page
+from ..view.overlay import draw_zones
 from ..view.page import BLUE, ORANGE, Page, Plot, Section, paragraph, picture, table, write_page
 from .watch import EVENTS, Event, Kind, Watch, rounded, sightings_of, write_events
 from .zones import Line, Zones, read_zones

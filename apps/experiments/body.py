@@ -24,13 +24,13 @@ from ..body.measures import (
     pooled,
     recoveries,
 )
-from ..drawing.mosaic import mosaic
-from ..drawing.overlay import BodyOverlay
 from ..runs.parallel import in_parallel
 from ..scenes import signer
+from ..view.overlay import BodyOverlay
 from .body_trackers import LAG, BodyTracker, System, on_one_scene
 from .expectations import Expectation, over_seeds
 from .experiment import Findings, Picture, Plot
+from .mosaic import mosaic
 from .record import Table
 
 Image = NDArray[np.uint8]

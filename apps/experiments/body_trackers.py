@@ -23,8 +23,8 @@ from ...models.body.upper_body import JOINTS, PARTS
 from ...models.core.frame import Frame
 from ...models.numerics.densities import squared_distances
 from ..body.measures import APART, HANDS, LEAST_VARIANCE, PLACES, BodyTrial, exchanged_hands
-from ..drawing.overlay import TrackedBody
 from ..scenes import SignerScene, signer
+from ..view.overlay import TrackedBody
 
 Numbers = NDArray[np.float64]
 

@@ -3,11 +3,11 @@
 import numpy as np
 
 from ...chains.reconstruction import MOST_ROUNDS, Association, Reconstruction, reconstruct
-from ..drawing.overlay import PointsOverlay
 from ..runs.progress import Progress
 from ..structure.application import Film, read_film
 from ..structure.job import StructureJob
 from ..structure.page import drawn_of
+from ..view.overlay import PointsOverlay
 from .datasets import data_folder
 from .expectations import Expectation
 from .experiment import Findings, Picture

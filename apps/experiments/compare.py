@@ -17,7 +17,6 @@ from ...models.numerics.evenly_spaced import EvenlySpaced
 from ..background.application import Found, build_model, found_in
 from ..background.job import BackgroundJob, Camera, Engine
 from ..background.parameters import Parameters, read_parameters
-from ..drawing.mosaic import fitting, mosaic
 from ..evaluation.scoring import Scoring, scoring_of
 from ..io.detections import given_boxes, with_boxes
 from ..io.sources.open_source import open_source
@@ -27,6 +26,7 @@ from ..runs.progress import Progress
 from ..runs.region import inside, read_region
 from .baselines import CleanUp, KalmanHungarian, OpenCVSubtractor, Subtractor, component_boxes
 from .experiment import Findings, Picture, Plot, publish
+from .mosaic import fitting, mosaic
 from .record import Table
 
 if TYPE_CHECKING:

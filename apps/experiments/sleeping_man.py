@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from ..drawing.mosaic import mosaic
 from ..evaluation.masks import PixelScore, joined, total
 from ..runs.progress import Progress
 from ..scenes import Scene
@@ -16,6 +15,7 @@ from .baselines import SETTINGS, CleanUp, Setting, sweep_subtractors
 from .compare import CHAINS, SHOWN_PRIOR, Model
 from .expectations import Expectation, over_seeds
 from .experiment import Findings, Picture, by_seed
+from .mosaic import mosaic
 from .record import Table
 
 Image = NDArray[np.uint8]

@@ -21,7 +21,6 @@ from ...models.face.detectors import PartDetector, default_faces
 from ...models.face.model_files import read_correspondences, read_model
 from ...models.face.morphable_model import MorphableModel
 from ...models.pixels.pixel_labels import PixelLabels
-from ..drawing.overlay import Draw, draw_face
 from ..io.point_files import read_points
 from ..io.sources.open_source import Source, open_source
 from ..runs.interruption import Outcome
@@ -29,6 +28,7 @@ from ..runs.loop import Application, Columns, Engine, Start, run_film
 from ..runs.memory import EXPERT, FACE, FACE_EXPERT
 from ..runs.row_log import RowLog
 from ..view.film import Film
+from ..view.overlay import Draw, draw_face
 from ..view.page import Page
 from .job import FaceJob
 from .page import FaceDrawing, face_page

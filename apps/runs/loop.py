@@ -21,14 +21,14 @@ from ...inference import Belief, MultiChain, RecursiveBP
 from ...inference.engine.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ...models.numerics.threads import thread_count
-from ..drawing.overlay import Draw, OverlayVideo
 from ..io.files import segments_of, write_json
 from ..io.film import SeenFrames
 from ..io.sources.open_source import Source, describe, open_source
-from ..live.server import Running, live_page
 from ..options.job import FilmJob, read_address
 from ..view.film import ROWS as FILM_ROWS
 from ..view.film import Film, FilmWriter, Row, read_film
+from ..view.live import Running, live_page
+from ..view.overlay import Draw, OverlayVideo
 from ..view.page import VIEW, Line, Page, Plot, write_page
 from .interruption import Interrupted, Outcome
 from .memory import check_memory

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ...inference.sfm.nonrigid.learning import BasesChoice
 from ...inference.sfm.nonrigid.shape import NonrigidShape
 from ...models.files import write_atomically
-from ..drawing.overlay import identity_colour
 from ..io.sources.open_source import DEFAULT_RATE
+from ..view.overlay import identity_colour
 from ..view.page import BLUE, RED, Line, Page, Plot, Section
 from ..view.points import LAYER, FollowedPoints, film_of_points, packed
 

@@ -23,7 +23,6 @@ from ...chains.reconstruction import (
 from ...inference import Solution
 from ...inference.engine import checkpoint
 from ...models.core.frame import Frame
-from ..drawing.overlay import OverlayVideo, PointsOverlay
 from ..evaluation.predictions import PairRecord, write_predictions
 from ..exports.colmap import FILES as COLMAP_FILES
 from ..exports.colmap import write_colmap
@@ -36,6 +35,7 @@ from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, check_memory
 from ..runs.progress import Progress
 from ..runs.saved_run import STATE, about_of, check_source
 from ..runs.session import OVERLAY, Session
+from ..view.overlay import OverlayVideo, PointsOverlay
 from ..view.page import VIEW, listed, write_page
 from .diagnosis import Diagnosis, no_depth, no_points, too_little
 from .files import point_colours, recorded_predictions, write_cameras, write_ply, write_tracks

@@ -15,9 +15,9 @@ from ...chains.reconstruction import Numbers, Reconstruction, lens_of
 from ...inference.sfm.perspective.structure import Lens, PerspectiveStructure
 from ...models.core.frame import Frame
 from ...models.numerics.evenly_spaced import evenly_spread
-from ..drawing.overlay import css_colour, identity_colour
 from ..io.sources.images import focal_of_picture
 from ..view.film import Film, FilmWriter, Row, read_film
+from ..view.overlay import css_colour, identity_colour
 from ..view.page import Line, Page, Plot, Section, encoded
 from ..view.points import LAYER, FollowedPoints, film_of_points, most_over_film, packed
 from .files import GREY, orthographic_parts

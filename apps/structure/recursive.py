@@ -15,11 +15,11 @@ from ...chains.structure.recursive_structure import RecursiveStructure
 from ...inference import Belief, MultiChain
 from ...models.core.frame import Frame
 from ...models.points.point_tracks import NOWHERE, PointTracks
-from ..drawing.overlay import Draw, PointsOverlay
 from ..io.sources.open_source import Source
 from ..runs.loop import Application, Columns, Engine, Start
 from ..runs.row_log import RowLog
 from ..view.film import Film, Row
+from ..view.overlay import Draw, PointsOverlay
 from ..view.page import Page
 from .diagnosis import Diagnosis, no_depth
 from .files import GREY, write_cameras, write_ply, write_tracks

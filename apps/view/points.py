@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.numerics.evenly_spaced import evenly_spread
-from ..drawing.overlay import css_colour, identity_colour
 from .film import Film
+from .overlay import css_colour, identity_colour
 from .page import Line, Plot, TimelineRow, spans_of
 
 Numbers = NDArray[np.float64]

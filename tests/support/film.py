@@ -7,8 +7,8 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 from rsmcm.apps.background.page import drawn_of
-from rsmcm.apps.drawing.overlay import OverlayVideo, TracksOverlay
 from rsmcm.apps.io.tracks import TrackedBox
+from rsmcm.apps.view.overlay import OverlayVideo, TracksOverlay
 from rsmcm.models.core.frame import Frame
 
 HEIGHT, WIDTH = 49, 63  # odd on purpose

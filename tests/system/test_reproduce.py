@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.apps.drawing.mosaic import mosaic
 from rsmcm.apps.evaluation.masks import PixelScore, joined
 from rsmcm.apps.evaluation.text_tables import in_columns
 from rsmcm.apps.experiments import run_experiment
@@ -14,6 +13,7 @@ from rsmcm.apps.experiments import sleeping_man as experiment
 from rsmcm.apps.experiments.baselines import SETTINGS, CleanUp, OpenCVSubtractor
 from rsmcm.apps.experiments.compare import COLUMNS, Gallery, Model, ModelSubtractor, Usual
 from rsmcm.apps.experiments.expectations import Expectation
+from rsmcm.apps.experiments.mosaic import mosaic
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from rsmcm.apps.body.measures import BodyTrial
-from rsmcm.apps.drawing.overlay import TrackedBody
 from rsmcm.apps.experiments import body, run_experiment
+from rsmcm.apps.view.overlay import TrackedBody
 
 from ...conftest import names
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.background.page import drawn_of
-from rsmcm.apps.drawing.overlay import (
+from rsmcm.apps.io.tracks import TrackedBox
+from rsmcm.apps.view.overlay import (
     DOT,
     LANDMARK,
     LONGEST_SIDE,
@@ -21,7 +22,6 @@ from rsmcm.apps.drawing.overlay import (
     enlargement,
     identity_colour,
 )
-from rsmcm.apps.io.tracks import TrackedBox
 from rsmcm.models.core.frame import Frame, GivenBoxes
 
 from ...support.film import frame, read_video

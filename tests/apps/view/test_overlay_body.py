@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.drawing.overlay import BEHIND, IN_FRONT, LEFT, RIGHT, TRUNK, BodyOverlay, TrackedBody
+from rsmcm.apps.view.overlay import BEHIND, IN_FRONT, LEFT, RIGHT, TRUNK, BodyOverlay, TrackedBody
 from rsmcm.models.body.upper_body import JOINTS, UpperBody
 
 from ...support.body_poses import from_angles

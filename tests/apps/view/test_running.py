@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.live import server as module
-from rsmcm.apps.live.server import INTERVAL, LONGEST_SIDE, SHOWN_EVENTS, Picture, Running
+from rsmcm.apps.view import live as module
+from rsmcm.apps.view.live import INTERVAL, LONGEST_SIDE, SHOWN_EVENTS, Picture, Running
 from rsmcm.models.core.frame import Frame
 
 Image = NDArray[np.uint8]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.background.page import drawn_of
-from rsmcm.apps.drawing.overlay import ZONES as COLOUR
-from rsmcm.apps.drawing.overlay import TracksOverlay, draw_zones
 from rsmcm.apps.events import Line, Zone, Zones
+from rsmcm.apps.view.overlay import ZONES as COLOUR
+from rsmcm.apps.view.overlay import TracksOverlay, draw_zones
 
 SIZE = (320, 240)
 SQUARE = np.array([[100.0, 100], [200, 100], [200, 200], [100, 200]])

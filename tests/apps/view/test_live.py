@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.io.sources.open_source import open_source
-from rsmcm.apps.live import server as module
-from rsmcm.apps.live.server import MOST_CONNECTIONS, Running, live_page
 from rsmcm.apps.options.job import Address
+from rsmcm.apps.view import live as module
+from rsmcm.apps.view.live import MOST_CONNECTIONS, Running, live_page
 from rsmcm.models.core.frame import Frame
 
 from ...support.films import wait_until
