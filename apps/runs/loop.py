@@ -74,10 +74,8 @@ class Columns:
         `(height, width[, 3])` uint8 by their names, which are no rows: masks.
     drawn
         makes what is drawn on the frame, on the page and by `Application.drawing`; called in a thread.
-    live
-        what the live page says.
-    news
-        what has happened; the live page says it.
+    live, news
+        what the live page says, and what has happened.
     """
 
     frame: Values = field(default_factory=dict)
@@ -97,14 +95,9 @@ class File(AbstractContextManager[Any], Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Sink:
-    """Takes in what is said of every frame.
+    """Takes in what is said of every frame: `write` is called with the frame and its columns.
 
-    Parameters
-    ----------
-    write
-        what becomes of a frame and its columns.
-    file
-        that grows by it, if any.
+    `file` is what grows by it, if any.
     """
 
     write: Callable[[Frame, Columns], None]
@@ -155,15 +148,7 @@ class Engine(Protocol):
 
 
 class Filter:
-    """Recursive belief propagation, which answers for every frame at once.
-
-    Parameters
-    ----------
-    engine
-        of the model.
-    state
-        to go on from.
-    """
+    """Recursive belief propagation from a state on, which answers for every frame at once."""
 
     def __init__(self, engine: RecursiveBP, state: RunState) -> None:
         self.model, self.state, self._engine = engine.model, state, engine
@@ -180,20 +165,12 @@ class Filter:
 
 
 class Start:
-    """From where a run begins.
+    """From where a run begins: its job and opened source.
 
     Parameters
     ----------
-    job
-        what is asked for.
-    source
-        opened.
-    session
-        of the run.
-    saved
-        the run that is resumed; `None` for a new one.
-    learned
-        the run from which this one learns; `None` where it begins by itself.
+    saved, learned
+        the run that is resumed, and the one from which this one learns; `None` where there is none.
 
     Attributes
     ----------
@@ -291,12 +268,7 @@ class Start:
 
 
 class Application(ABC, Generic[F]):
-    """What is particular to an application.
-
-    Parameters
-    ----------
-    job
-        what a run is asked for.
+    """What is particular to an application, whose runs are asked for by a job.
 
     Attributes
     ----------

@@ -56,13 +56,7 @@ class _Column:
         return self.dtype.itemsize * int(np.prod(self.shape))
 
     def append(self, values: NDArray[Any]) -> None:
-        """Append rows.
-
-        Raises
-        ------
-        ValueError
-            if they have another shape or type than those before.
-        """
+        """Append rows; ValueError if they have another shape or type than those before."""
         if values.shape[1:] != self.shape or values.dtype != self.dtype:
             raise ValueError(
                 f"{self.path.stem}: got {values.shape[1:]} {values.dtype}, expected {self.shape} "
@@ -105,14 +99,8 @@ class RowLog:
     """All rows of a run. `log["time"]` is a column of all frames, `log.objects("id")` one of all objects.
 
     Nothing is held in memory, and a column on disk is read where it is looked at, so that a run may have
-    any length. Columns and their types are those of the first row, or of the first object.
-
-    Parameters
-    ----------
-    folder
-        for the files of the columns.
-    resume_after
-        number of the frame after which this run goes on: later rows are cut off. 0 for a new run.
+    any length. Columns and their types are those of the first row, or of the first object. Rows behind frame
+    `resume_after`, after which this run goes on, are cut off.
     """
 
     def __init__(self, folder: Path, resume_after: int = 0) -> None:
@@ -174,12 +162,7 @@ class RowLog:
     def append(self, row: Values, objects: Values) -> None:
         """Append a frame, whose `row` has its `number`, with the objects in it: arrays of one length.
 
-        Raises
-        ------
-        ValueError
-            if it has other columns, shapes or types than those before.
-        OSError
-            if it cannot be written.
+        It is a ValueError if it has other columns, shapes or types than those before.
         """
         count = len(next(iter(objects.values()))) if objects else 0
         with naming(self._folder):
@@ -217,16 +200,9 @@ class RowLog:
     def write_arrays(
         self, path: Path, constants: Mapping[str, NDArray[Any]], columns: Mapping[str, str | NDArray[Any]]
     ) -> None:
-        """Write an `.npz`, whole or not at all.
+        """Write an `.npz` of constant arrays, and arrays with an entry a frame, whole or not at all.
 
-        Parameters
-        ----------
-        path
-            of the file.
-        constants
-            arrays as they are.
-        columns
-            arrays with an entry a frame by their names: the name of a column, or the values.
+        Columns by their names are the name of a column of the log, or values.
         """
         of_frames = {name: self[of] if isinstance(of, str) else of for name, of in columns.items()}
         with write_atomically(path) as unfinished:

@@ -26,12 +26,10 @@ ALWAYS = (STATE, "summary.json", VIEW, *_GROWING, *map(segment_pattern, _GROWING
 
 
 class Session:
-    """A run from the lock of its folder to its summary.
+    """A run of an application from the lock of its folder to its summary.
 
     Parameters
     ----------
-    application
-        its name.
     job
         what it is asked for.
     settings
