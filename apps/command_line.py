@@ -26,7 +26,7 @@ from .runs.interruption import SIGNALLED, Outcome
 from .shape.job import ShapeJob
 from .structure.job import StructureJob
 
-STREAM_LOST = NOTHING_FOUND = 1
+NOTHING_FOUND = 1
 USAGE_ERROR = 2
 
 app = App(
@@ -56,7 +56,7 @@ def background(job: Fields[BackgroundJob]) -> int:
     """
     from .background.application import run_background
 
-    return _ended(_reported(job, run_background(job)))
+    return _ended(run_background(job), job)
 
 
 @app.command
@@ -70,7 +70,7 @@ def structure(job: Fields[StructureJob]) -> int:
     """
     from .structure.application import run_structure
 
-    return _ended(_reported(job, run_structure(job)))
+    return _ended(run_structure(job), job)
 
 
 @app.command
@@ -83,7 +83,7 @@ def face(job: Fields[FaceJob]) -> int:
     """
     from .face.application import run_face
 
-    return _ended(_reported(job, run_face(job)))
+    return _ended(run_face(job), job)
 
 
 @app.command
@@ -98,7 +98,7 @@ def body(job: Fields[BodyJob]) -> int:
     """
     from .body.application import run_body
 
-    return _ended(_reported(job, run_body(job)))
+    return _ended(run_body(job), job)
 
 
 @app.command
@@ -110,7 +110,7 @@ def shape(job: Fields[ShapeJob]) -> int:
     """
     from .shape.application import run_shape
 
-    return _ended(_reported(job, run_shape(job)))
+    return _ended(run_shape(job), job)
 
 
 @app.command
@@ -297,23 +297,17 @@ app.register_install_completion_command(help="Install completion for the shell t
 app.command(batch)
 
 
-def _reported(job: Job, outcome: Outcome) -> Outcome:
-    """Print what is to be said of a run."""
-    print(*outcome.words, *outcome.summary["notes"], f"results: {job.out / 'view.html'}", sep="\n")
-    return outcome
-
-
-def _ended(outcome: Outcome) -> int:
-    """The exit code of a run; a line says when its source was lost, or nothing was found."""
+def _ended(outcome: Outcome, job: Job | None = None) -> int:
+    """The exit code of a run, of whose job is printed what is to be said; a line says if there is nothing."""
+    if job is not None:
+        print(*outcome.words, *outcome.summary["notes"], f"results: {job.out / 'view.html'}", sep="\n")
     if outcome.signal is not None:
         return SIGNALLED + outcome.signal
-    if outcome.lost is not None:
-        print(f"rsmcm: {outcome.summary['source']}: lost for good: {outcome.lost}", file=sys.stderr)
-        return STREAM_LOST
-    if outcome.nothing is not None:
-        print(f"rsmcm: {outcome.summary['source']}: {outcome.nothing}", file=sys.stderr)
-        return NOTHING_FOUND
-    return 0
+    lost = None if outcome.lost is None else f"lost for good: {outcome.lost}"
+    if (wrong := lost or outcome.nothing) is None:
+        return 0
+    print(f"rsmcm: {outcome.summary['source']}: {wrong}", file=sys.stderr)
+    return NOTHING_FOUND
 
 
 def _as_typed(_: object, tokens: Sequence[Token]) -> str:

@@ -311,7 +311,7 @@ class Background(Application[BackgroundJob]):
         if states:
             write_image(out / "background.png", states["background"].picture())
         if self._events is not None:
-            self._events.end(log)
+            self._events.end(int(log["number"][-1]) if len(log) else 0)
             write_events(out / EVENTS, self._events.events)
         happened = self._happened(log)
         metrics = given = None

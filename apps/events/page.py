@@ -17,7 +17,7 @@ from ..runs.output_folder import output_folder
 from ..view import page
 from ..view.overlay import draw_zones
 from ..view.page import BLUE, ORANGE, Page, Plot, Section, paragraph, picture, table, write_page
-from .watch import EVENTS, Event, Kind, Watch, rounded, sightings_of, write_events
+from .watch import EVENTS, Event, EventLog, Kind, rounded, write_events
 from .zones import Line, Zones, read_zones
 
 MOST_ROWS = 100  # of a table
@@ -178,16 +178,15 @@ def run_events(run: Path, zones: Path) -> list[str]:
     finished = FinishedRun.of(run, "background")
     watched = read_zones(zones, finished.size)
     tracks, numbers = read_tracks_table(run), finished.numbers
-    watch, found = Watch(watched), list[Event]()
-    for time, number, sightings in sightings_of(tracks):
-        found += watch.take_in(time, number, sightings)
-    found += watch.end(numbers[-1])
+    log = EventLog(watched)
+    log.add_table(tracks)
+    log.end(numbers[-1])
     first, last = ((number - 1) / finished.source_rate for number in (numbers[0], numbers[-1]))
     span = first, max([last, *tracks["time"][-1:].tolist()])
     with output_folder(run, "background", add=True) as folder:
         folder.add([EVENTS, PAGE])
-        write_events(run / EVENTS, found)
-        happened = Happened(watched, list(map(rounded, found)), span)
+        write_events(run / EVENTS, log.events)
+        happened = Happened(watched, list(map(rounded, log.events)), span)
         title = f"{Path(finished.source).name}: zones and lines"
         write_page(run / PAGE, Page(title, sections=_sections(run, happened)))
         write_json(run / SUMMARY, {**finished.summary, "events": happened.counts()})

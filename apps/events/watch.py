@@ -306,23 +306,35 @@ class EventLog:
     Of a run that goes on, what happened in the rows of its log is found again.
     """
 
-    def __init__(self, zones: Zones, log: RowLog) -> None:
+    def __init__(self, zones: Zones, log: RowLog | None = None) -> None:
         self._watch = Watch(zones)
         self.events: list[Event] = []
-        for row, objects in log.frames():
+        for row, objects in () if log is None else log.frames():
             self.add(int(row["number"]), float(row["time"]), objects)
 
     def add(self, number: int, time: float, objects: Mapping[str, NDArray[Any]]) -> list[Event]:
         """Go on with the objects of a frame, with the columns of `tracks.csv`, and return what happens."""
         names = ("id", "x", "y", "width", "height", "seen")
-        there = zip(*(objects[name].tolist() for name in names), strict=True) if objects else ()
-        found = self._watch.take_in(round(time, 6), number, [sighting(*each) for each in there])
+        rows = zip(*(objects[name].tolist() for name in names), strict=True) if objects else ()
+        sightings = []
+        for identity, *box, seen in rows:
+            x, y, width, height = (round(value, 2) for value in box)  # as in `tracks.csv`
+            sightings.append(Sighting(identity, x + width / 2, y + height, height, seen))
+        found = self._watch.take_in(round(time, 6), number, sightings)
         self.events += found
         return found
 
-    def end(self, log: RowLog) -> None:
-        """Go on with what ends with the last frame."""
-        self.events += self._watch.end(int(log["number"][-1]) if len(log) else 0)
+    def add_table(self, table: Mapping[str, NDArray[Any]]) -> None:
+        """Go on with all frames of `tracks.csv`, given its columns."""
+        frames = table["frame"]
+        edges = np.flatnonzero(np.diff(frames, prepend=-1, append=-1)).tolist() if len(frames) else []
+        for start, stop in pairwise(edges):
+            rows = {name: column[start:stop] for name, column in table.items()}
+            self.add(int(frames[start]), float(table["time"][start]), rows)
+
+    def end(self, last: int) -> None:
+        """Go on with what ends with the last frame, by its number."""
+        self.events += self._watch.end(last)
 
 
 class EventWriter(LineWriter):
@@ -345,28 +357,11 @@ def write_events(path: Path, events: Sequence[Event]) -> None:
     write_text(path, "\n".join([",".join(COLUMNS), *map(line_of, events), ""]))
 
 
-def sighting(identity: int, x: float, y: float, width: float, height: float, seen: bool) -> Sighting:
-    """Foot and height of an object, rounded as in `tracks.csv`, so that both give the same events."""
-    x, y, width, height = (round(float(value), 2) for value in (x, y, width, height))
-    return Sighting(int(identity), x + width / 2, y + height, height, bool(seen))
-
-
 def rounded(event: Event) -> Event:
     """An event as `read_events` gives it back."""
     time, frame, x, y = event.moment
     duration = None if event.duration is None else round(event.duration, 3)
     return replace(event, moment=Moment(round(time, 3), frame, round(x, 2), round(y, 2)), duration=duration)
-
-
-def sightings_of(table: Mapping[str, NDArray[Any]]) -> Iterator[tuple[float, int, list[Sighting]]]:
-    """Time, number and who is there, of every frame of a table with somebody."""
-    frames = table["frame"]
-    edges = np.flatnonzero(np.diff(frames, prepend=-1, append=-1)).tolist() if len(frames) else []
-    columns = [table[name] for name in ("id", "x", "y", "width", "height", "seen")]
-    for start, stop in pairwise(edges):
-        rows = zip(*(column[start:stop].tolist() for column in columns), strict=True)
-        sightings = [Sighting(who, x + w / 2, y + h, h, seen) for who, x, y, w, h, seen in rows]
-        yield float(table["time"][start]), int(frames[start]), sightings
 
 
 def line_of(event: Event) -> str:

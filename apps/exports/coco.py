@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.files import write_atomically
-from ..io.tracks import box_columns
 from .finished_run import FinishedRun, RunFrame
 
 CATEGORY = {"id": 1, "name": "object", "supercategory": ""}
@@ -167,8 +166,8 @@ def to_cvat(run: str | Path, out: str | Path) -> str:
         with archive.open(_member("gt/gt.txt"), "w", force_zip64=True) as file:
             for frame in finished.frames(masks=False):
                 for track in frame.tracks:
-                    line = f"{frame.number},{track.identity},{box_columns(track)},1,1,{track.seen:d}\n"
-                    file.write(line.encode())
+                    box = ",".join(f"{value:.2f}" for value in track.box)
+                    file.write(f"{frame.number},{track.identity},{box},1,1,{track.seen:d}\n".encode())
                     boxes += 1
                     identities.add(track.identity)
         archive.writestr(_member("gt/labels.txt"), f"{LABEL}\n")

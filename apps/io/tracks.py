@@ -98,28 +98,11 @@ class TrackWriter(LineWriter):
 
     def write(self, number: int, tracks: Sequence[TrackedObject]) -> None:
         """Append the boxes (0-based px) of a frame."""
-        self.append(
-            f"{number},{track.identity},{box_columns(track, origin=1)},{track.confidence:.4f},-1,-1,-1"
-            for track in tracks
-        )
-
-
-def box_columns(track: TrackedObject, origin: int = 0) -> str:
-    """The box as x,y,width,height px, to a hundredth; the first pixel is `origin`."""
-    x, y, width, height = track.box
-    return f"{x + origin:.2f},{y + origin:.2f},{width:.2f},{height:.2f}"
+        self.append(mot_lines(number, columns_of(tracks)))
 
 
 class TrackTableWriter(LineWriter):
-    """`tracks.csv`, with the columns of `COLUMNS`; seen is 1 or 0, a velocity that is not known is empty.
-
-    Parameters
-    ----------
-    path
-        of the file.
-    resume_after
-        number of the frame after which this run goes on; 0 for a new one.
-    """
+    """`tracks.csv`, with the columns of `COLUMNS`; seen is 1 or 0, a velocity that is not known is empty."""
 
     def __init__(self, path: str | Path, resume_after: int = 0) -> None:
         super().__init__(path, HEADER, resume_after)

@@ -15,7 +15,7 @@ from ...models.files import write_atomically
 from ..io.sources.open_source import DEFAULT_RATE
 from ..view.overlay import identity_colour
 from ..view.page import BLUE, RED, Line, Page, Plot, Section
-from ..view.points import LAYER, FollowedPoints, film_of_points, packed
+from ..view.points import LAYER, SIDES, FollowedPoints, film_of_points, packed
 
 Numbers = NDArray[np.float64]
 
@@ -98,9 +98,6 @@ def write_shapes(path: Path, found: LearnedShape) -> None:
             time=found.times,
         )
 
-
-SIDES = (("from the front", 0, 1), ("from the right", 2, 1), ("from above", 0, 2))
-"""Title, and which of x (right), y (down) and z (away) goes to the right and which down."""
 
 MOST_MODES = 6
 """In pictures, the largest."""

@@ -1,9 +1,8 @@
 """The structure application: from a film or tracks of points to their shape and the motion of the camera."""
 
 import hashlib
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -42,8 +41,8 @@ from .files import point_colours, recorded_predictions, write_cameras, write_ply
 from .job import StructureJob
 from .page import (
     EDGE,
-    camera_in_words,
     drawn_of,
+    facts_of,
     film_of_tracks,
     in_words,
     known_lens,
@@ -216,18 +215,12 @@ class _StructureRun:
         facts = {
             "tracks": len(found.point_of_track),
             "rejected_tracks": int(np.count_nonzero(found.point_of_track < 0)),
-            "points": found.n_points,
-            "observations": found.n_observations,
-            "reprojection_rmse_px_per_point": found.reprojection_error,
-            "reprojection_rmse_px_per_coordinate": found.reprojection_error / math.sqrt(2),
-            "noise_px_per_coordinate": float(np.sqrt(found.noise_variance)),
-            "camera": "affine" if found.perspective is None else "perspective",
-            "camera_in_words": camera_in_words(found),
+            **facts_of(found),
             "focal_length_px": None if lens is None else lens.cameras.focal,
             "focal_length_deviation_px": None if lens is None else lens.focal_deviation,
             "shape": found.geometry,
             "shape_reason": found.reason or None,
-            "diagnosis": None if diagnosis is None else diagnosis.plain(),
+            "diagnosis": None if diagnosis is None else asdict(diagnosis),
             "rounds": len(found.objective),
             "converged": found.converged,
             "stream": film.stream,
@@ -256,11 +249,7 @@ class _StructureRun:
         folder, film = self.job.out, self._film
         notes = [*film.notes, *diagnosis.sentences]
         facts = {
-            "tracks": int(diagnosis.figures.get("tracks") or 0),
-            "points": 0,
-            "shape": "none",
-            "shape_reason": diagnosis.missing,
-            "diagnosis": diagnosis.plain(),
+            **diagnosis.facts(),
             "stream": film.stream,
             "notes": notes,
             "seconds": self._session.seconds(),

@@ -37,9 +37,15 @@ class Diagnosis:
         """All that is to be said."""
         return self.missing, self.why, self.advice
 
-    def plain(self) -> dict[str, Any]:
-        """As JSON has it."""
-        return asdict(self)
+    def facts(self) -> dict[str, Any]:
+        """What the summary says of it."""
+        return {
+            "tracks": int(self.figures.get("tracks") or 0),
+            "points": 0,
+            "shape": "none",
+            "shape_reason": self.missing,
+            "diagnosis": asdict(self),
+        }
 
 
 def too_little(frames: Sequence[Frame], n_tracks: int | None) -> Diagnosis | None:

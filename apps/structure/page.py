@@ -19,7 +19,7 @@ from ..io.sources.images import focal_of_picture
 from ..view.film import Film, FilmWriter, Row, read_film
 from ..view.overlay import css_colour, identity_colour
 from ..view.page import Line, Page, Plot, Section, encoded
-from ..view.points import LAYER, FollowedPoints, film_of_points, most_over_film, packed
+from ..view.points import LAYER, SIDES, FollowedPoints, film_of_points, most_over_film, packed
 from .files import GREY, orthographic_parts
 
 
@@ -58,6 +58,19 @@ def focal_in_words(found: PerspectiveStructure) -> str:
     return f"focal length {found.cameras.focal:.5g} ± {found.focal_deviation:.2g} px"
 
 
+def facts_of(found: Reconstruction) -> dict[str, Any]:
+    """What the summary of any engine says of points and camera."""
+    return {
+        "points": found.n_points,
+        "observations": found.n_observations,
+        "reprojection_rmse_px_per_point": found.reprojection_error,
+        "reprojection_rmse_px_per_coordinate": found.reprojection_error / math.sqrt(2),
+        "noise_px_per_coordinate": float(np.sqrt(found.noise_variance)),
+        "camera": "affine" if found.perspective is None else "perspective",
+        "camera_in_words": camera_in_words(found),
+    }
+
+
 def in_words(summary: Mapping[str, Any]) -> list[str]:
     """Points, and how well they fit."""
     words = f"{summary['frames']} frames, {summary['points']} points from {summary['tracks']} tracks"
@@ -87,9 +100,6 @@ LEAST_SURE = 4.0
 """Deviation, in medians over the points, beyond which a point is no corner of the surface."""
 PICTURE_SIDE = 640
 """px of the picture that the surface carries, at most."""
-
-SIDES = (("from the front", 0, 1), ("from the right", 2, 1), ("from above", 0, 2))
-"""Title, and which of x (right), y (down) and z (away) goes to the right and which down."""
 
 
 def write_film(

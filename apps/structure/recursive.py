@@ -1,6 +1,5 @@
 """`rsmcm structure --engine recursive-bp`: shape and camera while frames come in, also of live sources."""
 
-import math
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -21,10 +20,10 @@ from ..runs.row_log import RowLog
 from ..view.film import Film, Row
 from ..view.overlay import Draw, PointsOverlay
 from ..view.page import Page
-from .diagnosis import Diagnosis, no_depth
+from .diagnosis import no_depth
 from .files import GREY, write_cameras, write_ply, write_tracks
 from .job import StructureJob
-from .page import camera_in_words, in_words, nothing_page, structure_page
+from .page import facts_of, in_words, nothing_page, structure_page
 
 LOOKED_AT = 300
 """Last frames whose motion is told where there is no shape."""
@@ -83,8 +82,8 @@ class RecursiveRun(Application[StructureJob]):
         ]
         self._found: Reconstruction | None = None
         if structure is None:
-            self._diagnosis = no_depth("the motion of points has not determined a shape", _last_tracks(log))
-            return _facts_of_nothing(self._diagnosis)
+            diagnosis = no_depth("the motion of points has not determined a shape", _last_tracks(log))
+            return {**diagnosis.facts(), "notes": list(diagnosis.sentences)}
         tracks, colours = _of_identities(log, structure.identities)
         self._found = found = recursive_reconstruction(
             structure, log["camera"], log["camera_covariance"], tracks
@@ -96,13 +95,7 @@ class RecursiveRun(Application[StructureJob]):
         notes = [f"The shape is known up to an affine map only: {found.reason}."] if found.reason else []
         return {
             "tracks": len(np.unique(log.objects("id"))),
-            "points": found.n_points,
-            "observations": found.n_observations,
-            "reprojection_rmse_px_per_point": found.reprojection_error,
-            "reprojection_rmse_px_per_coordinate": found.reprojection_error / math.sqrt(2),
-            "noise_px_per_coordinate": float(np.sqrt(found.noise_variance)),
-            "camera": "affine",
-            "camera_in_words": camera_in_words(found),
+            **facts_of(found),
             "shape": found.geometry,
             "shape_reason": found.reason or None,
             "shape_since_frame": self._frames[int(np.flatnonzero(found.determined)[0])].number,
@@ -175,14 +168,3 @@ def _last_tracks(log: RowLog) -> Numbers:
     tracks = np.full((len(counts), len(identities), 2), np.nan)
     tracks[np.repeat(np.arange(len(counts)), counts), column] = log.objects("place")[-total:]
     return tracks
-
-
-def _facts_of_nothing(diagnosis: Diagnosis) -> dict[str, Any]:
-    return {
-        "tracks": int(diagnosis.figures.get("tracks") or 0),
-        "points": 0,
-        "shape": "none",
-        "shape_reason": diagnosis.missing,
-        "diagnosis": diagnosis.plain(),
-        "notes": list(diagnosis.sentences),
-    }

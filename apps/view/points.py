@@ -20,6 +20,8 @@ MOST_TRACKED, MOST_PLACES = 2_000, 200_000
 """Over the film: points, and places of points in frames."""
 MOST_ROWS = 200
 """Of the timeline; other points have one while they are selected."""
+SIDES = (("from the front", 0, 1), ("from the right", 2, 1), ("from above", 0, 2))
+"""Title, and which of x (right), y (down) and z (away) goes to the right and which down."""
 MARGIN = 0.08
 """About the points where there are no pictures."""
 

@@ -23,7 +23,7 @@ from rsmcm.apps.events import (
     Zones,
     read_events,
 )
-from rsmcm.apps.events.watch import COLUMNS, ERROR, EventLog, line_of, rounded, sightings_of, write_events
+from rsmcm.apps.events.watch import COLUMNS, ERROR, EventLog, line_of, rounded, write_events
 from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.io import TrackTableWriter
 from rsmcm.apps.io.tracks import TrackedBox, columns_of
@@ -278,7 +278,7 @@ def write(folder: Path, first: int, last: int, every: int = 10) -> None:
                 for each in (log, table, writer):
                     each.checkpoint()
         log.checkpoint()
-        events.end(log)
+        events.end(int(log["number"][-1]))
     write_events(folder / "events.csv", events.events)
 
 
@@ -299,10 +299,10 @@ def test_a_run_that_goes_on_writes_the_same(stop: int, go_on: int, whole: Path, 
 
 
 def test_the_table_of_tracks_gives_the_same(whole: Path) -> None:
-    watch, found = Watch(ZONES), list[Event]()
-    for time, number, sightings in sightings_of(read_tracks_table(whole)):
-        found += watch.take_in(time, number, sightings)
-    found += watch.end(N_FRAMES)
+    events = EventLog(ZONES)
+    events.add_table(read_tracks_table(whole))
+    events.end(N_FRAMES)
+    found = events.events
     lines = (whole / "events.csv").read_text().splitlines()
     assert lines == [",".join(COLUMNS), *map(line_of, found)]
     assert {event.kind for event in found} >= {Kind.ENTERED, Kind.APPEARED, Kind.STANDS, Kind.STOOD}
@@ -320,7 +320,7 @@ def test_who_reads_along_sees_what_has_happened(tmp_path: Path) -> None:
 def test_rounded_as_they_are_read_back(whole: Path) -> None:
     with RowLog(whole / "rows", N_FRAMES) as log:
         events = EventLog(ZONES, log)
-        events.end(log)
+        events.end(int(log["number"][-1]))
         assert [rounded(event) for event in events.events] == read_events(whole / "events.csv")
 
 
@@ -355,5 +355,7 @@ def test_nobody_has_been_there_yet(tmp_path: Path) -> None:
                 log.append({"number": np.int64(number), "time": number / 25}, columns_of([]))
                 writer.write(events.add(number, number / 25, columns_of([])))
             log.checkpoint()
-    assert list(sightings_of(read_tracks_table(tmp_path))) == []
+    events = EventLog(ZONES)
+    events.add_table(read_tracks_table(tmp_path))
+    assert events.events == []
     assert read_events(tmp_path / "events.csv") == []
