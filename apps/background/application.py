@@ -193,9 +193,9 @@ class Background(Application[BackgroundJob]):
             per_pixel += CHANNELS * math.ceil(self.job.warm_up * source.rate / self.job.step)
         return per_pixel + (SAMPLE if self.begins_settled else 0), 0.0
 
-    def title(self, source: Source) -> str:
+    def title(self, source: str) -> str:
         """The source and how it was taken."""
-        return f"{Path(source.name).name}: {self.job.engine}"
+        return f"{Path(source).name}: {self.job.engine}"
 
     def build(self, start: Start) -> Engine:
         """Read what is known of the film beforehand; find the empty scene, where that is asked for."""
@@ -338,7 +338,7 @@ class Background(Application[BackgroundJob]):
         """Tracks over the film, and what is to be said of them."""
         states = self._engine.state.states
         background = states["background"].picture() if states else None
-        title, happened = self.title(self._start.source), self._happened(log)
+        title, happened = self.title(summary["source"]), self._happened(log)
         return background_page(title, RunRecord(log), summary, film, background, happened)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:

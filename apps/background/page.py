@@ -18,6 +18,7 @@ from ..runs.row_log import RowLog
 from ..view.film import LONGEST_SIDE, Film, Row
 from ..view.overlay import css_colour, draw_zones, identity_colour
 from ..view.page import (
+    FrameRecord,
     Line,
     Page,
     Plot,
@@ -59,15 +60,14 @@ class TrackHistory:
     path: NDArray[np.float64]
 
 
-class RunRecord:
+class RunRecord(FrameRecord):
     """Numbers of all frames `(n_frames,)` of a run's log, and the tracks by identity."""
 
     def __init__(self, log: RowLog) -> None:
-        self.numbers: list[int] = log["number"].tolist()
-        self.times: list[float] = log["time"].tolist()
-        self.missing: list[int] = log["number"][log["missing"]].tolist()
-        self.n_tracks, self.seconds = log["objects"], log["seconds"].tolist()
-        self.foreground_share, self.log_evidence = log["foreground"], log["log_evidence"]
+        super().__init__(log)
+        self.n_tracks, self.foreground_share, self.log_evidence = (
+            log[name] for name in ("objects", "foreground", "log_evidence")
+        )
         ids, frames = log.objects("id"), np.repeat(log["number"], log["objects"])
         x, y, width, height = (log.objects(name) for name in ("x", "y", "width", "height"))
         feet = np.stack([x + width / 2, y + height], axis=1)
@@ -149,18 +149,17 @@ def background_page(
     if happened is not None:
         sections += happened.sections()
     layers, timeline = ({}, []) if film is None else over_the_film(film, happened)
-    return Page(
+    missing = [f"Missing or unreadable, and only predicted: {listed(record.missing)}."] * bool(record.missing)
+    return record.page(
         title,
+        summary,
+        film,
         cards=_cards(record, summary),
-        notes=_notes(record, summary),
-        film=film,
+        notes=[*summary["notes"], *missing],
         layers=layers,
         timeline=timeline,
         plots=_plots(record),
         sections=sections,
-        parameters=summary["parameters"],
-        numbers=record.numbers,
-        times=record.times,
     )
 
 
@@ -180,13 +179,6 @@ def _cards(record: RunRecord, summary: Mapping[str, Any]) -> dict[str, str]:
     if (given := summary["detections"]) is not None:
         cards |= {"detections": f"{given['boxes']}", "frames with a detector": f"{given['frames']}"}
     return cards
-
-
-def _notes(record: RunRecord, summary: Mapping[str, Any]) -> list[str]:
-    notes = list(summary["notes"])
-    if record.missing:
-        notes.append(f"Missing or unreadable, and only predicted: {listed(record.missing)}.")
-    return notes
 
 
 def _plots(record: RunRecord) -> list[Plot]:

@@ -299,16 +299,15 @@ class Body(Application[BodyJob]):
             "notes": notes,
         }
 
-    def title(self, source: Source) -> str:
+    def title(self, source: str) -> str:
         """The source, and what of it is followed."""
-        return f"{Path(source.name).name}: upper body"
+        return f"{Path(source).name}: upper body"
 
     def page(self, log: RowLog, film: Film | None, summary: Mapping[str, Any]) -> Page:
         """The body over the film and in space, and what is to be said of it."""
         if film is not None and self._record.relabelled:
             film = with_final_names(film, {**self._poses, "frames": log["number"]})
-        title = f"{Path(summary['source']).name}: upper body"
-        return body_page(title, self._record, summary, film, self._arm)
+        return body_page(self.title(summary["source"]), self._record, summary, film, self._arm)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """How much was seen."""

@@ -1,5 +1,6 @@
 """What the body application is asked for."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -56,13 +57,10 @@ class BodyJob(FilmJob):
         "samples": (lambda samples: samples >= FEWEST_SAMPLES, f"{FEWEST_SAMPLES} or more"),
         "lag": (lambda frames: 0 <= frames <= MOST_LAG, f"0 to {MOST_LAG} frames"),
     }
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.learned is not None:
-            for name in ("head", "joints"):
-                if getattr(self, name) is not None:
-                    raise ValueError(f"--{name}: got it beside --from, which says what the person is like")
+    EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = (
+        ("--head", "--from", "--from says what the person is like"),
+        ("--joints", "--from", "--from says what the person is like"),
+    )
 
     def settings(self) -> dict[str, Any]:
         """What the results depend on, beside the source."""

@@ -121,18 +121,15 @@ def body_page(
     The film has columns of `drawn_of`; `arm` is the length of a stretched one, px.
     """
     layers, timeline = ({}, []) if film is None else over_the_film(film, arm)
-    return Page(
+    return record.page(
         title,
+        summary,
+        film,
         cards=_cards(summary),
-        notes=summary["notes"],
-        film=film,
         layers=layers,
         timeline=timeline,
         plots=_plots(record),
         sections=_sections(record, summary),
-        parameters=summary["parameters"],
-        numbers=record.numbers,
-        times=record.times,
     )
 
 
@@ -187,8 +184,7 @@ def _cards(summary: Mapping[str, Any]) -> dict[str, str]:
 
 def _plots(record: BodyRecord) -> list[Plot]:
     """Curves in which periods without any feature are shaded."""
-    time_of = dict(zip(record.numbers, record.times, strict=True))
-    nothing = [(time_of[first], time_of[last]) for first, last in record.stationary_periods]
+    nothing = record.spans(record.stationary_periods)
 
     def plot(name: str, unit: str, lines: Sequence[Line], caption: str) -> Plot:
         return Plot(name, unit, lines, caption + " Shaded: nothing was seen." * bool(nothing), shaded=nothing)

@@ -12,7 +12,7 @@ from ...chains.body.hypotheses import WORTH_SAYING
 from ...chains.body.relabelling import EXCHANGED_PARTS
 from ...models.body.upper_body import JOINTS, PARTS
 from ..runs.row_log import RowLog
-from ..view.page import listed_periods, notes_on_missing, periods
+from ..view.page import FrameRecord, listed_periods, notes_on_missing, periods
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -72,7 +72,7 @@ def in_words(found: Mapping[str, Sequence[Doubt]]) -> list[str]:
     return sentences
 
 
-class BodyRecord:
+class BodyRecord(FrameRecord):
     """What summary and page need of a run, a few numbers a frame.
 
     Parameters
@@ -82,10 +82,8 @@ class BodyRecord:
 
     Attributes
     ----------
-    numbers, times, seconds
-        of the frames, 1-based, s, and s that the tracker took.
-    missing, stationary
-        numbers of the frames without an image, and of those whose image has shown nothing of the body.
+    stationary
+        numbers of the frames whose image has shown nothing of the body.
     log_evidence
         nats, up to a constant; NaN where nothing was to be seen.
     effective
@@ -104,13 +102,9 @@ class BodyRecord:
     """
 
     def __init__(self, log: RowLog) -> None:
-        self.numbers: list[int] = log["number"].tolist()
-        self.times: list[float] = log["time"].tolist()
-        self.seconds: list[float] = log["seconds"].tolist()
+        super().__init__(log)
         self.log_evidence, self.effective = log["log_evidence"], log["effective"]
-        missing, stationary = (log[name] for name in ("missing", "stationary"))
-        self.missing: list[int] = log["number"][missing].tolist()
-        self.stationary: list[int] = log["number"][stationary & ~missing].tolist()
+        self.stationary: list[int] = log["number"][log["stationary"] & ~log["missing"]].tolist()
         self.places = log["joints_3d"][:, PART_JOINTS]
         covariances = log["joints_3d_covariances"][:, PART_JOINTS]
         self.spreads = np.sqrt(np.maximum(np.diagonal(covariances, axis1=2, axis2=3), 0))

@@ -198,19 +198,11 @@ def read_zones(path: str | Path, size: tuple[int, int]) -> Zones:
     OSError
         if the file cannot be read.
     """
-    return zones_of(read_entries(Path(path)), size, f"--zones: {path}")
-
-
-def read_entries(path: Path) -> dict[str, Any]:
-    """What a file of zones holds, as plain values: those of a LabelMe file are as in TOML."""
+    path, where = Path(path), f"--zones: {path}"
     try:
-        return _read_labelme(path) if path.suffix.lower() == ".json" else read_settings(path)
+        entries = _read_labelme(path) if path.suffix.lower() == ".json" else read_settings(path)
     except ValueError as error:
         raise ValueError(f"--zones: {error}") from None
-
-
-def zones_of(entries: Mapping[str, Any], size: tuple[int, int], where: str) -> Zones:
-    """Zones and lines from plain values; `where` begins the line of a ValueError, if they are none."""
     unknown = next((key for key in entries if key not in (*KEYS, *OPTIONS)), None)
     if unknown is not None:
         raise _unknown(where, unknown, (*KEYS, *OPTIONS))

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import chain
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -268,8 +267,7 @@ class Face(Application[FaceJob]):
         morphs = self._chain.mean_pose(state).morphs[0]
         places = vertices_on_texture(model, morphs, self._chain.object.texels)
         layer = {} if film is None else self._drawing.layer(film, self._textures, places)
-        title = f"{Path(summary['source']).name}: face"
-        return face_page(title, FaceRecord(log), summary, film, layer, model.names)
+        return face_page(self.title(summary["source"]), FaceRecord(log), summary, film, layer, model.names)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """How much was lost, and the error."""

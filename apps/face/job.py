@@ -1,5 +1,6 @@
 """What the face application is asked for."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -44,18 +45,16 @@ class FaceJob(FilmJob):
     experts: int = 20
     gain: float | Literal["learned"] = 0.1
 
-    BOUNDS: ClassVar[Bounds] = {
-        "experts": (lambda experts: experts >= 1, "1 or more"),
-    }
+    BOUNDS: ClassVar[Bounds] = {"experts": (lambda experts: experts >= 1, "1 or more")}
+    EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = tuple(
+        (option, "--from", "--from says what the face is like")
+        for option in ("--model", "--landmarks", "--detector")
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.gain != "learned" and not 0 <= self.gain <= 1:
             raise ValueError(f"--gain: got {self.gain}, expected 0 to 1, or learned")
-        if self.learned is not None:
-            for name in ("model", "landmarks", "detector"):
-                if getattr(self, name) is not None:
-                    raise ValueError(f"--{name}: got it beside --from, which says what the face is like")
         if self.landmarks is None and self.correspondences is not None:
             raise ValueError("--correspondences: got them without landmarks, expected --landmarks as well")
 

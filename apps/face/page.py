@@ -116,18 +116,15 @@ def face_page(
         rows = [(name.replace("_", " "), value) for name, value in error.items()]
         sections.append(("Against the given landmarks", [table(("measure", "value"), rows)]))
     layers, timeline = ({}, []) if film is None else over_the_film(film, layer)
-    return Page(
+    return record.page(
         title,
+        summary,
+        film,
         cards=_cards(summary),
-        notes=summary["notes"],
-        film=film,
         layers=layers,
         timeline=timeline,
         plots=_plots(record, names, film),
         sections=sections,
-        parameters=summary["parameters"],
-        numbers=record.numbers,
-        times=record.times,
     )
 
 
@@ -154,9 +151,8 @@ def _cards(summary: Mapping[str, Any]) -> dict[str, str]:
 
 def _plots(record: FaceRecord, names: Sequence[str], film: Film | None) -> list[Plot]:
     """Curves in which lost periods are shaded and re-initialisations dotted."""
-    time_of = dict(zip(record.numbers, record.times, strict=True))
-    lost = [(time_of[first], time_of[last]) for first, last in record.lost_periods]
-    restarted = [time_of[number] for number in record.restarted]
+    lost = record.spans(record.lost_periods)
+    restarted = [first for first, _ in record.spans(zip(record.restarted, record.restarted, strict=True))]
     marks = " Shaded: lost." * bool(lost) + " Dotted: re-initialised." * bool(restarted)
 
     def plot(name: str, unit: str, lines: Sequence[Line], caption: str = "") -> Plot:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ..runs.row_log import RowLog
-from ..view.page import listed, listed_periods, notes_on_missing, periods
+from ..view.page import FrameRecord, listed, listed_periods, notes_on_missing, periods
 
 Array = NDArray[np.float64]
 ANGLES = ("turned to the left", "tilted down", "leaned clockwise")
@@ -26,7 +26,7 @@ def angles(rotation: Array) -> Array:
     return np.array([turned, tilted, leaned])
 
 
-class FaceRecord:
+class FaceRecord(FrameRecord):
     """What summary and page need of a run, a few numbers a frame.
 
     Parameters
@@ -36,9 +36,7 @@ class FaceRecord:
 
     Attributes
     ----------
-    numbers, times
-        of the frames, 1-based and seconds.
-    missing, lost, restarted
+    lost, restarted
         numbers of the frames in which that was so.
     log_evidence
         nats; NaN in the first frame, and where nothing was to be seen.
@@ -53,11 +51,8 @@ class FaceRecord:
     """
 
     def __init__(self, log: RowLog) -> None:
-        self.numbers: list[int] = log["number"].tolist()
-        self.times: list[float] = log["time"].tolist()
-        self.missing, self.lost, self.restarted = (
-            log["number"][log[name]].tolist() for name in ("missing", "lost", "reinitialised")
-        )
+        super().__init__(log)
+        self.lost, self.restarted = (log["number"][log[name]].tolist() for name in ("lost", "reinitialised"))
         self.log_evidence, self.fits, self.errors = log["log_evidence"], log["fit"], log["error"]
         self.experts = 1 / np.square(log["weights"]).sum(axis=1)
         self.angles, self.morphs = np.array([*map(angles, log["mean_rotation"])]), log["mean_morphs"]

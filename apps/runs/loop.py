@@ -29,7 +29,7 @@ from ..view.film import ROWS as FILM_ROWS
 from ..view.film import Film, FilmWriter, Row, read_film
 from ..view.live import Running, live_page
 from ..view.overlay import Draw, OverlayVideo
-from ..view.page import VIEW, Line, Page, Plot, write_page
+from ..view.page import VIEW, FrameRecord, Line, Page, Plot, write_page
 from .interruption import Interrupted, Outcome
 from .memory import check_memory
 from .progress import Progress
@@ -313,16 +313,8 @@ class Application(ABC, Generic[F]):
 
     def page(self, log: RowLog, film: Film | None, summary: Mapping[str, Any]) -> Page:
         """What is on the page, with the film if there was any image: curves of all numbers."""
-        numbers, times = log["number"].tolist(), log["time"].tolist()
-        return Page(
-            f"{Path(summary['source']).name}: {self.name}",
-            notes=summary["notes"],
-            film=film,
-            plots=[Plot(name, "", [Line(log[name])]) for name in log.numbers],
-            parameters=summary["parameters"],
-            numbers=numbers,
-            times=times,
-        )
+        plots = [Plot(name, "", [Line(log[name])]) for name in log.numbers]
+        return FrameRecord(log).page(self.title(summary["source"]), summary, film, plots=plots)
 
     def drawing(self) -> Draw:
         """What draws `Columns.drawn` on frames, for `--video` and `--live`."""
@@ -336,9 +328,9 @@ class Application(ABC, Generic[F]):
         """Of working memory: per pixel, and beside that; see `check_memory`."""
         return 0.0, 0.0
 
-    def title(self, source: Source) -> str:
-        """Of the page."""
-        return f"{Path(source.name).name}: {self.name}"
+    def title(self, source: str) -> str:
+        """Of the page, given the name of the source."""
+        return f"{Path(source).name}: {self.name}"
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """A summary in a few lines."""
@@ -415,7 +407,7 @@ class _FilmRun:
             self._engine = application.build(self._start)
             session.begin_results([*application.files, f"{ROWS}/*.npy"])
             if self._live is not None:
-                self._live.begin(application.title(source), source.n_frames, lambda: source.stream)
+                self._live.begin(application.title(source.name), source.n_frames, lambda: source.stream)
             with RowLog(job.out / ROWS, self._engine.state.number) as log:
                 with suppress(_EndedEarlyError):
                     self._answer_all(log)

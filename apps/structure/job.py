@@ -1,12 +1,14 @@
 """What the structure application is asked for."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 from ..options.job import Bounds, FilmJob, Job
 
 Engine = Literal["coordinate-ascent", "recursive-bp"]
+ASCENT, RECURSIVE = (f"--engine {engine}" for engine in get_args(Engine))
 Coherence = Literal["second-order", "none"]
 Association = Literal["dual-chain", "none"]
 Camera = Literal["auto", "affine", "perspective"]
@@ -47,24 +49,16 @@ class StructureJob(FilmJob):
     focal: float | None = None
 
     BOUNDS: ClassVar[Bounds] = {"focal": (lambda px: 0 < px < math.inf, "px, more than 0")}
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.engine == "coordinate-ascent":
-            for option, given in (("--live", self.live), ("--from", self.learned)):
-                if given is not None:
-                    raise ValueError(
-                        f"{option}: got it with all frames taken together, expected --engine recursive-bp"
-                    )
-        elif (self.coherence, self.association, self.camera, self.focal) != (
-            "second-order", "dual-chain", "auto", None,
-        ):  # fmt: skip
-            raise ValueError(
-                "--engine recursive-bp: got --coherence, --association, --camera or --focal with it, "
-                "expected those with --engine coordinate-ascent"
-            )
-        if self.focal is not None and self.camera == "affine":
-            raise ValueError("--focal: got one with --camera affine, expected a camera that has one")
+    EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = (
+        ("--live", ASCENT, "the second takes all frames together"),
+        ("--from", ASCENT, "the second takes all frames together"),
+        ("--coherence none", RECURSIVE),
+        ("--association none", RECURSIVE),
+        ("--camera affine", RECURSIVE),
+        ("--camera perspective", RECURSIVE),
+        ("--focal", RECURSIVE),
+        ("--focal", "--camera affine"),
+    )
 
     def settings(self) -> dict[str, Any]:
         """What the results depend on, beside the source."""

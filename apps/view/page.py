@@ -21,6 +21,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from ...models.files import write_text
+from ..runs.row_log import RowLog
 from .film import Film
 
 Array = NDArray[Any]
@@ -199,6 +200,38 @@ class Page:
     numbers: Sequence[int] = ()
     times: Sequence[float] = ()
     over: Literal["time", "frame"] = "time"
+
+
+class FrameRecord:
+    """Numbers, times (s) and seconds of work of all frames of a run, and numbers of the missing ones.
+
+    Parameters
+    ----------
+    log
+        the rows of the run.
+    """
+
+    def __init__(self, log: RowLog) -> None:
+        self.numbers: list[int] = log["number"].tolist()
+        self.times: list[float] = log["time"].tolist()
+        self.seconds: list[float] = log["seconds"].tolist()
+        self.missing: list[int] = log["number"][log["missing"]].tolist()
+
+    def page(self, title: str, summary: Mapping[str, Any], film: Film | None, **parts: Any) -> Page:
+        """A page of these frames, with notes and parameters of the summary, and parts as of `Page`."""
+        return Page(
+            title,
+            film=film,
+            parameters=summary["parameters"],
+            numbers=self.numbers,
+            times=self.times,
+            **{"notes": summary["notes"], **parts},
+        )
+
+    def spans(self, stretches: Iterable[tuple[int, int]]) -> list[tuple[float, float]]:
+        """Times of the first and the last frame of stretches, which are given by numbers."""
+        time_of = dict(zip(self.numbers, self.times, strict=True))
+        return [(time_of[first], time_of[last]) for first, last in stretches]
 
 
 # --- parts of sections ---

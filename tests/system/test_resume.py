@@ -371,8 +371,8 @@ def test_what_cannot_be_learned_from(
         ),
         ("background", tmp_path / "broken.npz", "got neither .npy nor .npz, expected a state"),
         ("background", tmp_path / "nothing.npz", r"nothing\.npz: No such file"),
-        ("face", whole["face"] / "state.npz", "--landmarks: got it beside --from"),
-        ("body", whole["body"] / "state.npz", "--head: got it beside --from"),
+        ("face", whole["face"] / "state.npz", "--landmarks and --from: got both"),
+        ("body", whole["body"] / "state.npz", "--head and --from: got both"),
     ):
         assert applications[name].run(tmp_path / "out", "--from", str(state)) == 2
         assert re.fullmatch(f"rsmcm: .*{words}.*\n", capfd.readouterr().err)

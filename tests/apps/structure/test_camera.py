@@ -120,7 +120,7 @@ def test_a_given_focal_length(source: Path, tmp_path: Path, film: PerspectiveFil
     ("options", "expected"),
     [
         (("--focal", "-3"), "--focal: got -3, expected px, more than 0"),
-        (("--focal", "900", "--camera", "affine"), "--focal: got one with --camera affine"),
+        (("--focal", "900", "--camera", "affine"), "--focal and --camera affine: got both"),
     ],
 )
 def test_focal_lengths_that_cannot_be(

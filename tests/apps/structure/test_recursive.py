@@ -51,11 +51,12 @@ def test_a_scene_that_stands_still_has_none(tmp_path: Path, capfd: pytest.Captur
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--live", "0"), "--live: got it with all frames taken together, expected --engine recursive-bp"),
         (
-            (*RECURSIVE, "--camera", "affine"),
-            "--engine recursive-bp: got --coherence, --association, --camera",
+            ("--live", "0"),
+            "--live and --engine coordinate-ascent: got both, expected one of them "
+            "(the second takes all frames together)",
         ),
+        ((*RECURSIVE, "--camera", "affine"), "--camera affine and --engine recursive-bp: got both"),
         (RECURSIVE, "expected a film or a stream"),
     ],
 )
