@@ -98,7 +98,11 @@ class TrackWriter(LineWriter):
 
     def write(self, number: int, tracks: Sequence[TrackedObject]) -> None:
         """Append the boxes (0-based px) of a frame."""
-        self.append(mot_lines(number, columns_of(tracks)))
+        self.append(
+            f"{number},{track.identity},{track.box[0] + 1:.2f},{track.box[1] + 1:.2f},{track.box[2]:.2f},"
+            f"{track.box[3]:.2f},{track.confidence:.4f},-1,-1,-1"
+            for track in tracks
+        )
 
 
 class TrackTableWriter(LineWriter):
