@@ -16,7 +16,7 @@ from ...models.core.short_repr import short_repr
 from ..options.complaints import meant
 from .point_files import FARTHEST
 from .sources.open_source import Source
-from .tables import Column, JsonStream, Pictures, Row, csv_rows, first_line, image_id, rows_of_frame
+from .tables import Column, Pictures, Row, csv_rows, first_line, image_id, json_rows, read_json, rows_of_frame
 from .tracks import mot_rows
 
 COLUMNS = {
@@ -216,50 +216,30 @@ def read_coco(path: Path, pictures: Pictures) -> Detections:
 
     A list of results has the number of the frame as `image_id`, or the name of a picture. Classes are
     numbers there. A data set (`images`, `annotations`, `categories`) names its images, and lists those in
-    which nothing was found; it is read twice, since its lists come in any order. Outlines (`segmentation`)
-    are not read.
+    which nothing was found. Outlines (`segmentation`) are not read.
     """
-    with JsonStream(path, EXPECTED_COCO) as stream:
-        if stream.peek() == "[":
-            rows = stream.rows("result", ("image_id", "bbox"))
-            found = (_of_coco(row, pictures.frame(row, row.values["image_id"]), {}) for row in rows)
-            detections = _table(path, found)
-            stream.end()
-            return detections
-        frames: dict[int | str, int] | None = None
-        categories: dict[str, str] = {}
-        for key in stream.entries():
-            if key == "images":
-                frames = {}
-                for row in stream.rows("image", ("id", "file_name")):
-                    frame = pictures.frame(row, str(row.values["file_name"]))
-                    frames[image_id(row, row.values["id"])] = frame
-            elif key == "categories":
-                for row in stream.rows("category", ("id", "name")):
-                    categories[str(row.values["id"])] = str(row.values["name"])
-            else:
-                stream.skip()
-        stream.end()
-    if frames is None:
+    content = read_json(path, EXPECTED_COCO)
+    if isinstance(content, list):
+        rows = json_rows(path, "result", content, ("image_id", "bbox"), EXPECTED_COCO)
+        return _table(path, (_of_coco(row, pictures.frame(row, row.values["image_id"]), {}) for row in rows))
+    if "images" not in content:
         raise ValueError(f"{path}: got an object without images, expected images, annotations, categories")
-    return _table(
-        path, _annotations(path, frames, categories), frozenset(frames.values()), categories.values()
-    )
+    frames, categories = {}, {}
+    for row in json_rows(path, "image", content["images"], ("id", "file_name"), EXPECTED_COCO):
+        frame = pictures.frame(row, str(row.values["file_name"]))
+        frames[image_id(row, row.values["id"])] = frame
+    for row in json_rows(path, "category", content.get("categories", []), ("id", "name"), EXPECTED_COCO):
+        categories[str(row.values["id"])] = str(row.values["name"])
 
+    def found() -> Iterator[Found]:
+        items = content.get("annotations", [])
+        for row in json_rows(path, "annotation", items, ("image_id", "bbox"), EXPECTED_COCO):
+            image = image_id(row, row.values["image_id"])
+            if image not in frames:
+                raise row.wrong(f"image_id {image!r}", "one of the images listed")
+            yield _of_coco(row, frames[image], categories)
 
-def _annotations(
-    path: Path, frames: Mapping[int | str, int], categories: Mapping[str, str]
-) -> Iterator[Found]:
-    with JsonStream(path, EXPECTED_COCO) as stream:
-        for key in stream.entries():
-            if key != "annotations":
-                stream.skip()
-                continue
-            for row in stream.rows("annotation", ("image_id", "bbox")):
-                image = image_id(row, row.values["image_id"])
-                if image not in frames:
-                    raise row.wrong(f"image_id {image!r}", "one of the images listed")
-                yield _of_coco(row, frames[image], categories)
+    return _table(path, found(), frozenset(frames.values()), categories.values())
 
 
 def _of_coco(row: Row, frame: int, categories: Mapping[str, str]) -> Found:

@@ -1,6 +1,5 @@
 """Points that a detector has found of persons in a film: in files, or by a callable as frames come."""
 
-import json
 import math
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,11 +13,20 @@ from numpy.typing import NDArray
 from ...models.core.frame import Frame
 from ...models.core.keypoints import COCO, KEYPOINTS, KNOWN, POINTS, SKELETONS, GivenKeypoints
 from ...models.core.short_repr import short_repr
-from ...models.files import MOST_SETTINGS, read_text
 from .detections import check_not_live, last_frame, with_found
 from .point_files import FARTHEST
 from .sources.open_source import Source
-from .tables import Column, JsonStream, Pictures, Row, csv_rows, digest, first_line, rows_of_frame
+from .tables import (
+    Column,
+    Pictures,
+    Row,
+    csv_rows,
+    digest,
+    first_line,
+    json_rows,
+    read_json,
+    rows_of_frame,
+)
 
 Array = NDArray[np.float64]
 
@@ -185,13 +193,12 @@ def read_coco(path: Path, film: str, pictures: Sequence[str]) -> Keypoints:
     `image_id` is the number of a frame, or names a picture; each result is a person.
     """
     persons, known = _Persons(path), Pictures(film, pictures)
-    with JsonStream(path, "keypoints in COCO's form: a list of image_id, keypoints, score") as stream:
-        for row in stream.rows("result", ("image_id", "keypoints")):
-            points = persons.of(row, known.frame(row, row.values["image_id"]), row.place)
-            triples = _triples(row, row.values["keypoints"], len(COCO))
-            for name, (x, y, score) in zip(COCO, triples, strict=True):
-                _write(row, points, name, x, y, score)
-        stream.end()
+    expected = "keypoints in COCO's form: a list of image_id, keypoints, score"
+    for row in json_rows(path, "result", read_json(path, expected), ("image_id", "keypoints"), expected):
+        points = persons.of(row, known.frame(row, row.values["image_id"]), row.place)
+        triples = _triples(row, row.values["keypoints"], len(COCO))
+        for name, (x, y, score) in zip(COCO, triples, strict=True):
+            _write(row, points, name, x, y, score)
     return persons.table()
 
 
@@ -227,15 +234,11 @@ def read_openpose(folder: Path, film: str, pictures: Sequence[str]) -> Keypoints
 
 def _people(path: Path) -> list[Any]:
     """The people of a frame, in a file of OpenPose."""
-    expected = "expected the JSON of OpenPose: version and people"
-    text = read_text(path, expected, MOST_SETTINGS)
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError):
-        raise ValueError(f"{path}: got no JSON, or a part of it, {expected}") from None
+    expected = "the JSON of OpenPose: version and people"
+    content = read_json(path, expected)
     people = content.get("people") if isinstance(content, dict) else None
     if not isinstance(people, list):
-        raise ValueError(f"{path}: got {brief(content)}, {expected}")
+        raise ValueError(f"{path}: got {brief(content)}, expected {expected}")
     return people
 
 

@@ -1,4 +1,4 @@
-"""Tables that others have written, as lines of text or JSON: read row by row, never as a whole.
+"""Tables that others have written, as lines of text, read row by row, or as JSON.
 
 What is wrong with a row is one line: `FILE, line 3: got ..., expected ...`.
 """
@@ -9,22 +9,19 @@ import json
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from json.decoder import JSONDecoder
 from pathlib import Path, PurePosixPath
 from reprlib import repr as brief
-from typing import Any, NamedTuple, Self, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.files import LAST_FRAME, MOST_TEXT
+from ...models.files import LAST_FRAME, read_text
 
 LONGEST_LINE = 10_000  # characters of a table: beyond, it is none
 
-PIECE = 1 << 20
-"""Characters of JSON that are read at once."""
-
-BLANK = " \t\r\n"
+MOST_JSON = 1 << 29
+"""Bytes of a file of JSON, which is held in memory: boxes of some hours."""
 
 
 class Row(NamedTuple):
@@ -177,130 +174,36 @@ def _csv_lines(path: Path, file: TextIO) -> Iterator[str]:
         yield line
 
 
-class JsonStream:
-    """A JSON text, of which lists and objects are entered and their values taken one by one.
+def read_json(path: Path, expected: str) -> Any:
+    """Read a file of JSON, of which messages say what is expected.
 
-    What is broken or too long is a ValueError that names file and line.
-
-    Parameters
-    ----------
-    path
-        of its file.
-    expected
-        what it should hold, for messages.
+    Raises
+    ------
+    ValueError
+        naming the file, and the line if that is known, if it is broken or too large.
     """
+    text = read_text(path, f"expected {expected}", MOST_JSON)
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        got = "more behind the end" if error.msg == "Extra data" else "no JSON, or a part of it"
+        raise ValueError(f"{path}, line {error.lineno}: got {got}, expected {expected}") from None
+    except (ValueError, RecursionError):  # a number of thousands of digits, lists without end
+        raise ValueError(f"{path}: got no value that such a file has, expected {expected}") from None
 
-    def __init__(self, path: Path, expected: str) -> None:
-        self._path = path
-        self._expected = expected
-        self._file = path.open(encoding="utf-8-sig", errors="replace")
-        self._decoder = JSONDecoder()
-        self._text = ""
-        self._place = 0
-        self._line = 1  # in which the text begins
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-
-    def peek(self) -> str:
-        """The next character that is not blank; nothing at the end."""
-        while True:
-            for place in range(self._place, len(self._text)):
-                if self._text[place] not in BLANK:
-                    self._place = place
-                    return self._text[place]
-            self._place = len(self._text)
-            if not self._more():
-                return ""
-
-    def items(self) -> Iterator[Any]:
-        """The values of the list that begins here."""
-        self._take("[")
-        while self.peek() != "]":
-            yield self.value()
-            self._separate("]")
-        self._take("]")
-
-    def entries(self) -> Iterator[str]:
-        """The keys of the object that begins here; after each, its value is to be taken."""
-        self._take("{")
-        while self.peek() != "}":
-            key = self.value()
-            if not isinstance(key, str):
-                raise self._wrong("no JSON")
-            self._take(":")
-            yield key
-            self._separate("}")
-        self._take("}")
-
-    def value(self) -> Any:
-        """The value that begins here, whole."""
-        self.peek()
-        while True:
-            try:
-                value, end = self._decoder.raw_decode(self._text, self._place)
-            except json.JSONDecodeError:
-                if not self._more():
-                    raise self._wrong("no JSON, or a part of it") from None
-                continue
-            except (ValueError, RecursionError):  # a number of thousands of digits, lists without end
-                raise self._wrong("no value that such a file has") from None
-            if end < len(self._text) or not self._more():
-                self._place = end
-                return value
-
-    def skip(self) -> None:
-        """Pass over the value that begins here; of a list, over one value after the other."""
-        if self.peek() == "[":
-            for _ in self.items():
-                pass
-        else:
-            self.value()
-
-    def end(self) -> None:
-        """Make sure that nothing follows."""
-        if self.peek():
-            raise self._wrong("more behind the end")
-
-    def _separate(self, end: str) -> None:
-        """Take a comma, unless the end comes."""
-        if self.peek() != end:
-            self._take(",")
-
-    def _take(self, character: str) -> None:
-        if self.peek() != character:
-            raise self._wrong("no JSON" if self._text[self._place :] else "a part of a file")
-        self._place += 1
-
-    def _more(self) -> bool:
-        """Read on, twice as much as is held: what cannot be read yet is not tried too often."""
-        piece = self._file.read(max(PIECE, len(self._text) - self._place))
-        if "\0" in piece:
-            raise self._wrong("binary data")
-        self._line += self._text.count("\n", 0, self._place)
-        self._text = self._text[self._place :] + piece
-        self._place = 0
-        if len(self._text) > MOST_TEXT:
-            raise self._wrong(f"a value of more than {MOST_TEXT >> 1} characters")
-        return bool(piece)
-
-    def _wrong(self, got: str) -> ValueError:
-        line = self._line + self._text.count("\n", 0, self._place)
-        return ValueError(f"{self._path}, line {line}: got {got}, expected {self._expected}")
-
-    def rows(self, unit: str, needed: Sequence[str]) -> Iterator[Row]:
-        """The objects of the list that begins here, a row each; each has the names that are needed."""
-        for place, item in enumerate(self.items(), start=1):
-            row = Row(self._path, unit, place, item)
-            if not isinstance(item, dict):
-                raise row.wrong(brief(item), "an object in braces")
-            for name in needed:
-                if name not in item:
-                    raise row.wrong(f"no {name}", ", ".join(needed))
-            yield row
+def json_rows(path: Path, unit: str, items: object, needed: Sequence[str], expected: str) -> Iterator[Row]:
+    """The objects of a list, a row each; each has the names that are needed."""
+    if not isinstance(items, list):
+        raise ValueError(f"{path}: got {brief(items)}, expected {expected}")
+    for place, item in enumerate(items, start=1):
+        row = Row(path, unit, place, item)
+        if not isinstance(item, dict):
+            raise row.wrong(brief(item), "an object in braces")
+        for name in needed:
+            if name not in item:
+                raise row.wrong(f"no {name}", ", ".join(needed))
+        yield row
 
 
 class Pictures:

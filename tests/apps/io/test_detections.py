@@ -207,7 +207,7 @@ HEADER = "frame,x,y,width,height,score\n"
         (HEADER + "1,2,3,-4,5,1\n", "found, line 2: got a box of -4 x 5 px"),
         (HEADER + "1,2,3,4,1e300,1\n", "found, line 2: got a box at 2, 3"),
         (HEADER + '1,2,3,4,5,"1\n', "found, line 2: got a quote that does not end"),
-        (f"[{GOOD},\n{GOOD}", "found, line 2: got a part of a file"),
+        (f"[{GOOD},\n{GOOD}", "found, line 2: got no JSON, or a part of it"),
         (f'[{GOOD},\n{{"image_id": 1, "bbo', "found, line 2: got no JSON, or a part of it"),
         (f"[{GOOD}] 1", "found, line 1: got more behind the end"),
         (f"[{GOOD}, 7]", "found, result 2: got 7, expected an object"),
@@ -228,8 +228,8 @@ HEADER = "frame,x,y,width,height,score\n"
         ),
         ('{"images": [{"id": 3}]}', "found, image 1: got no file_name"),
         ('{"shapes": "a labelled picture"}', "found: got an object without images"),
-        ("[" * 100_000, "found, line 1: got no value that such a file has"),
-        (f"[{'9' * 10_000}]", "found, line 1: got no value that such a file has"),
+        ("[" * 100_000, "found: got no value that such a file has"),
+        (f"[{'9' * 10_000}]", "found: got no value that such a file has"),
     ],
 )
 def test_what_is_wrong_is_said_with_its_place(text: str, complaint: str, tmp_path: Path) -> None:

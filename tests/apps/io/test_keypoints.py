@@ -140,7 +140,7 @@ HEADER = "frame,joint,x,y,score\n"
         (HEADER + "1,neck,1", "line 2: got 3 columns, expected y in column 4"),
         (HEADER + "1,neck,1,1,1\n1,neck,2,1,1", "line 3: got neck of frame 1 a second time"),
         ("[", "line 1: got no JSON, or a part of it"),
-        ("{}", "line 1: got no JSON, expected keypoints in COCO's form"),
+        ("{}", "found: got {}, expected keypoints in COCO's form"),
         ("[1]", "result 1: got 1, expected an object"),
         ('[{"image_id": 1}]', "result 1: got no keypoints"),
         ('[{"image_id": 1, "keypoints": 3}]', "result 1: got 3, expected x, y and score of 17 points"),
