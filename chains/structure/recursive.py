@@ -257,7 +257,7 @@ def register(structure: Structure, seen: ObservedPoints) -> Registration:
     )
 
 
-def update(structure: Structure, found: Registration, elapsed: float, time: float) -> Structure:
+def updated(structure: Structure, found: Registration, elapsed: float, time: float) -> Structure:
     """The structure updated with a frame that it is registered with, `elapsed` s after the last one.
 
     Outliers become uncertain, so that they are believed at last.

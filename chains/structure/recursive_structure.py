@@ -16,9 +16,10 @@ from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.points.point_tracks import NOWHERE, PointMessage, PointTracks
-from ..structure import camera_motion, recursive
+from ..structure import camera_motion
 from .camera_motion import CameraMotion
 from .recursive import (
+    add_points, register, updated,
     GATE,
     LEAST_SCALE,
     MEDIAN,
@@ -318,8 +319,8 @@ class RecursiveStructure:
         if structure is not None:
             found = incoming.once(_registered, structure, state, others)
             if len(seen) < LEAST_SEEN or not _lost(found.motion, structure.extent):
-                structure = recursive.update(structure, found, state.elapsed, state.time)
-                structure = self._remembered(recursive.add_points(structure, seen))
+                structure = updated(structure, found, state.elapsed, state.time)
+                structure = self._remembered(add_points(structure, seen))
                 return replace(state, elapsed=0.0, structure=structure)
         window = state.window.lengthened(seen, state.time, self.most_points)
         structure = first_structure(window) if window is not state.window and window.due else None
@@ -356,7 +357,7 @@ def _seen(state: StructureState, others: PointMessage) -> ObservedPoints:
 
 
 def _registered(structure: Structure, state: StructureState, others: PointMessage) -> Registration:
-    return recursive.register(structure, _seen(state, others))
+    return register(structure, _seen(state, others))
 
 
 def _lost(motion: CameraMotion, extent: float) -> bool:

@@ -25,8 +25,7 @@ from .shape import (
     shape_error,
     without_triangles,
 )
-from .smoothness import LEAST_FRAMES as SMOOTH_FRAMES
-from .smoothness import smoothed
+from .smoothness import SMOOTH_FRAMES, smoothed
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]

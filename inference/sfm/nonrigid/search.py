@@ -61,7 +61,7 @@ def rigid_states(tracks: Tracks, positions: Numbers, on_iteration: Callable[[], 
         the same, `positions` `(n_frames, n_points, 2)` with NaN where not seen.
     """
     rigid, _ = run_em(tracks, rigid_start(positions), RIGID_ITERATIONS, TOLERANCE, on_iteration)
-    smooth = smoothed(tracks, rigid)
+    smooth = with_smooth_turns(tracks, rigid)
     if smooth is None:
         return [rigid]
     return [rigid, run_em(tracks, smooth, RIGID_ITERATIONS, TOLERANCE, on_iteration)[0]]
@@ -140,7 +140,7 @@ def without_modes(state: State, n_bases: int) -> State:
 # --- which way it turns -------------------------------------------------------------------------------------
 
 
-def smoothed(tracks: Tracks, state: State) -> State | None:
+def with_smooth_turns(tracks: Tracks, state: State) -> State | None:
     """The state with each frame's rotation or its mirror image, so that turns are smooth; `None` if they are.
 
     Under orthography a flat object appears the same as its mirror image behind it, R -> F R F_n with F a
@@ -288,7 +288,7 @@ def _rotations(rows: Numbers) -> Numbers:
     return rotations
 
 
-MOST_BASES = 12
+BASES_OF_POSES = 12
 """That poses are looked for with, if fewer are asked for: what bases leave of a deformation is then not
 explained by turns that the object never made. More gain little, and take longer."""
 
@@ -355,7 +355,7 @@ def search(
     def climbed(state: State, rounds: int) -> State:
         return run_em(tracks, state, rounds, TOLERANCE, on_iteration)[0]
 
-    size = max(bases, min(MOST_BASES, most))
+    size = max(bases, min(BASES_OF_POSES, most))
     rigid = rigid_states(tracks, positions, on_iteration)
     first = [climbed(with_modes(tracks, each, size - 1), FIRST_ROUND) for each in rigid]
     filled = _filled(tracks, _best_first(tracks, first)[0][1])

@@ -33,7 +33,7 @@ from .em import (
 
 Numbers = NDArray[np.float64]
 
-LEAST_FRAMES = 5
+SMOOTH_FRAMES = 5
 """Fewer say nothing about differences of differences."""
 ITERATIONS = 40
 DAMPING = Damping(1e-4, most=1e6)

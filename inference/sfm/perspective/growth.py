@@ -20,7 +20,7 @@ from .student_noise import StudentNoise
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
-NEAR = 2.0
+AGREEING_DISTANCE = 2.0
 """px, within which an observation agrees with a camera and a point: some deviations of usual trackers."""
 SURE = 0.999
 """Probability with which a sample without outlier is found."""
@@ -150,7 +150,7 @@ class _Growth:
         here, there = self._places[one, both] * curvature, self._places[other, both] * curvature
         cv2.setRNGSeed(0)
         essential, agreeing = cv2.findEssentialMat(
-            here, there, np.eye(3), method=cv2.RANSAC, prob=SURE, threshold=NEAR / 2 * curvature
+            here, there, np.eye(3), method=cv2.RANSAC, prob=SURE, threshold=AGREEING_DISTANCE / 2 * curvature
         )
         if essential is None or essential.shape != (3, 3):
             return None
@@ -208,7 +208,7 @@ class _Growth:
         cv2.setRNGSeed(0)
         try:
             found, vector, translation, agreeing = cv2.solvePnPRansac(
-                self._shape[points], seen, np.eye(3), None, reprojectionError=NEAR * self._cameras.curvature,
+                self._shape[points], seen, np.eye(3), None, reprojectionError=AGREEING_DISTANCE * self._cameras.curvature,
                 confidence=SURE, iterationsCount=SAMPLES, flags=cv2.SOLVEPNP_SQPNP,
             )  # fmt: skip
         except cv2.error:  # points that are nearly in one place or on a line
@@ -228,7 +228,7 @@ class _Growth:
         self._shape[points] = retriangulated(listed, part)
         squares = squares_of(listed, part.cameras, self._shape[points])
         near = np.zeros((len(points), len(part.cameras.scales)), bool)
-        near[listed.own, listed.other] = squares < NEAR**2
+        near[listed.own, listed.other] = squares < AGREEING_DISTANCE**2
         centres = part.cameras.centres
         good = near.sum(axis=1) >= 2
         first, last = near.argmax(axis=1), near.shape[1] - 1 - near[:, ::-1].argmax(axis=1)
@@ -264,7 +264,7 @@ class _Growth:
         x, y = self._places[self._frames][:, points][frames, columns].T.copy()
         by_frame = Listed.sorted_by(frames, len(seen), columns, x, y, np.ones(len(x)))
         listed = by_frame.transposed(len(points))
-        noise = StudentNoise((NEAR / 2) ** 2, 4.0)
+        noise = StudentNoise((AGREEING_DISTANCE / 2) ** 2, 4.0)
         part = Bundle(self._cameras.of(self._frames), self._shape[points], noise, 0.0)
         return part, listed, points
 

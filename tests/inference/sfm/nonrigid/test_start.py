@@ -24,7 +24,7 @@ def test_a_turned_over_stretch_of_frames_is_turned_back() -> None:
     wrong[stretch] = mirrored[stretch]
     state = em.State(flat, wrong, np.ones(40), np.zeros((40, 2)), 1e-4, np.ones(40))
     tracks = em.Tracks.of(positions)
-    found = start.smoothed(tracks, state)
+    found = start.with_smooth_turns(tracks, state)
     assert found is not None
     np.testing.assert_allclose(found.rotations, rotations, atol=1e-12)
-    assert start.smoothed(tracks, replace(state, rotations=rotations)) is None
+    assert start.with_smooth_turns(tracks, replace(state, rotations=rotations)) is None
