@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...inference.sfm.factor_analysis.em import homogeneous
 from ...models.core.short_repr import short_repr
 from ...models.numerics.densities import squared_distances
-from ..structure import camera_motion
+from . import camera_motion
 from .camera_motion import CameraMotion
 
 Numbers = NDArray[np.float64]

@@ -16,10 +16,9 @@ from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.points.point_tracks import NOWHERE, PointMessage, PointTracks
-from ..structure import camera_motion
+from . import camera_motion
 from .camera_motion import CameraMotion
 from .recursive import (
-    add_points, register, updated,
     GATE,
     LEAST_SCALE,
     MEDIAN,
@@ -30,8 +29,11 @@ from .recursive import (
     ObservedPoints,
     Registration,
     Structure,
+    add_points,
     camera_information,
     correlation_time,
+    register,
+    updated,
     wandering,
 )
 

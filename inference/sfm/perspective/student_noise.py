@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from ....models.core.short_repr import short_repr
-
-Numbers = NDArray[np.float64]
+from ..factor_analysis.observations import Numbers
 
 HEAVIEST, LIGHTEST = 3.0, 100.0
 """Degrees of freedom that are considered: Cauchy's distribution, and one that is as good as normal."""
