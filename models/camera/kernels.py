@@ -4,7 +4,7 @@ import numpy as np
 
 from ..numerics.compiled import compiled
 
-UNKNOWNS = 7
+STEP_UNKNOWNS = 7
 """The six of an affine map, and the contrast."""
 
 
@@ -52,7 +52,7 @@ def normal_equations(off, values, gradients, about, variance, information, vecto
     """Those of a Gauss-Newton step; large residuals count as they do under Student's t (4 degrees)."""
     information[:] = 0.0
     vector[:] = 0.0
-    row = np.empty(UNKNOWNS)
+    row = np.empty(STEP_UNKNOWNS)
     for n in range(off.shape[0]):
         if off[n] >= 1e9:
             continue
@@ -62,11 +62,11 @@ def normal_equations(off, values, gradients, about, variance, information, vecto
         row[0], row[1], row[2] = gx, gx * u, gx * v
         row[3], row[4], row[5] = gy, gy * u, gy * v
         row[6] = -values[n]
-        for i in range(UNKNOWNS):
+        for i in range(STEP_UNKNOWNS):
             weighted = weight * row[i]
             vector[i] += weighted * off[n]
-            for j in range(i, UNKNOWNS):
+            for j in range(i, STEP_UNKNOWNS):
                 information[i, j] += weighted * row[j]
-    for i in range(UNKNOWNS):
+    for i in range(STEP_UNKNOWNS):
         for j in range(i):
             information[i, j] = information[j, i]

@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import kernels
 from ..core.frame import BoundingBox
 from ..core.gaussian_message import GaussianMessage
 from ..core.pictures import grey_of
 from ..core.short_repr import short_repr
+from .kernels import normal_equations, residuals, strongest
 
 Numbers = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -184,7 +184,7 @@ class Level:
         height, width = picture.shape
         cell = max(int(np.ceil(np.sqrt(height * width / POINTS))), 3)
         places = np.empty((height * width // cell**2 + 1, 2), np.float32)
-        places = places[: kernels.strongest(across, down, cell, 2, places)]
+        places = places[: strongest(across, down, cell, 2, places)]
         x, y = places.T.astype(np.intp)
         whole = AffineMap.identity(size)
         about = ((scale * places - np.array(whole.middle)) / whole.radius).astype(np.float32)
@@ -307,7 +307,7 @@ def _refined(band: Floats, level: Level, start: Numbers) -> tuple[Numbers, Numbe
     for _ in range(STEPS):
         off = _residuals(band, level, parameters, contrast)
         variance = _variance(off)
-        kernels.normal_equations(
+        normal_equations(
             off, level.values, level.gradients, level.about, variance, information, vector
         )
         information[np.diag_indices(7)] += 1e-3  # where nothing is to be seen, nothing moves
@@ -322,7 +322,7 @@ def _refined(band: Floats, level: Level, start: Numbers) -> tuple[Numbers, Numbe
 
 def _residuals(band: Floats, level: Level, parameters: Numbers, contrast: float = 1.0) -> Numbers:
     off = np.empty(len(level.places))
-    kernels.residuals(band, level.places, level.values, level.about, parameters / level.scale, contrast, off)
+    residuals(band, level.places, level.values, level.about, parameters / level.scale, contrast, off)
     return off
 
 
