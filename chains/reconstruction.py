@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from ..inference.engine.coordinate_ascent import CoordinateAscent, Solution
 from ..inference.engine.graph import MultiChain
 from ..inference.sfm.affine_camera import euclidean
-from ..inference.sfm.depth_test import depth
+from ..inference.sfm.depth import AS_WELL, MOST, depth, motion_of, variance_over_shape
 from ..inference.sfm.factor_analysis.factorisation import Factorisation, predicted
-from ..inference.sfm.parallax import AS_WELL, MOST, motion_of, variance_over_shape
 from ..inference.sfm.perspective.structure import (
     Lens,
     PerspectiveStructure,
@@ -35,7 +34,7 @@ from .points.feature_matcher import FeatureMatcher
 from .points.point_tracker import PointTracker
 from .points.trajectory import PointTrajectory
 from .structure.factor_structure import FactorStructure, StructureTrajectory
-from .structure.recursive import Structure
+from .structure.recursive_structure import Structure
 
 Numbers = NDArray[np.float64]
 Geometry = Literal["euclidean", "affine", "none"]

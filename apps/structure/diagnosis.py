@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...chains.reconstruction import FEWEST_FRAMES, FEWEST_POINTS, Numbers
-from ...inference.sfm.parallax import Kind, Motion, motion_of, picture_motion
+from ...inference.sfm.depth import Kind, Motion, motion_of, picture_motion
 from ...models.core.frame import Frame
 from ...models.core.pictures import grey_of
 

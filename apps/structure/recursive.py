@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from ...chains.points.point_tracker import PointTracker
 from ...chains.reconstruction import Numbers, Reconstruction, recursive_reconstruction
-from ...chains.structure.recursive import Structure
-from ...chains.structure.recursive_structure import RecursiveStructure
+from ...chains.structure.recursive_structure import RecursiveStructure, Structure
 from ...inference import Belief, MultiChain
 from ...models.core.frame import Frame
 from ...models.points.point_tracks import NOWHERE, PointTracks

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import BatchIncoming, Cavity, Port, Smoothed
-from ...inference.sfm.factor_analysis.factorisation import Factorisation, predicted
-from ...inference.sfm.factor_analysis.robust import factorise_robustly
+from ...inference.sfm.factor_analysis.factorisation import Factorisation, factorise_robustly, predicted
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.points.point_tracks import PointMessage, PointTracks

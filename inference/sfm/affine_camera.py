@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..least_squares import Damping, levenberg_marquardt
+from ..optimisation import Damping, levenberg_marquardt
 
 Numbers = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ...anderson import Anderson
+from ...optimisation import Anderson
 from .kernels import frame_moments, invert_information, point_moments, smooth_cameras, squared_error
 from .observations import Numbers, Observations
 

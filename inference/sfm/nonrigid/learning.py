@@ -1,19 +1,37 @@
 """Non-rigid structure from motion: the shape of a deforming object, and its poses, from 2-D point tracks.
 
 `learn_shape` is given the number of bases; `choose_bases` finds it by positions that were withheld;
-`learn_associated` also finds which partial tracks show one point.
+`learn_associated` also finds which partial tracks show one point. EM starts from rigid shapes, to which modes
+are added, and from rotations that a factorisation has to fulfil whatever the deformation is.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ....models.numerics.rotations import nearest_rotation
 from ....models.points.point_tracks import check_points
-from .em import State, Tracks, WeightPosterior, e_step, point_sums
-from .search import Found, search, shapes_of, whole_shapes
+from ...optimisation import Damping, levenberg_marquardt
+from ..affine_camera import euclidean, scaled_rotations
+from ..factor_analysis.factorisation import factorise
+from .em import (
+    FIRST_DAMPING,
+    LEAST_NOISE,
+    SMOOTH_FRAMES,
+    State,
+    Tracks,
+    WeightPosterior,
+    chosen_poses,
+    e_step,
+    log_likelihood,
+    point_sums,
+    run_em,
+    smoothed,
+)
 from .shape import (
     MIRRORED,
     NonrigidShape,
@@ -25,9 +43,402 @@ from .shape import (
     shape_error,
     without_triangles,
 )
-from .smoothness import SMOOTH_FRAMES, smoothed
 
 Numbers = NDArray[np.float64]
+
+USUAL_DEPTH = 0.7
+"""Of objects that do not turn enough to show it, in root mean squares of their width and height."""
+
+RIGID_ITERATIONS = 60
+
+SMOOTH = np.radians(5)
+"""Standard deviation of an object's turn from frame to frame, where it is doubtful which way it turns."""
+
+DOUBT = 100.0
+"""Of a deforming object the likelihood of a rigid one says so many times less than it seems."""
+
+TURNED_OVER = np.radians(15)
+"""Poses that differ by so much are two ways of seeing the same picture."""
+
+TOLERANCE = 1e-5
+"""Nats a coordinate, for what comes before the last climb."""
+
+
+def rigid_states(tracks: Tracks, positions: Numbers, on_iteration: Callable[[], None]) -> list[State]:
+    """Rigid motions: as factorisation gives it, and with smooth turns where they are not.
+
+    Sudden turns of about 180 degrees explain a flat object's picture as well.
+
+    Parameters
+    ----------
+    tracks, positions
+        the same, `positions` `(n_frames, n_points, 2)` with NaN where not seen.
+    """
+    rigid, _ = run_em(tracks, rigid_start(positions), RIGID_ITERATIONS, TOLERANCE, on_iteration)
+    smooth = with_smooth_turns(tracks, rigid)
+    if smooth is None:
+        return [rigid]
+    return [rigid, run_em(tracks, smooth, RIGID_ITERATIONS, TOLERANCE, on_iteration)[0]]
+
+
+def shape_seen_from(positions: Numbers, rotations: Numbers) -> State:
+    """The rigid shape that fits best under given rotations; `positions` are complete and about middles."""
+    n_frames, n_points, _ = positions.shape
+    axes = rotations[:, :2].reshape(-1, 3)
+    rows = positions.transpose(0, 2, 1).reshape(-1, n_points)
+    shape: Numbers = np.asarray(np.linalg.lstsq(axes, rows)[0].T, np.float64)
+    left = positions - shape @ rotations[:, :2].transpose(0, 2, 1)
+    noise = max(float(np.mean(left**2)), LEAST_NOISE**2)
+    damping = np.full(n_frames, FIRST_DAMPING)
+    return State(shape[None].copy(), rotations, np.ones(n_frames), np.zeros((n_frames, 2)), noise, damping)
+
+
+def rigid_start(positions: Numbers) -> State:
+    """A rigid shape and its poses from factorisation `(n_frames, n_points, 2)`, NaN where not seen."""
+    found = factorise(positions)
+    metric = euclidean(found.cameras, found.shape, found.camera_covariance)
+    shape, cameras = metric.shape, metric.cameras
+    if not metric.determined:
+        shape = _usual_depth(found.cameras, found.shape)
+        fitted = np.linalg.lstsq(np.column_stack([shape, np.ones(len(shape))]), found.shape)[0]
+        cameras = np.concatenate([found.cameras[..., :3] @ fitted[:3].T, found.cameras[..., 3:]], axis=2)
+    scales, rotations = scaled_rotations(cameras[..., :3])
+    noise = max(found.rmse, LEAST_NOISE) ** 2
+    damping = np.full(len(scales), FIRST_DAMPING)
+    return State(shape[None].copy(), rotations, scales, cameras[..., 3].copy(), noise, damping)
+
+
+def _usual_depth(cameras: Numbers, shape: Numbers) -> Numbers:
+    """The shape as cameras see it on average, with a depth that they leave open, of usual size."""
+    mean = cameras[..., :3].mean(axis=0)
+    unseen = np.linalg.svd(mean)[2][2]
+    front, depth = shape @ mean.T, shape @ unseen
+    plane = np.column_stack([front, np.ones(len(front))])
+    depth = depth - plane @ np.linalg.lstsq(plane, depth)[0]
+    front = front - front.mean(axis=0)
+    size = np.sqrt(np.mean(front**2)) * USUAL_DEPTH
+    deviation = np.sqrt(np.mean(depth**2))
+    return np.column_stack([front, depth * (size / deviation if deviation > LEAST_NOISE else 0.0)])
+
+
+def with_modes(tracks: Tracks, state: State, count: int) -> State:
+    """The state with more modes, the principal ones of what is left of positions, put into the picture plane.
+
+    Depth follows from the other frames as soon as EM goes on.
+    """
+    found = e_step(state, point_sums(tracks, state.bases))
+    axes = state.seen_axes
+    shapes = np.tensordot(found.extended, state.bases, 1)
+    left = tracks.positions - state.translations[:, None] - np.matmul(shapes, axes.transpose(0, 2, 1))
+    left *= tracks.seen[..., None]
+    displacement = np.matmul(left, axes / state.scales[:, None, None] ** 2).reshape(tracks.n_frames, -1)
+    share = tracks.seen.mean()
+    values, vectors = np.linalg.eigh(displacement.T @ displacement / (share**2 * tracks.n_frames))
+    modes = (vectors * np.sqrt(np.maximum(values, 0)))[:, : -count - 1 : -1].T
+    bases = np.concatenate([state.bases, modes.reshape(count, -1, 3)])
+    return replace(state, bases=bases, damping=np.full(tracks.n_frames, FIRST_DAMPING))
+
+
+def without_modes(state: State, n_bases: int) -> State:
+    """The state with the largest modes only, so many bases in all."""
+    flat = state.bases[1:].reshape(len(state.bases) - 1, -1)
+    order = np.linalg.eigh(flat @ flat.T)[1][:, ::-1]
+    modes = np.tensordot(order.T[: n_bases - 1], state.bases[1:], 1)
+    return replace(
+        state,
+        bases=np.concatenate([state.bases[:1], modes]),
+        damping=np.full(len(state.scales), FIRST_DAMPING),
+    )
+
+
+# --- which way it turns -------------------------------------------------------------------------------------
+
+
+def with_smooth_turns(tracks: Tracks, state: State) -> State | None:
+    """The state with each frame's rotation or its mirror image, so that turns are smooth; `None` if they are.
+
+    Under orthography a flat object appears the same as its mirror image behind it, R -> F R F_n with F a
+    reflection in depth and F_n one of the object through its plane. For one that is not quite flat, one of
+    the two is more likely, though not always the true one if it deforms. The best sequence is found by
+    Viterbi's algorithm.
+    """
+    centred = state.bases[0] - state.bases[0].mean(axis=0)
+    normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
+    mirror = np.eye(3) - 2 * np.outer(normal, normal)
+    mirrored = replace(state, rotations=np.diag([1.0, 1.0, -1.0]) @ state.rotations @ mirror)
+    sums = point_sums(tracks, state.bases)
+    likelihoods = np.stack([e_step(each, sums).log_likelihood for each in (state, mirrored)], axis=1)
+    rotations = np.stack([state.rotations, mirrored.rotations], axis=1)
+    turned_over = _smoothest(likelihoods / DOUBT, rotations) == 1
+    if turned_over.all() or not (_angles(*rotations[turned_over].swapaxes(0, 1)) > TURNED_OVER).any():
+        return None
+    smooth = chosen_poses(turned_over, mirrored, state)
+    return replace(smooth, damping=np.full(tracks.n_frames, FIRST_DAMPING))
+
+
+def _smoothest(likelihoods: Numbers, rotations: Numbers) -> NDArray[np.int64]:
+    """Which of two rotations `(n_frames, 2, 3, 3)` each frame has; turns have standard deviation `SMOOTH`."""
+    score, origins = likelihoods[0], []
+    for before, now, likelihood in zip(rotations[:-1], rotations[1:], likelihoods[1:], strict=True):
+        turns = _angles(before[:, None], now[None])
+        through = score[:, None] - 0.5 * (turns / SMOOTH) ** 2
+        origins.append(through.argmax(axis=0))
+        score = through.max(axis=0) + likelihood
+    path = [int(score.argmax())]
+    for origin in reversed(origins):
+        path.append(int(origin[path[-1]]))
+    return np.array(path[::-1])
+
+
+def _angles(one: Numbers, other: Numbers) -> Numbers:
+    """Angles `(...,)` rad between rotations `(..., 3, 3)`."""
+    angles: Numbers = np.arccos(np.clip((np.sum(one * other, axis=(-2, -1)) - 1) / 2, -1, 1))
+    return angles
+
+
+STEPS, MOST_TRIED = 100, 2000
+"""Steps that are taken, and tried, at most."""
+ROWS_DAMPING = Damping(1e-2, rise=4.0)
+LEAST_GAIN = 1e-7
+"""Of the sum of squares, as a share: below this nothing more is to be had."""
+ROWS_RIDGE = 1e-9
+"""Of the mean diagonal: the axes of space are free, and with them three directions of Q."""
+LEAST_RANK = 3
+LEAST_STRENGTH = 1e-6
+"""Singular values below this share of the largest are rounding."""
+RANDOM_STARTS, SEED = 4, 0
+
+
+def rotations_of_rank(positions: Numbers, ranks: set[int]) -> list[Numbers]:
+    """Rotations `(n_frames, 3, 3)`, two for each rank, by the method of Levenberg and Marquardt.
+
+    One starts from the three strongest columns. The other one is what fulfils the constraints best of some
+    that start from random ones: there are local optima, more of them the more there is of deformation.
+
+    Parameters
+    ----------
+    positions
+        `(n_frames, n_points, 2)` about the middle of each frame and in units of their spread, complete.
+    ranks
+        numbers of singular vectors; if positions have fewer, all that they have. Of fewer than three there
+        are no rotations.
+    """
+    n_frames, n_points, _ = positions.shape
+    left, values, _ = np.linalg.svd(positions.transpose(0, 2, 1).reshape(-1, n_points), full_matrices=False)
+    random = np.random.default_rng(SEED)
+    found = []
+    strong = int(np.count_nonzero(values > LEAST_STRENGTH * values[0]))
+    for rank in sorted({min(rank, strong) for rank in ranks if strong >= LEAST_RANK}):
+        motion = left[:, :rank] * np.sqrt(2 * n_frames * values[:rank] / values[0])
+        motion = motion.reshape(n_frames, 2, rank)
+        found.append(_rotations(_corrected(motion, np.eye(rank, 3)).rows))
+        firsts = random.standard_normal((RANDOM_STARTS, rank, 3)) / np.sqrt(rank)
+        solved = [_corrected(motion, first) for first in firsts]
+        found.append(_rotations(min(solved, key=lambda each: each.squares).rows))
+    return found
+
+
+class _Corrected(NamedTuple):
+    """A correction Q, rows `(n_frames, 2, 3)`, how they violate orthonormality, and the squares of that."""
+
+    correction: Numbers
+    rows: Numbers
+    violations: Numbers
+    squares: float
+
+
+def _corrected(motion: Numbers, first: Numbers) -> _Corrected:
+    """Rows near orthonormality, `motion` `(n_frames, 2, r)` times Q, from a first Q `(r, 3)`."""
+
+    def at(correction: Numbers) -> _Corrected:
+        rows = motion @ correction
+        violations = _violations(rows)
+        return _Corrected(correction, rows, violations, float(violations @ violations))
+
+    def linearised(here: _Corrected) -> Callable[[float], _Corrected | None]:
+        jacobian = _derivatives(motion, here.rows)
+        normal, pull = jacobian.T @ jacobian, jacobian.T @ here.violations
+        diagonal = np.diag(normal)
+
+        def step(damping: float) -> _Corrected | None:
+            damped = normal + np.diag(damping * diagonal + ROWS_RIDGE * diagonal.mean())
+            reached = at(here.correction - np.linalg.solve(damped, pull).reshape(first.shape))
+            return reached if reached.squares < here.squares else None
+
+        return step
+
+    taken = count(1)
+    return levenberg_marquardt(
+        at(first),
+        linearised,
+        lambda before, after: (
+            next(taken) == STEPS or before.squares - after.squares <= LEAST_GAIN * before.squares
+        ),
+        ROWS_DAMPING,
+        most_steps=MOST_TRIED,
+    ).place
+
+
+def _violations(rows: Numbers) -> Numbers:
+    """`(3 n_frames,)`: a a' - 1, b b' - 1, sqrt(2) a b'."""
+    gram = rows @ rows.transpose(0, 2, 1)
+    return np.concatenate([gram[:, 0, 0] - 1, gram[:, 1, 1] - 1, np.sqrt(2) * gram[:, 0, 1]])
+
+
+def _derivatives(motion: Numbers, rows: Numbers) -> Numbers:
+    """`(3 n_frames, 3 r)`: of the violations by Q."""
+    first, second = motion[:, 0, :, None], motion[:, 1, :, None]
+    one, other = rows[:, 0, None], rows[:, 1, None]
+    parts = [2 * first * one, 2 * second * other, np.sqrt(2) * (first * other + second * one)]
+    together: Numbers = np.concatenate(parts).reshape(3 * len(rows), -1)
+    return together
+
+
+def _rotations(rows: Numbers) -> Numbers:
+    """The rotations whose first two rows are nearest to `(n_frames, 2, 3)`."""
+    whole = np.concatenate([rows, np.cross(rows[:, 0], rows[:, 1])[:, None]], axis=1)
+    # the third row has no say in which are nearest: it is perpendicular to both
+    rotations: Numbers = nearest_rotation(whole)
+    return rotations
+
+
+BASES_OF_POSES = 12
+"""That poses are looked for with, if fewer are asked for: what bases leave of a deformation is then not
+explained by turns that the object never made. More gain little, and take longer."""
+
+FIRST_ROUND, SECOND_ROUND, PRUNING_ROUND = 40, 100, 40
+"""Iterations of all starts, of the best ones, and of a shape after modes were taken away."""
+KEPT = 3
+"""Starts that go on to the second round."""
+SAME = 0.01
+"""Shapes that differ by so little, as `shape_error` measures, are one optimum."""
+NEARLY = 0.05
+"""Optima are as good as each other if their noise differs by no more than this share: so much is left to
+chance by what the model leaves out."""
+
+RANKS = (6, 9, 15, 24)
+"""Of the factorisations whose rotations are tried, beside three times the numbers of bases."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The likeliest state, and others that are nearly as likely.
+
+    Parameters
+    ----------
+    state
+        with as many modes as the tracks tell.
+    history
+        of its last climb.
+    others
+        log likelihoods below that of the best after as many iterations, and states.
+    """
+
+    state: State
+    history: list[float]
+    others: tuple[tuple[float, State], ...]
+
+
+def search(
+    tracks: Tracks,
+    positions: Numbers,
+    bases: int,
+    most: int,
+    iterations: int,
+    tolerance: float,
+    on_iteration: Callable[[], None],
+) -> Found:
+    """Climb from many starts, with more modes than are asked for, and go on with the best.
+
+    A model with few modes explains finer deformations by turns of the object; the likelihood then prefers
+    wrong poses to true ones. With more modes it does not. Those that do not pay by the criterion of Hannan
+    and Quinn (1979) are taken away at the end.
+
+    Parameters
+    ----------
+    tracks, positions
+        the same, `positions` `(n_frames, n_points, 2)` with NaN where not seen.
+    bases
+        number of bases that there will be at least.
+    most
+        number of bases that the tracks can tell apart.
+    iterations, tolerance
+        of the last climb, for `run_em`.
+    """
+
+    def climbed(state: State, rounds: int) -> State:
+        return run_em(tracks, state, rounds, TOLERANCE, on_iteration)[0]
+
+    size = max(bases, min(BASES_OF_POSES, most))
+    rigid = rigid_states(tracks, positions, on_iteration)
+    first = [climbed(with_modes(tracks, each, size - 1), FIRST_ROUND) for each in rigid]
+    filled = _filled(tracks, _best_first(tracks, first)[0][1])
+    ranks = {rank for rank in (*RANKS, 3 * bases, 3 * size) if rank <= 3 * size}
+    for rotations in rotations_of_rank(filled, ranks):
+        start = with_modes(tracks, shape_seen_from(filled, rotations), size - 1)
+        first.append(climbed(start, FIRST_ROUND))
+    second = [climbed(state, SECOND_ROUND) for _, state in _best_first(tracks, first)[:KEPT]]
+    (likelihood, best), *rest = _best_first(tracks, second)
+    nearly = -tracks.count * float(np.log1p(-NEARLY))
+    others = tuple((likelihood - other, state) for other, state in rest if likelihood - other < nearly)
+    best = _pruned(tracks, best, bases, climbed)
+    state, history = run_em(tracks, best, iterations, tolerance, on_iteration)
+    return Found(state, history, others)
+
+
+def _pruned(tracks: Tracks, state: State, bases: int, climbed: Callable[[State, int], State]) -> State:
+    """The state without modes that do not pay; half of those beyond `bases` are tried at a time."""
+    likelihood = log_likelihood(tracks, state)
+    while len(state.bases) > bases:
+        fewer = bases + (len(state.bases) - bases) // 2
+        tried = climbed(without_modes(state, fewer), PRUNING_ROUND)
+        reached = log_likelihood(tracks, tried)
+        saved = _free_numbers(state) - _free_numbers(tried)
+        if likelihood - reached > saved * np.log(np.log(tracks.n_frames)):
+            return state
+        state, likelihood = tried, reached
+    return state
+
+
+def _free_numbers(state: State) -> float:
+    """Of the bases; modes may be turned among each other."""
+    modes = len(state.bases) - 1
+    return state.bases.size - modes * (modes - 1) / 2
+
+
+def _filled(tracks: Tracks, state: State) -> Numbers:
+    """Positions about the middles of all points, those that were not seen as the state has them."""
+    predicted = whole_shapes(tracks, state)[..., :2] + state.translations[:, None]
+    complete = np.where(tracks.seen[..., None] > 0, tracks.positions, predicted)
+    centred: Numbers = complete - complete.mean(axis=1, keepdims=True)
+    return centred
+
+
+def whole_shapes(tracks: Tracks, state: State) -> Numbers:
+    """`(n_frames, n_points, 3)` in the camera's axes, with all modes, from the object's origin."""
+    return shapes_of(state, e_step(state, point_sums(tracks, state.bases)))
+
+
+def shapes_of(state: State, found: WeightPosterior) -> Numbers:
+    """The same for weights that are known."""
+    shapes = np.tensordot(found.extended, state.bases, 1) @ state.rotations.transpose(0, 2, 1)
+    scaled: Numbers = state.scales[:, None, None] * shapes
+    return scaled
+
+
+def _best_first(tracks: Tracks, states: Sequence[State]) -> list[tuple[float, State]]:
+    """States with their log likelihoods, the likeliest first, each optimum only once."""
+    different: list[tuple[float, State]] = []
+    shapes: list[Numbers] = []
+    ranked = sorted(((log_likelihood(tracks, each), each) for each in states), key=lambda each: -each[0])
+    for likelihood, state in ranked:
+        shape = whole_shapes(tracks, state)
+        if all(shape_error(shape, other) > SAME for other in shapes):
+            different.append((likelihood, state))
+            shapes.append(shape)
+    return different
+
+
 Indices = NDArray[np.int64]
 
 LEAST_FRAMES = 3

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.structure.diagnosis import no_points
-from rsmcm.inference.sfm.parallax import picture_motion
+from rsmcm.inference.sfm.depth import picture_motion
 from rsmcm.models.core.frame import Frame
 
 from ...conftest import Command, names, summary_of

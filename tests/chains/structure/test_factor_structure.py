@@ -7,8 +7,7 @@ from rsmcm.apps.scenes import cylinder
 from rsmcm.chains import FactorStructure
 from rsmcm.chains.structure.factor_structure import StructureTrajectory
 from rsmcm.inference import CoordinateAscent, MultiChain, Solution
-from rsmcm.inference.sfm.factor_analysis.factorisation import predicted
-from rsmcm.inference.sfm.factor_analysis.robust import factorise_robustly
+from rsmcm.inference.sfm.factor_analysis.factorisation import factorise_robustly, predicted
 from rsmcm.models import Frame
 from rsmcm.models.points.point_tracks import PointTracks
 

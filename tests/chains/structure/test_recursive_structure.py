@@ -13,25 +13,23 @@ from numpy.typing import NDArray
 from rsmcm.chains.points.point_tracker import PointTracker
 from rsmcm.chains.structure import camera_motion as motion_filter
 from rsmcm.chains.structure.camera_motion import CameraMotion
-from rsmcm.chains.structure.recursive import (
+from rsmcm.chains.structure.recursive_structure import (
     GATE,
+    LEAST_SEEN,
+    MOST_FRAMES,
     MOTION_FRAMES,
     OUTLIER_TIME,
     CameraEvidence,
     ObservedPoints,
+    RecursiveStructure,
     Structure,
+    StructureState,
+    Window,
     add_points,
+    first_structure,
     intersect,
     register,
     update,
-)
-from rsmcm.chains.structure.recursive_structure import (
-    LEAST_SEEN,
-    MOST_FRAMES,
-    RecursiveStructure,
-    StructureState,
-    Window,
-    first_structure,
 )
 from rsmcm.inference import Cavity, Incoming, MultiChain, RecursiveBP, RunState
 from rsmcm.inference.sfm.factor_analysis.em import homogeneous

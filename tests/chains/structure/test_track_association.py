@@ -6,21 +6,18 @@ from numpy.typing import NDArray
 from rsmcm.apps.evaluation.structure import score_structure
 from rsmcm.apps.scenes import cylinder
 from rsmcm.chains.structure import track_association
-from rsmcm.chains.structure.correlated_noise import (
-    CorrelatedNoise,
-    estimate_correlated_noise,
-    motion_precision,
-)
 from rsmcm.chains.structure.kernels import camera_coupling
 from rsmcm.chains.structure.track_association import (
+    CorrelatedNoise,
     associate_tracks,
+    estimate_correlated_noise,
     log_odds_of_new,
     log_partition,
+    motion_precision,
     unite_points,
 )
-from rsmcm.inference.sfm.factor_analysis.factorisation import factorise, predicted
+from rsmcm.inference.sfm.factor_analysis.factorisation import factorise, factorise_robustly, predicted
 from rsmcm.inference.sfm.factor_analysis.observations import Observations
-from rsmcm.inference.sfm.factor_analysis.robust import factorise_robustly
 from scipy.stats import multivariate_normal
 
 Numbers = NDArray[np.float64]

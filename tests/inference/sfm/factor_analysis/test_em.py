@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.inference.anderson import Anderson
+from rsmcm.inference.optimisation import Anderson
 from rsmcm.inference.sfm.factor_analysis.em import Posterior, expectation_maximisation
 from rsmcm.inference.sfm.factor_analysis.factorisation import around_start
 from rsmcm.inference.sfm.factor_analysis.initialisation import mean_filled

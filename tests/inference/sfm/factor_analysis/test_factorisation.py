@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.apps.experiments.bench.structure import bundle_adjustment, turning_points, turntable
 from rsmcm.apps.scenes import Cylinder, cylinder
-from rsmcm.inference.sfm.depth_test import depth
+from rsmcm.inference.sfm.depth import depth
 from rsmcm.inference.sfm.factor_analysis.em import camera_moments
 from rsmcm.inference.sfm.factor_analysis.factorisation import Factorisation, factorise, predicted, projected
 from rsmcm.inference.sfm.factor_analysis.kernels import point_moments

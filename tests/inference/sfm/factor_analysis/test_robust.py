@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import cylinder
-from rsmcm.inference.sfm.factor_analysis.factorisation import factorise, predicted
-from rsmcm.inference.sfm.factor_analysis.robust import factorise_robustly
+from rsmcm.inference.sfm.factor_analysis.factorisation import factorise, factorise_robustly, predicted
 
 SCENE = cylinder(n_points=60, n_frames=24, p_loose=0.1, p_drift=0.0, seed=3)
 

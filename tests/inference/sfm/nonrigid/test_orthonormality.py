@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.inference.sfm.nonrigid.search import rotations_of_rank
+from rsmcm.inference.sfm.nonrigid.learning import rotations_of_rank
 from rsmcm.models.numerics.rotations import exponential, logarithm, nearest_rotation
 
 from ....support.deforming import MIRROR

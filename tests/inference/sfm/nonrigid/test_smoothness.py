@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rsmcm.inference.sfm.nonrigid import em, smoothness
+from rsmcm.inference.sfm.nonrigid import em
 from rsmcm.inference.sfm.nonrigid.learning import learn_shape
 from rsmcm.inference.sfm.nonrigid.shape import shape_error
 from rsmcm.models.numerics.rotations import exponential
@@ -34,9 +34,7 @@ def some_state() -> tuple[em.Tracks, em.State]:
 def test_weights_and_likelihood_are_those_of_the_joint_gaussian_of_all_frames() -> None:
     tracks, state = some_state()
     correlations = np.array([0.9, 0.3])
-    found, cross, likelihood = smoothness.smooth_weights(
-        state, em.point_sums(tracks, state.bases), correlations
-    )
+    found, cross, likelihood = em.smooth_weights(state, em.point_sums(tracks, state.bases), correlations)
     lags = np.abs(np.subtract.outer(np.arange(N), np.arange(N)))
     by_modes = np.zeros((N, MODES, N, MODES))
     for mode, correlation in enumerate(correlations):
@@ -68,8 +66,8 @@ def test_a_steady_turn_has_no_second_differences() -> None:
     steady = exponential(np.outer(np.arange(9), [0.02, 0.1, -0.03])) @ exponential(
         np.array([[1.0, 2.0, 0.5]])
     )
-    np.testing.assert_allclose(smoothness.second_differences(steady), 0, atol=1e-12)
-    assert np.abs(smoothness.second_differences(steady[[0, 1, 3, 4]])).max() > 0.05
+    np.testing.assert_allclose(em.second_differences(steady), 0, atol=1e-12)
+    assert np.abs(em.second_differences(steady[[0, 1, 3, 4]])).max() > 0.05
 
 
 def test_turns_of_noisy_tracks_are_smoother_and_shapes_hardly_worse() -> None:
@@ -79,7 +77,7 @@ def test_turns_of_noisy_tracks_are_smoother_and_shapes_hardly_worse() -> None:
     tracks = truth[..., :2] + noise * np.random.default_rng(0).standard_normal(truth[..., :2].shape)
     rough, smooth = (learn_shape(tracks, 4, iterations=60, smooth=each) for each in (False, True))
     assert shape_error(smooth.shapes(), truth) < 1.25 * shape_error(rough.shapes(), truth)
-    shaking = [np.abs(smoothness.second_differences(each.rotations)).mean() for each in (rough, smooth)]
+    shaking = [np.abs(em.second_differences(each.rotations)).mean() for each in (rough, smooth)]
     assert shaking[1] < 0.5 * shaking[0]
 
 
@@ -88,16 +86,16 @@ def test_posterior_of_poses_never_falls() -> None:
     sums, correlations, spread = em.point_sums(tracks, state.bases), np.array([0.9, 0.3]), 0.01
 
     def posterior(at: em.State) -> float:
-        squares = np.sum(smoothness.second_differences(at.rotations) ** 2)
-        return float(smoothness.smooth_weights(at, sums, correlations)[2] - squares / (2 * spread))
+        squares = np.sum(em.second_differences(at.rotations) ** 2)
+        return float(em.smooth_weights(at, sums, correlations)[2] - squares / (2 * spread))
 
     # turns small enough for their differences to be nearly linear
     state = replace(state, rotations=exponential(0.05 * np.random.default_rng(1).standard_normal((N, 3))))
-    reached, damping = [posterior(state)], smoothness.DAMPING.first
+    reached, damping = [posterior(state)], em.DAMPING.first
     for _ in range(8):
-        found = smoothness.smooth_weights(state, sums, correlations)[0]
+        found = em.smooth_weights(state, sums, correlations)[0]
         normal, pull = (each / state.noise for each in em.pose_equations(state, sums, found))
-        state, damping = smoothness._turned(state, sums, correlations, spread, normal, pull, damping)
+        state, damping = em._turned(state, sums, correlations, spread, normal, pull, damping)
         reached.append(posterior(state))
     assert (np.diff(reached) >= 0).all()
     assert reached[-1] > reached[0] + 1

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from rsmcm.inference.sfm.nonrigid import em
-from rsmcm.inference.sfm.nonrigid import search as start
+from rsmcm.inference.sfm.nonrigid import learning as start
 from rsmcm.models.numerics.rotations import exponential
 
 from ....support.deforming import MIRROR, N_POINTS

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from rsmcm.inference.sfm.perspective.bundle_adjustment import (
     Bundle,
+    StudentNoise,
     adjust,
     covariance_of,
     gauge_of,
     predicted,
 )
-from rsmcm.inference.sfm.perspective.student_noise import StudentNoise
 from rsmcm.models.numerics.rotations import exponential
 
 from ....support.perspective_films import PerspectiveFilm, table_top

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rsmcm.inference.sfm.perspective.growth import grown
+from rsmcm.inference.sfm.perspective.structure import grown
 from rsmcm.models.numerics.rotations import logarithm
 
 from ....support.perspective_films import PerspectiveFilm, table_top, turning

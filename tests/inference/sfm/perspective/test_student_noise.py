@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rsmcm.inference.sfm.perspective.student_noise import HARDLY, StudentNoise
+from rsmcm.inference.sfm.perspective.bundle_adjustment import HARDLY, StudentNoise
 from scipy.stats import multivariate_t
 
 

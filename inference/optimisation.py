@@ -1,17 +1,9 @@
-"""Damped least squares: the loop of Levenberg and Marquardt, for problems that bring their steps along.
+"""Iterations to an optimum: Levenberg and Marquardt's loop, and Anderson's acceleration of any other.
 
-A step solves normal equations with something added to their diagonal: much where the last step did harm,
-little where it did good. Problems differ in how a step is solved (by conjugate gradients, with points
-eliminated, on rotations); the loop has the damping, what is taken and what is refused, and the end.
-
-Measured against `scipy.optimize.least_squares` (one core): joint least squares of cameras and points with a
-sparse Jacobian takes 3 to 46 times as long as a solve by variable projection and stays above its error (`make
-bench`); the rotations of a deforming shape, small and dense, take it 4.4 ms (`lm`) and 8.3 ms (`trf`) instead
-of 2.9 ms, and it ends higher from one start in ten. It serves where parameters have bounds (`sfm.parallax`).
-
-Three loops are their own. Landmarks are fitted in 256 frames at once, each with a damping of its own: one by
-one they take 11 times as long. The poses of a deforming shape take one step of that kind in each iteration of
-EM. The experts on a face climb in compiled threads, which cannot call back into Python.
+Problems bring their step along (by conjugate gradients, with points eliminated, on rotations); the loop has the
+damping, what is taken and what is refused, and the end. `scipy.optimize.least_squares` is no substitute: on
+cameras and points with a sparse Jacobian it takes 3 to 46 times as long as variable projection and ends above
+its error, on the rotations of a deforming shape 1.5 times. It serves where parameters have bounds (`sfm.depth`).
 """
 
 from collections.abc import Callable
@@ -110,3 +102,43 @@ def levenberg_marquardt(
         if still == patience:
             break
     return Minimum(place, added, tried)
+
+
+RIDGE = 1e-10
+
+
+class Anderson:
+    """Anderson acceleration of x <- g(x): the combination of the last steps at which g(x) - x would vanish.
+
+    EM creeps along directions that the data hardly determine, always the same ones; a few steps show how.
+
+    Parameters
+    ----------
+    memory
+        steps that are kept.
+    """
+
+    def __init__(self, memory: int = 8) -> None:
+        self._memory = memory
+        self._places: list[Numbers] = []
+        self._steps: list[Numbers] = []
+
+    def propose(self, place: Numbers, image: Numbers) -> Numbers:
+        """Where to go on, after `image` = g(`place`); the image itself the first time."""
+        self._places.append(place.reshape(-1).copy())
+        self._steps.append((image - place).reshape(-1))
+        del self._places[: -self._memory - 1], self._steps[: -self._memory - 1]
+        if len(self._steps) == 1:
+            return image
+        moves, changes = np.diff(self._places, axis=0), np.diff(self._steps, axis=0)
+        gram = changes @ changes.T
+        gram[np.diag_indices_from(gram)] *= 1 + RIDGE
+        try:
+            share = np.linalg.solve(gram, changes @ self._steps[-1])
+        except np.linalg.LinAlgError:  # a step of exactly nothing
+            return image
+        return image - (share @ (moves + changes)).reshape(image.shape)
+
+    def forget(self) -> None:
+        """Begin anew, after a proposal that proved to be none."""
+        del self._places[:-1], self._steps[:-1]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rsmcm.inference.least_squares import Damping, levenberg_marquardt
+from rsmcm.inference.optimisation import Damping, levenberg_marquardt
 
 Numbers = np.ndarray
 

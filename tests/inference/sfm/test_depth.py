@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.inference.sfm.parallax import far_pairs, motion_of, variance_over_shape
+from rsmcm.inference.sfm.depth import far_pairs, motion_of, variance_over_shape
 
 from ...support.fruitless import tracks_in_depth, tracks_on_wall
 
