@@ -1,9 +1,10 @@
 """Iterations to an optimum: Levenberg and Marquardt's loop, and Anderson's acceleration of any other.
 
-Problems bring their step along (by conjugate gradients, with points eliminated, on rotations); the loop has the
-damping, what is taken and what is refused, and the end. `scipy.optimize.least_squares` is no substitute: on
-cameras and points with a sparse Jacobian it takes 3 to 46 times as long as variable projection and ends above
-its error, on the rotations of a deforming shape 1.5 times. It serves where parameters have bounds (`sfm.depth`).
+Problems bring their step along (by conjugate gradients, with points eliminated, on rotations); the loop has
+the damping, what is taken and what is refused, and the end. `scipy.optimize.least_squares` is no substitute:
+on cameras and points with a sparse Jacobian it takes 3 to 46 times as long as variable projection and ends
+above its error, on the rotations of a deforming shape 1.5 times. It serves where parameters have bounds
+(`sfm.depth`).
 """
 
 from collections.abc import Callable

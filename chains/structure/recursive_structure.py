@@ -1,9 +1,10 @@
 """Structure from motion as a filtering chain: points of a rigid shape before a moving affine camera (§4.3).
 
-The conclusion of the RSMCM paper claims this filter without giving it; what is here is ours, in constant time
-per frame: eq. (18) to (20), position of point i = M (S_i, 1) + noise, the shape S constant, the rows of M moving
-by eq. (19). Points and camera have a covariance each and are updated in turn. A point learns from the camera
-that the *other* points of the frame show, whose errors are not its own: so covariances stay consistent.
+The conclusion of the RSMCM paper claims this filter without giving it; what is here is ours, in constant
+time per frame: eq. (18) to (20), position of point i = M (S_i, 1) + noise, the shape S constant, the rows of
+M moving by eq. (19). Points and camera have a covariance each and are updated in turn. A point learns from
+the camera that the *other* points of the frame show, whose errors are not its own: so covariances stay
+consistent.
 """
 
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What the motion of tracks shows of depth: more than a flat shape would, parallax, a plane, a turning camera.
+"""What the motion of tracks shows of depth: more than a flat shape, parallax, a plane, a turning camera.
 
 Pictures of a plane, and pictures that a camera takes which turns and zooms where it stands, are related by
 homographies (Hartley and Zisserman, Multiple View Geometry, 2nd edition, 13.1 and 8.4): each explains all

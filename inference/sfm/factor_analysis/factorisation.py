@@ -1,9 +1,9 @@
 """Structure from motion as factor analysis: shape and affine cameras from point tracks with gaps.
 
-RSMCM eq. (18): position of point i in frame t = M_t (S_i, 1) + noise, M_t (2, 4), S_i (3,). Least squares goes
-by variable projection: the points that are best for given cameras have a closed form, so the squared error is
-a function of the cameras alone, with far fewer poor valleys than as a function of both (Hong and Fitzgibbon,
-"Secrets of matrix factorization", 2015).
+RSMCM eq. (18): position of point i in frame t = M_t (S_i, 1) + noise, M_t (2, 4), S_i (3,). Least squares
+goes by variable projection: the points that are best for given cameras have a closed form, so the squared
+error is a function of the cameras alone, with far fewer poor valleys than as a function of both (Hong and
+Fitzgibbon, "Secrets of matrix factorization", 2015).
 """
 
 from collections.abc import Callable

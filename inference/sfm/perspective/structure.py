@@ -1,8 +1,8 @@
 """Shape and perspective cameras from point tracks with gaps, and whether they explain them best.
 
-Starts of bundle adjustment are affine cameras, with which the result is compared too, and structures that grow
-from two views (Snavely, Seitz, Szeliski, "Photo tourism", 2006): the essential matrix of two views with much
-parallax, points between them, further cameras from these points, further points from those cameras, and
+Starts of bundle adjustment are affine cameras, with which the result is compared too, and structures that
+grow from two views (Snavely, Seitz, Szeliski, "Photo tourism", 2006): the essential matrix of two views with
+much parallax, points between them, further cameras from these points, further points from those cameras, and
 bundle adjustment whenever the film has grown.
 """
 

@@ -29,7 +29,7 @@ from rsmcm.chains.structure.recursive_structure import (
     first_structure,
     intersect,
     register,
-    update,
+    updated,
 )
 from rsmcm.inference import Cavity, Incoming, MultiChain, RecursiveBP, RunState
 from rsmcm.inference.sfm.factor_analysis.em import homogeneous
@@ -262,7 +262,7 @@ def test_points_far_off_are_left_out() -> None:
     found = register(structure, replace(seen, positions=positions))
     assert not found.inliers[:6].any()
     np.testing.assert_allclose(found.motion.camera, clean.motion.camera, atol=2.0)  # six points less
-    after = update(structure, found, DT, DT)
+    after = updated(structure, found, DT, DT)
     np.testing.assert_array_equal(after.shape[:6], structure.shape[:6])
     np.testing.assert_allclose(
         after.shape_covariance[:6], np.exp(DT / OUTLIER_TIME) * structure.shape_covariance[:6]
