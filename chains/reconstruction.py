@@ -1,11 +1,7 @@
 """Structure from motion of a whole film: shape, cameras and tracks, from pictures or from tracks of points.
 
-    found = reconstruct(tracks)  # (n_frames, n_tracks, 2) px, NaN where a track is not seen; or frames
-    found.geometry, found.shape, found.point_of_track
-
-A tracker and a matcher of features follow points, and `FactorStructure` is their shape before affine cameras.
-When these have settled, a perspective camera is fitted to the same points, and what is depth and what only
-seems so is told by what planes and turning cameras explain as well.
+found = reconstruct(tracks)  # (n_frames, n_tracks, 2) px, NaN where a track is not seen; or frames
+found.geometry, found.shape, found.point_of_track
 """
 
 from collections.abc import Callable, Sequence
@@ -44,13 +40,9 @@ Camera = Literal["auto", "affine", "perspective"]
 
 MOST_ROUNDS = 20
 FEWEST_POINTS = 4
-FEWEST_FRAMES = 3
-"""Two views of a rigid thing leave its depth open."""
-FEWEST_VIEWS = 2
-"""That agree about a point before a perspective camera."""
-
-LASTING = 0.5
-"""px per point: a tracker's errors, which last, move points by so much against each other."""
+FEWEST_FRAMES = 3  # two views of a rigid thing leave its depth open
+FEWEST_VIEWS = 2  # that agree about a point before a perspective camera
+LASTING = 0.5  # px per point: a tracker's errors, which last, move points by so much against each other
 
 
 @short_repr
@@ -203,8 +195,7 @@ def structure_engine(
     coherence
         whether the camera moves smoothly.
     association
-        `"dual-chain"`: the tracker receives the shape's messages, and tracks that show one point become one.
-        `"none"`: it does not, and every track is a point.
+        whether the tracker receives the shape's messages and tracks that show one point become one.
     """
     dual = association == "dual-chain"
     model, points = _following(frames)
@@ -287,18 +278,7 @@ def recursive_reconstruction(
 
 
 def lens_of(frames: Sequence[Frame], focal: float | None = None) -> Lens:
-    """What is known of the camera.
-
-    Where there are no images, the picture is taken to end with the positions: a camera with perspective needs
-    its middle.
-
-    Parameters
-    ----------
-    frames
-        with images or with given points.
-    focal
-        px; `None` where it is not known.
-    """
+    """What is known of the camera; without images the picture ends with the positions."""
     size = next((frame.image.shape[:2] for frame in frames if frame.image is not None), None)
     if size is not None:
         return Lens((size[0], size[1]), focal)
@@ -322,8 +302,7 @@ def reconstruction_of(
     lens
         what is known of the camera; that of `lens_of` if not given.
     n_tracks
-        how many tracks were given, by whose columns points are called; `None` where they were made from
-        images, or are to be called in the order of their identities.
+        how many tracks were given; `None` where points are to be called in the order of their identities.
 
     Raises
     ------
@@ -374,12 +353,7 @@ def _before_affine_cameras(solution: Solution, n_tracks: int | None) -> Reconstr
 def _in_perspective(
     found: Reconstruction, solution: Solution, n_tracks: int | None, camera: Camera, lens: Lens
 ) -> Reconstruction:
-    """The same before a perspective camera, if that is wanted.
-
-    What does not fit affine cameras has another chance: outliers count again, and a track that showed no
-    point is one of its own. What does not agree with the perspective camera either is an outlier, and a point
-    is one if `FEWEST_VIEWS` agree about it.
-    """
+    """The same before a perspective camera; outliers and tracks without a point count again."""
     chain: StructureTrajectory = solution["structure"]
     point_of_track, alone = chain.point_of_track.copy(), chain.point_of_track < 0
     n_alone = int(np.count_nonzero(alone))
@@ -424,11 +398,9 @@ def _in_perspective(
 def _without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruction:
     """The reconstruction, without its shape if what was taken for depth is none.
 
-    Before affine cameras, perspective may have been: then homographies explain clearly more than the shape. A
-    perspective camera explains them too, with any depth if it stays where it is, or with any focal length if
-    it sees a plane: then homographies explain as much. Or, where tracks are `from_images` and the shape is
-    known up to an affine map only, or with the focal length, there is less parallax than a tracker makes by
-    itself.
+    Before affine cameras it may be perspective: then homographies explain clearly more than the shape.
+    Before a perspective camera that stays where it is, or sees a plane, they explain as much. Or there is
+    less parallax than a tracker makes.
     """
     if found.geometry == "none":
         return found
@@ -476,10 +448,7 @@ def _points_of_tracks(
 def _observations_of_points(
     solution: Solution, found: StructureTrajectory, n_points: int
 ) -> tuple[Numbers, NDArray[np.bool_]]:
-    """What frames show of each point: `(n_frames, n_points, 2)` px, NaN where nothing, and where something.
-
-    Where several tracks show a point at once, their mean counts; what was taken for an outlier does not.
-    """
+    """Means of what frames show of each point, `(n_frames, n_points, 2)` px, NaN where nothing; where."""
     sums = np.zeros((len(solution.frames), n_points, 2))
     counts = np.zeros((len(solution.frames), n_points))
     for time, evidence in enumerate(solution.evidence("points")):

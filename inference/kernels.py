@@ -11,7 +11,6 @@ import numpy as np
 from ..models.numerics.compiled import compiled, inlined
 
 LANES = 32
-
 _S, _B, _V = 4 * LANES, 7 * LANES, 11 * LANES  # where a block's rows begin in the lanes' array
 _NUMBERS = 14
 
@@ -192,8 +191,8 @@ def _update(lanes, measured):
 def _step_back(lanes, later, dt, noise):
     """Smoothed states, from the filtered ones in `lanes` and, replaced by them, those of `dt` s later.
 
-    Rauch, Tung and Striebel's recursion, arranged as a sum of two covariances: with the motion undone, the
-    later state is the earlier one plus noise of covariance n, and is believed by k = p (p + n)^-1.
+    Rauch, Tung and Striebel's recursion as a sum of two covariances: with the motion undone, the later state
+    is the earlier one plus noise of covariance n, and is believed by k = p (p + n)^-1.
     """
     for i in range(LANES):
         x, y, u, w = _mean_of(lanes, i)

@@ -3,30 +3,25 @@
 Two chains predict the same feature F ~ N(g, Sigma_0), which is then observed with noise Sigma_v. Predictions
 are off by errors with second moments P_1, P_2 and P_12 = E[mu_1 mu_2^T]. The cost of a prediction is the KL
 divergence from the right posterior to the one that it leads to, on average, in nats (eq. 16). Combining pays
-exactly if C(q*) < min(C(q_1), C(q_2)); every verdict here rests on that.
+exactly if C(q*) < min(C(q_1), C(q_2)).
 
-With A = Sigma_0 + P_1, B = Sigma_0 + P_2, K = Sigma_0 + P_12 and Lemma 1's noises, all terms of the product's
-cost that do not cancel leave
+With A = Sigma_0 + P_1, B = Sigma_0 + P_2, K = Sigma_0 + P_12 and Lemma 1's noises
 
     C(q_1) - C(q*) = log|I + D B^-1| / 2 - Tr((B + D)^-1 Q K),    D = (A^-1 + Sigma_v^-1)^-1,   Q = D A^-1,
 
 and C(q_2) - C(q*) is the same with A and B exchanged and K transposed. So gains depend on Sigma_0 only
-through A, B and K, which are what prediction errors show; they need no guess of Sigma_0.
+through A, B and K, which are what prediction errors show.
 
-What the paper prints differently (all of it checked by Monte Carlo in the tests):
+What the paper prints differently (checked by Monte Carlo in the tests):
 
-- (13), (14): the means are g^_1 and g^_2, not g.
-- (A.2), last line: the trace with (Sigma_1 + Sigma_v)^-1 is subtracted, not added. In the first form of
-  C(q*) both traces have the wrong sign.
-- (A.3) ends in an equation that does not hold; the derivative is half of
-  S^-1 X S^-1 - (S + Sigma_v)^-1 X (S + Sigma_v)^-1 with S = Sigma_1 and X = S - Sigma_0 - P_1. It vanishes
-  for X = 0 only; that this is the minimum follows from C(q_1) - C(q_1opt) being what observing through noise
-  takes away from a KL divergence. Lemma 1 is right.
-- (A.4): both costs lack the factor 1/2.
-- Theorem 2 and eq. (17) are right as printed, and sufficient (Gamma_i seem asymmetric and are symmetric), but
-  only with Lemma 1's noises and far from necessary. The remark on P_1 = P_12 misplaces a transpose:
-  Gamma_1 = -Q (P_12 + Sigma_0) there. That the correlation must be less than 0.5 is true of (17) with
-  Sigma_0 > 0, not of benefit: in one dimension products help up to a correlation of A, B, K of log 2 = 0.69.
+- (13), (14): the means are g^_1 and g^_2, not g. - (A.2), last line: the trace with (Sigma_1 + Sigma_v)^-1
+is subtracted, not added. In the first form of C(q*) both traces have the wrong sign. - (A.3) ends in an
+equation that does not hold; the derivative is half of S^-1 X S^-1 - (S + Sigma_v)^-1 X (S + Sigma_v)^-1 with
+S = Sigma_1 and X = S - Sigma_0 - P_1, which vanishes for X = 0 only. Lemma 1 is right. - (A.4): both costs
+lack the factor 1/2. - Theorem 2 and eq. (17) are right as printed, and sufficient, but only with Lemma 1's
+noises and far from necessary. The remark on P_1 = P_12 misplaces a transpose: Gamma_1 = -Q (P_12 + Sigma_0)
+there. That the correlation must be less than 0.5 is true of (17) with Sigma_0 > 0, not of benefit: in one
+dimension products help up to a correlation of A, B, K of log 2 = 0.69.
 """
 
 from dataclasses import dataclass, field, fields, replace
@@ -63,10 +58,8 @@ class PredictionErrors:
 
     Parameters
     ----------
-    first, second
-        P_1 and P_2, mean mu mu^T of either chain's error of g. A bias counts as error.
-    cross
-        P_12, mean mu_1 mu_2^T.
+    first, second, cross
+        P_1, P_2 and P_12, mean mu mu^T of the errors of g. A bias counts as error.
     process
         Sigma_0, by which the feature differs from g, which nobody can predict.
     observation
@@ -94,10 +87,7 @@ class PredictionErrors:
     def costs(self, noises: tuple[Numbers, Numbers] | None = None) -> Costs:
         """C(q_1), C(q_2), C(q*) of eq. (16); infinite where Sigma_0 is singular.
 
-        Parameters
-        ----------
-        noises
-            Sigma_1 and Sigma_2, `(..., d, d)`, which the chains state; Lemma 1's if not given.
+        `noises` are Sigma_1 and Sigma_2, `(..., d, d)`, which the chains state; Lemma 1's if not given.
         """
         first, second = self.optimal_noises if noises is None else noises
         noise, of_first, of_second = product_of(first, second)
@@ -122,10 +112,7 @@ class PredictionErrors:
 
     @property
     def bearable(self) -> Numbers:
-        """`(...)`: by what factor K = Sigma_0 + P_12 could grow before combining stops paying; 1 is the edge.
-
-        Infinite where errors are not correlated, or so that they cancel.
-        """
+        """`(...)`: by what factor K could grow before combining stops paying; perhaps infinite."""
         shares, losses = self._shares_and_losses()
         pairs = zip(shares, losses, strict=True)
         with np.errstate(divide="ignore"):
@@ -158,11 +145,7 @@ class PredictionErrors:
 
     @property
     def correlation(self) -> Numbers:
-        """`(...)`: of the errors A, B, K, taken in units of the observation noise.
-
-        Tr(Sigma_v^-1 K) over the root of Tr(Sigma_v^-1 A) Tr(Sigma_v^-1 B), which no linear change of the
-        feature's coordinates alters. Without noise of its own (Sigma_0 = 0) it is that of P_1, P_2, P_12.
-        """
+        """`(...)` of the errors: Tr(Sigma_v^-1 K) over the root of Tr(Sigma_v^-1 A) Tr(Sigma_v^-1 B)."""
         first, second, both = (
             np.trace(_solve(self.observation, self.process + part), axis1=-2, axis2=-1)
             for part in (self.first, self.second, self.cross)
@@ -189,14 +172,8 @@ class PredictionErrors:
 def cost(stated: Numbers, error: Numbers, process: Numbers, observation: Numbers) -> Numbers:
     """C(q), eq. (16) and (A.2) with its signs put right, `(...)` nats.
 
-    Parameters
-    ----------
-    stated
-        `(..., d, d)`, the noise Sigma_i of the prediction.
-    error
-        `(..., d, d)`, second moment P_i of what its mean is off by.
-    process, observation
-        `(..., d, d)`, Sigma_0 and Sigma_v.
+    `stated` is the noise Sigma_i of the prediction, `error` the second moment P_i of what its mean is off
+    by, `process` Sigma_0, `observation` Sigma_v; all `(..., d, d)`.
     """
     total, seen = process + error, stated + observation
     with np.errstate(divide="ignore"):
@@ -209,10 +186,7 @@ def cost(stated: Numbers, error: Numbers, process: Numbers, observation: Numbers
 
 
 def product_of(first: Numbers, second: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-    """Covariance of the product of two Gaussians, and the weights of their means in its mean.
-
-    All are `(..., d, d)`.
-    """
+    """Covariance of the product of two Gaussians, and the weights of their means, all `(..., d, d)`."""
     of_first = transposed(_solve(first + second, second))
     return symmetric(of_first @ first), of_first, np.eye(first.shape[-1]) - of_first
 
@@ -252,9 +226,7 @@ FEWEST_GROUPS = 20
 """Below so many independent groups there is no verdict: the bootstrap's intervals are too short (they hold
 the true gain in 88 % of simulations with 12 groups, in 90 to 94 % with 40)."""
 
-CONFIDENCE = 0.95
-"""Of all intervals."""
-
+CONFIDENCE = 0.95  # of all intervals
 ENDS = (0.5 * (1 - CONFIDENCE), 0.5 * (1 + CONFIDENCE))
 WEIGHTS_AT_ONCE = 1 << 20  # of the bootstrap, to keep memory small
 
@@ -263,15 +235,13 @@ WEIGHTS_AT_ONCE = 1 << 20  # of the bootstrap, to keep memory small
 class RecordedPredictions:
     """Two chains' predictions of the same feature, and what was then observed.
 
-    Predictions must have been made without the observed values that they are held against. If the chains were
-    coupled while they were recorded, their errors are those of coupled chains, more alike than apart.
+    Predictions must have been made without the observed values that they are held against. If the chains
+    were coupled while they were recorded, their errors are those of coupled chains, more alike than apart.
 
     Parameters
     ----------
-    first, second
-        `(n, d)` means of either chain's predictions.
-    observed
-        `(n, d)`.
+    first, second, observed
+        `(n, d)` means of either chain's predictions, and what was observed.
     noise
         `(n, d, d)` covariance of the observation's noise (or one `(d, d)` for all).
     first_covariance, second_covariance
@@ -338,16 +308,14 @@ class StatedComparison:
     Parameters
     ----------
     nis_first, nis_second, nis_product
-        normalised innovation squared (NIS), a dimension: squared error of the observed over what was stated
-        (prediction's covariance plus observation noise). 1 is consistent, more is overconfident, less is
-        timid. NEES is the same of a state that is known, which observations do not give.
+        normalised innovation squared, a dimension: 1 is consistent, more is overconfident, less is timid.
     score_first, score_second, score_product
         mean log density of the observed under each prediction, nats.
     score_gain
         nats by which the product's score is above that of the better chain.
     gain
-        C(q) of the better chain less that of the product, nats, as the covariances are stated. Scores judge
-        predictions of the observed, and this the posterior once it is observed.
+        C(q) of the better chain less that of the product, nats. Scores judge predictions of the observed,
+        this the posterior once it is observed.
     """
 
     nis_first: Interval[float]
@@ -369,24 +337,19 @@ class Comparison:
     count, groups
         how many predictions, in how many independent groups.
     first, second, cross
-        `(d, d)`: P_1, P_2 and P_12 if all error is put down to the chains (Sigma_0 = 0). Any other Sigma_0 is
-        to be subtracted from each of the three; gains and verdict stay as they are.
+        `(d, d)`: P_1, P_2 and P_12 if all error is put down to the chains (Sigma_0 = 0). Any other Sigma_0
+        is to be subtracted from each of the three; gains and verdict stay as they are.
     errors
         the same as a model, with the mean observation noise.
     rms_first, rms_second
         root mean squared error of either prediction, per coordinate, the observation's noise taken off.
-    correlation
-        of the errors, see `PredictionErrors.correlation`.
-    bearable_correlation
-        the correlation at which combining stops paying, if the errors stay as large as they are; infinite if
-        it pays whatever the correlation.
+    correlation, bearable_correlation
+        of the errors, and that at which combining stops paying (infinite if it always pays).
     worth_first, worth_second, worth_product
-        nats by which the posterior is nearer to the right one than without any prediction; C(q) is a constant
-        less this, and the constant is infinite for Sigma_0 = 0.
-    gain_first, gain_second
-        C(q_1) - C(q*) and C(q_2) - C(q*), nats, with Lemma 1's noises.
-    gain
-        the smaller one of the two: positive means that combining pays.
+        nats by which the posterior is nearer to the right one than without any prediction.
+    gain_first, gain_second, gain
+        C(q_1) - C(q*) and C(q_2) - C(q*), nats, with Lemma 1's noises, and the smaller one: positive if it
+        pays.
     theorem_holds
         whether Theorem 2's sufficient condition is met by the estimates.
     stated
@@ -430,10 +393,6 @@ def compare(
 ) -> Comparison:
     """Judge from two chains' recorded predictions whether combining them pays.
 
-    Prediction errors show A = Sigma_0 + P_1, B = Sigma_0 + P_2 and, from the cross term, K = Sigma_0 + P_12,
-    each plus the observation noise, which has to be known. Sigma_0 alone does not follow from P_1, P_2 and
-    P_12, and need not be: gains depend on A, B, K only.
-
     Parameters
     ----------
     recorded
@@ -441,10 +400,8 @@ def compare(
     groups
         `(n,)` integers: rows of one group (a track, or a stretch of frames) may have related errors,
         different groups are taken for independent. Whole groups are resampled.
-    random
-        for the bootstrap; seeded with 0 if not given.
-    resamples
-        of the bootstrap.
+    random, resamples
+        of the bootstrap; seeded with 0 if not given.
 
     Raises
     ------
@@ -522,13 +479,7 @@ class GroupSums:
 
 
 def group_sums(values: Numbers, labels: NDArray[np.generic]) -> GroupSums:
-    """Sums of `values` `(n, k)` over the rows of each label `(n,)`.
-
-    Raises
-    ------
-    ValueError
-        if there are fewer than two groups.
-    """
+    """Sums of `values` `(n, k)` over the rows of each label `(n,)`; a `ValueError` for fewer than two."""
     _, place, rows = np.unique(labels, return_inverse=True, return_counts=True)
     if len(rows) < 2:
         raise ValueError(f"groups: got {len(rows)} of {len(labels)} rows, expected two or more")
@@ -538,11 +489,7 @@ def group_sums(values: Numbers, labels: NDArray[np.generic]) -> GroupSums:
 
 
 def _without_noise(moments: Numbers, noise: Numbers) -> PredictionErrors:
-    """A, B, K from the moments `(m, 2 d, 2 d)` of both errors of the observed; the nearest possible ones.
-
-    What is left when the observation's noise is taken off has no negative eigenvalue, measured in units of
-    that noise, but for chance; such are raised to `LEAST_VARIANCE`.
-    """
+    """A, B, K from the moments `(m, 2 d, 2 d)` of both errors; negative eigenvalues are chance."""
     d = noise.shape[-1]
     root: Numbers = np.linalg.cholesky(noise).astype(np.float64, copy=False)
     both = np.zeros_like(moments)
@@ -560,10 +507,7 @@ def _without_noise(moments: Numbers, noise: Numbers) -> PredictionErrors:
 def _measures_as_stated(
     error: Numbers, other: Numbers, covariance: Numbers, other_covariance: Numbers, noise: Numbers
 ) -> Numbers:
-    """`(n, 9)`: squared error over stated, log score, and cost but for a constant; of first, second, product.
-
-    The cost has the mean of the right one, row by row: the noise is taken off the squared error.
-    """
+    """`(n, 9)`: squared error over stated, log score, cost but for a constant; of both and product."""
     covariance_of_both, of_first, of_second = product_of(covariance, other_covariance)
     combined = (of_first @ error[:, :, None] + of_second @ other[:, :, None])[:, :, 0]
     d = error.shape[1]
@@ -691,18 +635,10 @@ def compare_scores(
     random: np.random.Generator | None = None,
     resamples: int = 1000,
 ) -> ScoreComparison:
-    """Judge from log densities whether combining two chains pays.
+    """Judge from log densities whether combining two chains pays; arguments as of `compare`.
 
-    Parameters
-    ----------
-    scores
-        `(n, 3)` nats: of what was observed under the first chain's prediction, the second's, their product.
-    groups
-        `(n,)` integers: rows of one group may be related, different groups are taken for independent.
-    random
-        for the bootstrap; seeded with 0 if not given.
-    resamples
-        of the bootstrap.
+    `scores` are `(n, 3)` nats: of what was observed under the first chain's prediction, the second's, their
+    product.
 
     Raises
     ------

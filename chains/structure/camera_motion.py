@@ -22,8 +22,7 @@ VAGUE = 1e2
 """Standard deviation of a camera, its velocity and its acceleration before anything is seen, in extents of
 the picture of the shape (and a second)."""
 
-UNSTEADY = 1e-2
-"""Noise of a motion of which nothing is known, in extents a frame."""
+UNSTEADY = 1e-2  # noise of a motion of which nothing is known, in extents a frame
 
 
 @short_repr

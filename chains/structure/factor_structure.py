@@ -48,8 +48,7 @@ def _told(message: GaussianMessage) -> NDArray[np.bool_]:
     return np.asarray(message.proper | one)
 
 
-LEAST_SCATTER = 1e-6
-"""Of the noise: keeps covariances positive where shape and cameras are known exactly."""
+LEAST_SCATTER = 1e-6  # of the noise: keeps covariances positive where shape and cameras are known exactly
 
 
 @short_repr

@@ -27,36 +27,20 @@ Numbers = NDArray[np.float64]
 Identities = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-GATE = 9.21
-"""Squared Mahalanobis distance of a position (two numbers) that one inlier in a hundred exceeds."""
-
-MEDIAN = 2 * np.log(2)
-"""Of squared Mahalanobis distances of positions."""
-
-REGISTRATIONS = 5
-"""Rounds in which the camera and the choice of inliers settle, at most."""
-
-PRIOR_DEVIATION = 3.0
-"""Standard deviation of a new point's place, in units of the first shape's spread."""
-
-MOTION_FRAMES = 48
-"""Last frames from which the noise of the camera's motion is learned."""
+GATE = 9.21  # squared Mahalanobis distance of a position (two numbers) that one inlier in a hundred exceeds
+MEDIAN = 2 * np.log(2)  # of squared Mahalanobis distances of positions
+REGISTRATIONS = 5  # rounds in which the camera and the choice of inliers settle, at most
+PRIOR_DEVIATION = 3.0  # standard deviation of a new point's place, in units of the first shape's spread
+MOTION_FRAMES = 48  # last frames from which the noise of the camera's motion is learned
 
 LEARNING_RATE = 0.05
 """Share by which a frame with many points changes what is known of the noise of positions: of a frame and not
 of a second, since each frame is one more sample of that noise."""
 
-LEAST_SCALE = 1e-4
-"""Of that scale: a hundredth of the standard deviation that is stated."""
-
-MOST_CORRELATION = 0.9
-"""Of a point's errors from one frame to the next; then 19 observations are worth one."""
-
-MANY = 10
-"""Points of a frame from which on it counts as one with many."""
-
-OUTLIER_TIME = 0.2
-"""s in which the covariance of a point grows by e while it is an outlier."""
+LEAST_SCALE = 1e-4  # of that scale: a hundredth of the standard deviation that is stated
+MOST_CORRELATION = 0.9  # of a point's errors from one frame to the next; then 19 observations are worth one
+MANY = 10  # points of a frame from which on it counts as one with many
+OUTLIER_TIME = 0.2  # s in which the covariance of a point grows by e while it is an outlier
 
 
 @dataclass(frozen=True, eq=False)
@@ -419,26 +403,16 @@ def _with_learned_noise(structure: Structure, found: Registration, elapsed: floa
     )
 
 
-LEAST_SEEN = 6
-"""Points that a frame has to show to be kept."""
-
-LEAST_FRAMES = 3
-"""Frames that have to show a point for it to be part of the first shape."""
+LEAST_SEEN = 6  # points that a frame has to show to be kept
+LEAST_FRAMES = 3  # frames that have to show a point for it to be part of the first shape
 
 FIRST_FRAMES, MOST_FRAMES, STEP = 8, 32, 4
 """Frames that are kept at the first attempt, at most, and from one attempt to the next."""
 
-CLEAR = 4.0
-"""How far the shape's third direction must stand out of what noise alone would give for one."""
-
-UNEVEN = 3.0
-"""Mean over usual squared error from which on there are outliers."""
-
-TRIMMINGS = 4
-"""Rounds in which outliers are dropped, at most."""
-
-ROUNDS = 100
-"""Of learning the noise of the camera's motion."""
+CLEAR = 4.0  # how far the shape's third direction must stand out of what noise alone would give for one
+UNEVEN = 3.0  # mean over usual squared error from which on there are outliers
+TRIMMINGS = 4  # rounds in which outliers are dropped, at most
+ROUNDS = 100  # of learning the noise of the camera's motion
 
 
 @short_repr
@@ -564,10 +538,7 @@ def first_structure(window: Window) -> Structure | None:
 def _factorised(
     positions: Numbers, stated: Numbers, seen: NDArray[np.bool_]
 ) -> tuple[Factorisation, NDArray[np.bool_], bool]:
-    """Shape and cameras, which observations are inliers, and whether these have errors of one size.
-
-    Few frames can bend a shape to outliers, which then show in errors of very different size only.
-    """
+    """Shape and cameras, which observations are inliers, and whether these have errors of one size."""
     for last in (*[False] * (TRIMMINGS - 1), True):
         weights = np.divide(1, stated, out=np.zeros_like(stated), where=seen)
         found = factorise(positions, weights)
@@ -605,8 +576,7 @@ def _intersected(
     return (covariance @ vector[:, :, None])[:, :, 0], covariance
 
 
-LOST = 0.5
-"""Standard deviation of the camera, in extents of the shape's picture, from which on it is lost."""
+LOST = 0.5  # standard deviation of the camera, in extents of the shape's picture, from which on it is lost
 
 
 @short_repr
@@ -721,9 +691,7 @@ class RecursiveStructure:
 def _seen(state: StructureState, others: PointMessage) -> ObservedPoints:
     """The points that the frame shows: where they were found, as sure as the message is of them.
 
-    What the tracker expects of a point comes from frames that the shape has been fitted to as well, and from
-    this chain's own messages. Counted as one more observation it would be such errors' own confirmation, so
-    where the frame has a view, positions are those found in it; of both coordinates.
+    Not where the tracker expects them: that comes from frames that the shape has been fitted to as well.
     """
     identities, positions, covariances = others.positions.moments
     variances = 0.5 * np.trace(covariances, axis1=1, axis2=2)

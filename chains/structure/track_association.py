@@ -24,8 +24,7 @@ from .kernels import assign_tracks, camera_coupling, same_point_gains, track_inf
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99)
-"""Of the variance, that may be drift."""
+SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99)  # of the variance, that may be drift
 MEMORIES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0, 20.0)
 """Frames in which drift may be forgotten: longer ones cannot be told from another position of the point."""
 
@@ -33,8 +32,7 @@ STEPS, PRECISION = 50, 1e-3
 """Of the variance of the noise: at most so many, and until it changes by no more than this share."""
 MOST_RESIDUALS = 10_000
 """Of more, about so many are asked, those of every n-th point: they say variances to a hundredth or two."""
-ROUNDING = 1e-12
-"""Share of the squares of positions below which errors are rounding."""
+ROUNDING = 1e-12  # share of the squares of positions below which errors are rounding
 
 
 @dataclass(frozen=True)
@@ -141,9 +139,9 @@ def estimate_correlated_noise(
 
 
 def _likeliest_scale(total: float, values: Numbers, squares: Numbers, count: int) -> tuple[float, float]:
-    """Variance at which a regression on points with a prior is likeliest, and the squares that are left then.
+    """Likeliest variance of the noise of y = A s + noise, s ~ N(0, I), and the squares that are left then.
 
-    Of y = A s + noise, s ~ N(0, I): `total` = y.y, `values` of A'A and `squares` of A'y along its axes.
+    `total` = y.y, `values` of A'A and `squares` of A'y along its axes.
     """
     scale = 1.0
     for _ in range(STEPS):
@@ -157,11 +155,8 @@ def _likeliest_scale(total: float, values: Numbers, squares: Numbers, count: int
     return scale, left
 
 
-LEAST_CORRELATION = 1e-8
-"""Of the noise of two frames, that counts."""
-
-RIDGE = 1e-7
-"""Added to the cameras' information, of unit diagonal, for what rounding takes away."""
+LEAST_CORRELATION = 1e-8  # of the noise of two frames, that counts
+RIDGE = 1e-7  # added to the cameras' information, of unit diagonal, for what rounding takes away
 
 
 def covariance_of_points(
@@ -258,8 +253,7 @@ def motion_precision(variances: Numbers, n_frames: int) -> Numbers:
     return precision
 
 
-LEAST_WEIGHT = 1e-3
-"""Of a position that is pooled from tracks: less is none."""
+LEAST_WEIGHT = 1e-3  # of a position that is pooled from tracks: less is none
 
 
 def certain(point: Indices, n_points: int) -> csr_array:
@@ -319,8 +313,7 @@ def _share_in_one_place(gains: Numbers) -> float:
     return share
 
 
-NEW_POINT = 0.1
-"""Prior probability that a track shows a point that no other one shows, at the least."""
+NEW_POINT = 0.1  # prior probability that a track shows a point that no other one shows, at the least
 
 MARGINS = (3.0, 1.5, 0.0)
 """Nats by which a union has to be likelier than what it excludes: round by round, as cameras get better."""
@@ -330,29 +323,20 @@ SOFT_ROUNDS = 4
 ITERATIONS, LAST_ITERATIONS = 50, 500
 """Of EM after each change of who shows what, from the cameras before; and at the end."""
 
-SURE = 0.99
-"""Probability from which a track is said to show a point."""
+SURE = 0.99  # probability from which a track is said to show a point
 
 DETERMINED = 0.15
 """A point is one if its positions in all frames are known to this share of the spread of all points."""
 
-MOSTLY = 0.5
-"""Share of the tracks from which being the only one of a point is what is to be expected."""
-
-LEAST_VIEWS = 2
-"""Frames of a track that is a point of its own: fewer leave its depth open."""
-
-FAR = 64.0
-"""Squared standard deviations: a point is not tried for a track whose middle is farther than eight."""
-
-TORN = 0.05
-"""Product of probabilities from which a track is torn between two points."""
+MOSTLY = 0.5  # share of the tracks from which being the only one of a point is what is to be expected
+LEAST_VIEWS = 2  # frames of a track that is a point of its own: fewer leave its depth open
+FAR = 64.0  # squared standard deviations: a point is not tried for a track whose middle is farther than eight
+TORN = 0.05  # product of probabilities from which a track is torn between two points
 
 MOST_TOGETHER = 500
 """Tracks with most observations whose joint posterior is computed; others are only assigned at the end."""
 
-AT_ONCE = 0.05
-"""Unions between two comparisons of all pairs, as a share of the points."""
+AT_ONCE = 0.05  # unions between two comparisons of all pairs, as a share of the points
 
 
 @dataclass(frozen=True, eq=False)
@@ -575,10 +559,7 @@ class _Association:
     # --- the end ---
 
     def soft_assignment(self) -> TrackAssociation:
-        """Let tracks belong to points in part, and leave out points that they do not determine.
-
-        Returns those points, and the tracks that surely show them; the surest one of each at least.
-        """
+        """Let tracks belong to points in part, and leave out points that they do not determine."""
         noise = self._noise()
         for _ in range(SOFT_ROUNDS):
             membership = self._membership[:, self._determined(self._membership, noise)]

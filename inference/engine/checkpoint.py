@@ -4,9 +4,8 @@ Arrays are members of their own, named by their place in the tree; the member `s
 rest, and `digest` the SHA-256 of both. Values are read by their declared kinds: dataclasses, `NamedTuple`s,
 `NDArray`, `int`, `float`, `bool`, `str`, `None`, `X | None`, `tuple[X, ...]`, `tuple[X, Y]`, `list[X]`,
 `dict[str, X]`, `dict[int, X]`, `numpy.random.Generator`, and `Any` or `object` for plain JSON, or an alias
-of one of these (`type X = ...`). A field of a dataclass whose metadata say `{"saved": False}` is left out,
-and is at its default when read. A nested mapping of names to kinds stands for a record without a class of its
-own, or `None` where it is not there yet.
+of one of these. A field of a dataclass whose metadata say `{"saved": False}` is left out. A nested mapping
+of names to kinds stands for a record without a class of its own, or `None` where it is not there yet.
 """
 
 import hashlib
@@ -28,8 +27,7 @@ from ...models.files import write_atomically
 FORMAT = "rsmcm state 2"
 EXPECTED = "expected a state that was saved here"
 SKELETON = "skeleton"
-DIGEST = "digest"
-"""Of everything else: loops compiled for speed trust the shapes and numbers of a state."""
+DIGEST = "digest"  # of everything else: loops compiled for speed trust the shapes and numbers of a state
 SCALARS = (int, float, bool, str, NoneType)
 GENERATORS = {
     "PCG64": np.random.PCG64,

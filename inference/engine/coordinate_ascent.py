@@ -70,13 +70,7 @@ class TimeSlices:
 
     @classmethod
     def restored(cls, model: MultiChain, frames: Sequence[Frame], saved: Mapping[str, Any]) -> "TimeSlices":
-        """The slices of which `saved` was kept.
-
-        Raises
-        ------
-        ValueError
-            if they are of another number of frames.
-        """
+        """The slices of which `saved` was kept; a `ValueError` if they are of another number of frames."""
         slices = cls(model, frames)
         slices.trajectories = saved["trajectories"]
         evidence = {name: messages for name, messages in saved["evidence"].items() if messages is not None}
@@ -127,10 +121,7 @@ class TimeSlices:
             self.sent[chain, feature] = messages
 
     def _inputs(self, chain: str) -> tuple[int, ...]:
-        """Numbers of all that the chain's trajectory depends on: messages, and evidence that others found.
-
-        A chain that searches by itself goes by what it finds itself.
-        """
+        """Numbers of all that the chain's trajectory depends on: messages, and evidence that others found."""
         features = self.model.features_of[chain]
         messages = [
             self._smoothed.get(other, 0)
@@ -167,10 +158,7 @@ class TimeSlices:
         return reduce(mul, factors) if factors else self.model.features[feature].uniform()
 
     def evidence(self, feature: str, time: int) -> Any:
-        """What was seen last, or what is seen where all messages so far have mass.
-
-        What several chains have found, each in places of its own, is multiplied.
-        """
+        """What was seen last, or what is seen where all messages so far have mass."""
         if feature in self._found:
             return reduce(mul, (found[time] for found in self._found[feature].values()))
         node = self.model.features[feature]
@@ -243,10 +231,9 @@ class Round:
     number
         1 for the first.
     objective
-        sum over the chains of the log density of their trajectories, and over all features and frames of the
-        log mass of the product of evidence and messages: the log of the model's density at the trajectories,
-        with the features integrated out, as far as messages are the exact p(F | X). NaN where rounds are not
-        compared.
+        log of the model's density at the trajectories, with the features integrated out, as far as messages
+        are the exact p(F | X): log densities of the trajectories, and log mass of the product at every
+        feature and frame. NaN where rounds are not compared.
     smoothed
         names of the chains that were worked out anew; a chain that would hear the same again is not.
     """
@@ -327,9 +314,8 @@ class CoordinateAscent:
     """Coordinate ascent (Algorithm 2): chain after chain gets its best trajectory, the others held fixed.
 
     Chains have their turn in the order of `MultiChain.chains`. The first round is the feed-forward pipeline:
-    a chain hears only those before it. A chain that would hear the same again is left alone, so that a model
-    without feedback needs one round. When chains approximate (a tracker that searches anew where others
-    expect points may find other points), the objective can fall; the best round is what is kept.
+    a chain hears only those before it. A chain that would hear the same again is left alone. When chains
+    approximate, the objective can fall; the best round is what is kept.
 
     Parameters
     ----------
@@ -339,8 +325,7 @@ class CoordinateAscent:
         wall on the number of rounds.
     tolerance
         share of the objective's size by which it has to rise for the ascent to go on; `None` for rounds that
-        are not compared: the last one is taken, and the objective, which costs a pass over the film, is not
-        worked out.
+        are not compared: the last one is taken, and no pass over the film is spent on the objective.
 
     Raises
     ------
@@ -391,12 +376,7 @@ class CoordinateAscent:
     ) -> Iterator[Solution]:
         """As `run`, with the best solution so far after every round.
 
-        Parameters
-        ----------
-        frames, dt
-            as of `run`.
-        after
-            to go on from, of the same frames (see `load`); what follows is as if it had never been left.
+        `after` is a solution of the same frames (see `load`) to go on from, as if it had never been left.
         """
         if after is None:
             best = slices = TimeSlices(self.model, _as_frames(frames, dt))
@@ -425,16 +405,8 @@ class CoordinateAscent:
     def save(self, path: str | Path, solution: Solution, about: Mapping[str, Any] | None = None) -> None:
         """Write how far the ascent has come to one `.npz` file: all of it, or none.
 
-        Trajectories and evidence are saved; messages follow from them, and frames are not saved.
-
-        Parameters
-        ----------
-        path
-            of the file, which is replaced if it is there.
-        solution
-            as `rounds` gives it.
-        about
-            plain JSON to be kept with it.
+        Trajectories and evidence are saved, and `about`, plain JSON; messages follow from them, frames are
+        not saved.
 
         Raises
         ------

@@ -48,17 +48,7 @@ FILL = {"chain": "#e3edf7", "feature": "#fdf3dc", "observation": "#b8bec4"}
 def draw(model: MultiChain, path: str | Path) -> None:
     """Draw circles for chains, squares for features, the observed image shaded; cut edges are dashed arrows.
 
-    Parameters
-    ----------
-    model
-        to be drawn.
-    path
-        of the file, `.svg` or `.png`.
-
-    Raises
-    ------
-    ValueError
-        if the suffix is another one.
+    `path` ends in `.svg` or `.png`, or it is a `ValueError`.
     """
     path = Path(path)
     if path.suffix.lower() not in (".svg", ".png"):

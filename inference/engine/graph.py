@@ -21,8 +21,7 @@ from .protocols import (
     require,
 )
 
-IMAGE = "image"
-"""Name of the observation in the graph."""
+IMAGE = "image"  # name of the observation in the graph
 
 Step = tuple[str, str]
 """One message of a time slice: its sender (a chain, or `IMAGE`) and the feature node that it goes to."""
@@ -33,8 +32,7 @@ Method = TypeVar("Method", bound=Callable[..., Any], covariant=True)
 class Speaker(Chain[Any], Protocol[Method]):
     """A chain, as a type checker has to see it to know what it says to which feature.
 
-    With `message` as a property, the message's type is taken from the feature that the chain is connected to,
-    and then looked for among the overloads of the chain's method.
+    With `message` as a property, its type is looked for among the overloads of the chain's method.
     """
 
     @property
@@ -75,9 +73,7 @@ class MultiChain:
         feature: FeatureNode[MessageType],
         feedback: bool = True,
     ) -> Self:
-        """Let the chain speak to the feature node and hear from it.
-
-        The order of connections changes nothing.
+        """Let the chain speak to the feature node and hear from it; the order of connections changes nothing.
 
         Parameters
         ----------
@@ -152,8 +148,8 @@ class MultiChain:
     def chains(self) -> dict[str, Any]:
         """Chains by name, in the order in which they have their turn.
 
-        That is the order of what they want to find in their cavities; of those that want the same, the ones
-        with a cut message come last, and ties go by name.
+        That is the order of what they want in their cavities, those with a cut message last; ties go by
+        name.
         """
         chains = self._nodes("chain")
 
@@ -216,13 +212,7 @@ class MultiChain:
         )
 
     def check_complete(self) -> None:
-        """Make sure that every chain is connected to what it cannot do without.
-
-        Raises
-        ------
-        ValueError
-            if one is not.
-        """
+        """Raise a `ValueError` unless every chain is connected to what it cannot do without."""
         for name, chain in self.chains.items():
             met = [self._port(name, feature) for feature in self.graph[name]]
             for port in chain.ports:
@@ -233,13 +223,7 @@ class MultiChain:
                     )
 
     def check(self) -> None:
-        """Make sure that messages can be passed in a finite order.
-
-        Raises
-        ------
-        ValueError
-            if the chains and features of a time slice form a loop; a loop that a cut edge opens is none.
-        """
+        """Raise a `ValueError` if chains and features of a time slice form a loop that no cut edge opens."""
         try:
             loop = nx.find_cycle(self._dependencies())
         except nx.NetworkXNoCycle:
@@ -264,11 +248,6 @@ class MultiChain:
         those speak that want nothing, then the image (whose likelihood is worked out where these, and what
         the others predict without it, have mass), then the chains that want the image, at last those that
         want to hear the others, by their names.
-
-        Raises
-        ------
-        ValueError
-            as `check` does.
         """
         self.check()
         needs = self._dependencies()
@@ -336,15 +315,7 @@ class MultiChain:
 
 
 def require_model(model: object) -> None:
-    """Make sure that an engine is given a model with chains.
-
-    Raises
-    ------
-    TypeError
-        if it is no model.
-    ValueError
-        if there is no chain in it.
-    """
+    """Raise a `TypeError` unless an engine is given a model, a `ValueError` if it has no chain."""
     if not isinstance(model, MultiChain):
         raise TypeError(
             f"model: got {type(model).__name__}, expected a MultiChain to which chains are connected"

@@ -32,8 +32,8 @@ class Message(Protocol):
 
     Products are commutative and associative, and the node's `uniform()`, the constant 1, is neutral. They
     are not normalised: beliefs are, when something is read from them. What a chain predicts integrates to 1.
-    An engine multiplies the same factors only once in a time slice and hands out that one object, so that a
-    message may keep what it works out.
+    An engine multiplies the same factors only once in a time slice, so that a message may keep what it works
+    out.
     """
 
     @property
@@ -77,8 +77,8 @@ class Cavity(IntEnum):
     """What a chain finds in a feature's own entry of `incoming` when it speaks to that feature.
 
     It may use that to decide where a mixture is projected onto the feature's form, never as information,
-    which would be counted twice. In a time slice those speak first that need the least; ties go by name.
-    At a feature that is searched for in the image (`FeatureNode.searches`) who wants to hear it is asked once
+    which would be counted twice. In a time slice those speak first that need the least; ties go by name. At
+    a feature that is searched for in the image (`FeatureNode.searches`) who wants to hear it is asked once
     before, with what has been said by then: from where it predicts the feature, the image is searched.
     """
 
@@ -124,14 +124,7 @@ class Incoming:
 
     `incoming[PixelLabels]` and `incoming[pixels]` are the product of the evidence and of all other chains'
     messages at that node; `incoming.get(ObjectBoxes)` is `None` where the chain is connected to none.
-    Iteration gives the nodes. What is not asked for is not worked out.
-
-    Parameters
-    ----------
-    messages
-        by feature node.
-    results
-        of pure functions in this time slice (see `once`); none yet where they are left out.
+    Iteration gives the nodes. What is not asked for is not worked out. `results` are those of `once`.
     """
 
     def __init__(self, messages: Mapping[Named, Message], results: Results | None = None) -> None:
@@ -158,8 +151,7 @@ class Incoming:
     def once(self, function: Callable[..., Result], *arguments: object) -> Result:
         """`function(*arguments)` of a pure function, worked out once in a time slice.
 
-        Arguments are the same if they are the very same objects, as predicted states and messages of the
-        same factors are. Functions are the same if they are equal: methods of one chain, not lambdas.
+        Arguments are the same if they are the very same objects, functions if they are equal (no lambdas).
         """
         key = (function, *map(id, arguments))
         if key not in self._results:
@@ -169,13 +161,7 @@ class Incoming:
         return result
 
     def node(self, key: type | Named, /) -> Named:
-        """The feature node that the chain is connected to, or the one of that kind.
-
-        Raises
-        ------
-        KeyError
-            if there is no such node, or there are several of that kind.
-        """
+        """The feature node that the chain is connected to, or the one of that kind; else a `KeyError`."""
         found = self._found(key)
         if len(found) != 1:
             names = ", ".join(node.name for node in self._nodes) or "none"
@@ -294,8 +280,8 @@ class BatchIncoming(Incoming, ABC):
     ) -> MessageType:
         """Evidence at the feature where `prior` has mass.
 
-        A chain that knows better than the others where to search (a tracker knows it from the frame before)
-        does it itself, and returns what it goes by with its trajectory (see `Smoothed`).
+        A chain that knows better than the others where to search does it itself, and returns what it goes by
+        with its trajectory (see `Smoothed`).
         """
 
 
@@ -304,10 +290,7 @@ class BatchChain(Named, Protocol[TrajectoryType]):
 
     @property
     def ports(self) -> tuple[Port, ...]:
-        """The kinds of feature node that it meets.
-
-        In each round chains have their turn in the order of what they want in their cavities.
-        """
+        """The kinds of feature node that it meets."""
         ...
 
     def smooth(
@@ -325,8 +308,8 @@ class BatchChain(Named, Protocol[TrajectoryType]):
     ) -> Sequence[Message]:
         """mu_{X -> F} for each frame: what the trajectory says of the feature.
 
-        `incoming_over_time` is what the trajectory goes by. Most chains have no need of it; one whose state
-        is too large to be kept for every frame works it out again, forwards, when messages are asked for.
+        `incoming_over_time` is what the trajectory goes by: a chain whose state is too large to be kept for
+        every frame works it out again, forwards, when messages are asked for.
         """
         ...
 
@@ -337,17 +320,10 @@ def name_of(key: Named | str) -> str:
 
 
 def require(what: str, node: object, *protocols: type) -> None:
-    """Make sure that an object has all members of one of the protocols.
+    """Raise a `TypeError` that names `what` unless an object has all members of one of the protocols.
 
-    A member counts however the object provides it, `__getattr__` included: a wrapper that hands on what it
-    does not know to a chain is a chain. (`isinstance` looks past `__getattr__` since Python 3.12.) One of a
-    feature node has to have its `__class__` too, by which ports tell it.
-
-    Raises
-    ------
-    TypeError
-        if it has not; the message starts with `what` and names the missing members. A class in place of an
-        instance is refused as well.
+    A member counts however the object provides it, `__getattr__` included (`isinstance` looks past that
+    since Python 3.12). A class in place of an instance is refused as well.
     """
     if isinstance(node, type):
         raise TypeError(f"{what}: got the class {node.__name__}, expected an instance: {node.__name__}(...)")
@@ -369,8 +345,8 @@ def _members(protocol: type) -> list[str]:
 class LazyFrames(Sequence[Frame]):
     """Frames in order of time that are made when they are asked for, best one after the other.
 
-    A mark of sequences that `CoordinateAscent` must not hold: an engine asks for each frame once in a pass,
-    forwards. Those who make them see to their order.
+    A mark of sequences that `CoordinateAscent` must not hold: it asks for each frame once in a pass,
+    forwards.
     """
 
     @abstractmethod

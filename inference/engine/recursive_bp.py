@@ -34,17 +34,7 @@ State = TypeVar("State")
 
 @dataclass(eq=False)
 class Sent:
-    """A message of a time slice, which is worked out when it is first multiplied.
-
-    Parameters
-    ----------
-    sender, feature
-        names; the image is a sender too.
-    incoming
-        by feature, the factors of what the sender goes by.
-    message
-        the message itself, once it is worked out.
-    """
+    """A message, worked out from the factors `incoming` by feature when it is first multiplied."""
 
     sender: str
     feature: str
@@ -59,7 +49,7 @@ class TimeSlice:
     """Messages of one frame, and their products.
 
     The same factors always give the same product object, so that messages may keep what they work out. No
-    message refers to the slice: it is gone as soon as nobody needs it, and large arrays with it.
+    message refers to the slice, so that large arrays go with it.
     """
 
     def __init__(self, model: MultiChain, predictions: Mapping[str, Any], frame: Frame) -> None:
@@ -87,23 +77,14 @@ class TimeSlice:
             self._sent[sender, feature] = Sent(sender, feature, incoming)
 
     def incoming(self, chain: str) -> Incoming:
-        """All that reaches the chain by now except for its own messages, worked out.
-
-        Chains that update side by side do not wait for each other then.
-        """
+        """All that reaches the chain by now except for its own messages, worked out."""
         factors = {name: self._factors(name, chain) for name in self.model.features_of[chain]}
         for feature, those in factors.items():
             self._multiply(feature, those)
         return _Incoming(self, factors)
 
     def sent(self, sender: str, feature: str) -> Any:
-        """The message of a chain, or of the image, to the feature.
-
-        Raises
-        ------
-        KeyError
-            if there is none.
-        """
+        """The message of a chain, or of the image, to the feature; a `KeyError` if there is none."""
         if (sender, feature) not in self._sent:
             raise KeyError(f"{sender!r} says nothing to {feature!r}")
         return self._message(self._sent[sender, feature])
@@ -123,10 +104,7 @@ class TimeSlice:
         )
 
     def _log_evidence_at(self, feature: str, seen: Sequence[str]) -> float:
-        """Log probability of what the image shows of a feature, given what it shows of those `seen`.
-
-        The messages to the feature are the same in both integrals, so that their scale does not matter.
-        """
+        """Log probability of what the image shows of a feature, given what it shows of those `seen`."""
         if (IMAGE, feature) not in self._sent:
             return 0.0
         predicted = tuple(self._given(name, feature, seen) for name in self.model.senders[feature])
@@ -136,8 +114,7 @@ class TimeSlice:
     def _given(self, chain: str, feature: str, seen: Sequence[str]) -> Sent:
         """What the chain would send if the image showed no feature of its component but those `seen`.
 
-        What it found in its own cavity, where it may have decided where to speak, and what it reads through
-        cut edges stays as it is.
+        What it found in its own cavity, and what it reads through cut edges, stays as it is.
         """
         sent = self._sent[chain, feature]
         incoming = dict(sent.incoming)
@@ -150,11 +127,7 @@ class TimeSlice:
         return sent if incoming == sent.incoming else Sent(chain, feature, incoming)
 
     def _ahead(self, feature: str) -> Factors:
-        """Where the image is to be searched: what was said by now, and what the others say of it unseen.
-
-        Those who want to hear the image before they speak predict here without it. They speak again when it
-        has been searched, and nobody but the search hears what they said first.
-        """
+        """Where the image is to be searched: what was said by now, and what others predict without it."""
         predicted = [
             Sent(name, feature, {other: self._factors(other, name) for other in self.model.features_of[name]})
             for name in self.model.senders[feature]
@@ -180,13 +153,7 @@ class TimeSlice:
         return self._products[key]
 
     def _message(self, sent: Sent) -> Any:
-        """The message that was sent.
-
-        Raises
-        ------
-        TypeError
-            if it is none of its feature.
-        """
+        """The message that was sent."""
         if sent.message is None:
             node = self.model.features[sent.feature]
             if sent.sender == IMAGE:
@@ -219,8 +186,6 @@ class _Incoming(Incoming):
 class RunState:
     """All that a run needs to go on: a value that can be kept, branched from, saved and loaded.
 
-    `RunState()` is that of a run which has not begun.
-
     Parameters
     ----------
     states
@@ -238,13 +203,7 @@ class RunState:
 
     @staticmethod
     def kinds(chains: Mapping[str, Any]) -> dict[str, Any]:
-        """What the state of these chains (or classes of chains) by name consists of, for `checkpoint`.
-
-        Raises
-        ------
-        TypeError
-            if a chain does not say what its state is.
-        """
+        """What the state of these chains (or classes of chains) by name consists of, for `checkpoint`."""
         states = {}
         for name, chain in chains.items():
             hints = get_type_hints(chain.initial)
@@ -272,8 +231,8 @@ class Belief:
     """What is known after a frame.
 
     `belief[chain]` or `belief["name"]` is the posterior state of a chain, `belief[feature]` or
-    `belief["name"]` the belief over a feature node: the product of all messages that reach it. As long as all
-    frames were missing there is no belief, and asking for one is a `KeyError`.
+    `belief["name"]` the product of all messages that reach a feature node. As long as all frames were
+    missing there is no belief, and asking for one is a `KeyError`.
 
     Attributes
     ----------
@@ -311,33 +270,20 @@ class Belief:
     def log_evidence(self) -> float:
         """log p(I_t | I_1..t-1), worked out when asked for; 0 before the first image.
 
-        At each feature that chains speak to, it is the log of the integral of the product with the image less
-        the log of the integral of the same product without it: summed over all images, the probabilities are
-        1, whatever the scale of the messages, so that models can be compared. Features that share a chain
-        follow each other (their evidence is given that of those before); a component that reads another one
-        through a cut edge is conditioned on it. What is not exact is what chains approximate: a message that
-        was decided on by its cavity is taken as it is.
+        At each feature that chains speak to, it is the log of the integral of the product with the image
+        less that without it: models can be compared, whatever the scale of their messages. Features that
+        share a chain follow each other (their evidence is given that of those before); a component that
+        reads another one through a cut edge is conditioned on it. What is not exact is what chains
+        approximate.
         """
         return 0.0 if self._slice is None else self._slice.log_evidence()
 
     def message(self, chain: Named | str, feature: FeatureNode[MessageType]) -> MessageType:
-        """What the chain said to the feature in this frame, before it heard what the image shows of it.
-
-        Raises
-        ------
-        KeyError
-            if it has not said anything there: it is not connected, or its message is cut.
-        """
+        """What the chain said to the feature before it heard the image; a `KeyError` if nothing."""
         return self._sent(name_of(chain), feature)
 
     def evidence(self, feature: FeatureNode[MessageType]) -> MessageType:
-        """What the frame shows of the feature; nothing (uniform) where it is missing.
-
-        Raises
-        ------
-        KeyError
-            if the feature is not part of the model, or nothing is believed yet.
-        """
+        """What the frame shows of the feature, uniform where missing; a `KeyError` if nothing is believed."""
         return feature.uniform() if self.frame.missing else self._sent(IMAGE, feature)
 
     def _sent(self, sender: str, feature: FeatureNode[MessageType]) -> MessageType:
@@ -403,8 +349,8 @@ class RecursiveBP:
     def step(self, state: RunState, frame: Frame) -> Belief:
         """Take in one frame.
 
-        The first frame with an image or points is met with the chains' initial states, later ones
-        with predictions. A missing frame brings no evidence: chains predict, hear each other, and go on.
+        The first frame with an image or points is met with the chains' initial states, later ones with
+        predictions. A missing frame brings no evidence: chains predict, hear each other, and go on.
 
         Parameters
         ----------
@@ -416,8 +362,8 @@ class RecursiveBP:
         Raises
         ------
         ValueError
-            if the frame is not later than the last one, has another size or type, or if `state` belongs to
-            other chains.
+            if the frame is not later than the last one or has another size, or if `state` belongs to other
+            chains.
         TypeError
             if a chain gives something that is no message of the feature, or no state.
         """
@@ -494,16 +440,7 @@ class RecursiveBP:
             yield belief
 
     def save(self, path: str | Path, state: RunState, about: Mapping[str, Any] | None = None) -> None:
-        """Write the state of a run to one `.npz` file: all of it, or none.
-
-        Parameters
-        ----------
-        path
-            of the file, which is replaced if it is there.
-        state
-            of the run.
-        about
-            plain JSON to be kept with it (parameters, source, versions).
+        """Write the state of a run, and `about`, plain JSON, to one `.npz` file: all of it, or none.
 
         Raises
         ------
@@ -531,7 +468,7 @@ class RecursiveBP:
 
 
 def _require_states(method: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> None:
-    """Make sure that chains gave a state for each one; a forgotten `return` is said in words."""
+    """Make sure that chains gave a state for each one: a forgotten `return` is said in words."""
     for name, state in after.items():
         if state is None and before[name] is not None:
             raise TypeError(f"chain {name!r}: {method} gave None, expected a state")
@@ -545,10 +482,8 @@ class ForwardPass(Sequence[MessageType], Generic[MessageType]):
 
     Parameters
     ----------
-    engine
-        of the filter.
-    start
-        its state before the first frame.
+    engine, start
+        of the filter, and its state before the first frame.
     incoming_over_time
         whose frames it takes in.
     read

@@ -16,26 +16,17 @@ from ..optimisation import Damping, levenberg_marquardt
 
 Numbers = NDArray[np.float64]
 
-LEAST_VIEWS = 3
-"""Two views of a rigid shape leave its depth open (bas-relief)."""
+LEAST_VIEWS = 3  # two views of a rigid shape leave its depth open (bas-relief)
 
 DETERMINED = 0.1
 """A metric is one if stretches of space are known to about a tenth (one standard deviation of their log)."""
 
-CLEAR = 4.0
-"""By what factor a direction must stand out of what noise alone would make of one (in squares)."""
-
-FLAT = 1e-10
-"""Share of the cameras' squares that is rounding."""
-
-OPEN = 1e-12
-"""Share of the information on stretches that is rounding."""
-
+CLEAR = 4.0  # by what factor a direction must stand out of what noise alone would make of one (in squares)
+FLAT = 1e-10  # share of the cameras' squares that is rounding
+OPEN = 1e-12  # share of the information on stretches that is rounding
 MOST_STEPS = 100
 DAMPING = Damping(1e-3, most=1e13)
-SHORT = 1e-12
-"""Step, a change of the logarithm of a stretch, that is the last."""
-
+SHORT = 1e-12  # step, a change of the logarithm of a stretch, that is the last
 FLATTISH = "no depth shows: the camera does not turn out of the picture plane, or the scene is flat"
 HARDLY = "the camera hardly turns out of the picture plane"
 
@@ -161,11 +152,7 @@ def _undetermined(cameras: Numbers, shape: Numbers, reason: str, uncertainty: fl
 
 
 def _stands_out(rows: Numbers, spread: Numbers, n_points: int) -> bool:
-    """Whether all three directions are more than the best fit to noise.
-
-    Of a random matrix of 2 n_frames x n_points the largest singular value, squared, is
-    (sqrt(2 n_frames) + sqrt(n_points))^2 times its variance.
-    """
+    """Whether all three directions are more than noise: singular values of a random matrix are known."""
     noise = 2 * spread.sum(axis=0)
     values, axes = np.linalg.eigh(noise)
     if values[0] <= 0:
@@ -200,11 +187,10 @@ def _linear_metric(rows: Numbers) -> Numbers:
 
 @dataclass(frozen=True, eq=False)
 class _Metric:
-    """A root G of the metric, how far rows are from what they should be in it, and how it was reached.
+    """A root G of the metric, and errors `(2 n_frames,)` of rows in it with weights and derivatives by E.
 
-    Errors `(2 n_frames,)` are (|u|^2 - |v|^2) / (|u|^2 + |v|^2) and 2 u . v / (|u|^2 + |v|^2), in which the
-    scale is no matter; `jacobian` `(2 n_frames, 5)` are their derivatives by E, and `weight` their weights.
-    `step` is the largest number of the E of the last step G <- G exp(E).
+    Errors are (|u|^2 - |v|^2) / (|u|^2 + |v|^2) and 2 u . v / (|u|^2 + |v|^2); `step` is the largest number
+    of the E of the last step G <- G exp(E).
     """
 
     root: Numbers

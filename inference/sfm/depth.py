@@ -42,8 +42,7 @@ NEARLY_ALL = 0.3
 tenth where the middle of its picture, which is not known, is some way off that of the points; of a plane it
 leaves two thirds and more."""
 
-MOST = 0.8
-"""Share of the tracks that are believed: some of a tracker's jump to other points."""
+MOST = 0.8  # share of the tracks that are believed: some of a tracker's jump to other points
 TRIMMED_STEPS = 5
 ROUNDING = 1e-12
 """Variance, in squares of the tracks' extent, that is none: of pictures that are all the same."""
@@ -53,8 +52,7 @@ FOCAL_LENGTHS = (0.7, 3.0)
 SHORTEST, LONGEST = 0.4, 100.0
 """In the tracks' extent: the shortest sees 100 degrees; wider, a camera that turns explains planes, too."""
 
-MOST_LOOKED_AT = 8
-"""Pairs of pictures from which the motion is told where no track says it."""
+MOST_LOOKED_AT = 8  # pairs of pictures from which the motion is told where no track says it
 FEATURES = 500
 FEWEST_MATCHES = 10
 
@@ -210,11 +208,7 @@ def _kind(
 
 
 def _homography(before: Numbers, after: Numbers, most: float = MOST) -> tuple[NDArray[np.intp], Numbers]:
-    """Most of the points, those that a homography explains best, and what it leaves of their second places.
-
-    Least trimmed squares (Rousseeuw 1984): beginning with the least median of squares, the homography of the
-    points that fitted best is fitted to those that fit best.
-    """
+    """Most of the points, those that a homography explains best, and what it leaves."""
     count = max(int(np.ceil(most * len(before))), min(len(before), LEAST_SHARED))
     found, _ = cv2.findHomography(before, after, cv2.LMEDS)
     chosen, off = np.arange(len(before)), np.zeros_like(after)
@@ -236,10 +230,7 @@ def _off_similarity(before: Numbers, after: Numbers) -> Numbers:
 
 
 def _off_rotation(before: Numbers, after: Numbers, size: float) -> Numbers:
-    """What the best camera leaves that turns and zooms where it stands, its middle at the origin.
-
-    After = f' (r_1 d, r_2 d) / (r_3 d) with d = (before, f): three angles, f and f' by least squares.
-    """
+    """What the best camera leaves that turns and zooms: f' (r_1 d, r_2 d) / (r_3 d), d = (before, f)."""
 
     def off(parameters: Numbers, focal: float) -> Numbers:
         first, second = focal * parameters[3:]

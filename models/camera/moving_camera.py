@@ -19,8 +19,7 @@ from ..core.pictures import grey_of
 from ..core.short_repr import short_repr
 from ..numerics.compiled import compiled
 
-STEP_UNKNOWNS = 7
-"""The six of an affine map, and the contrast."""
+STEP_UNKNOWNS = 7  # the six of an affine map, and the contrast
 
 
 @compiled
@@ -91,8 +90,7 @@ Numbers = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Value = TypeVar("Value", np.uint8, np.float32)
 
-UNKNOWNS = 6
-"""Numbers of an affine map."""
+UNKNOWNS = 6  # numbers of an affine map
 
 
 @short_repr
@@ -193,33 +191,22 @@ class AffineMap:
 
 Floats = NDArray[np.float32]
 
-POINTS = 3000
-"""By which pictures are registered, at most, on each level."""
+POINTS = 3000  # by which pictures are registered, at most, on each level
 
 COARSEST, FINEST = 48, 640
 """px, the least length of a side of the coarsest level, and the largest one of the finest: half as fine is
 half as exact, and a fortieth of a pixel."""
 
-THINNEST = 16
-"""px, of a side of the finest level, below which a picture is too thin to be registered."""
-
-LOCAL_MEAN = 15
-"""px, side of the square about a pixel whose mean is taken off its value."""
+THINNEST = 16  # px, of a side of the finest level, below which a picture is too thin to be registered
+LOCAL_MEAN = 15  # px, side of the square about a pixel whose mean is taken off its value
 
 STEPS, SMALL = 12, 0.01
 """Gauss-Newton steps at most on each level, and px of a step after which there is no other."""
 
-LEAST_NOISE = 1.0
-"""Grey levels: residuals are not smaller than that for long, rounding alone makes a third."""
-
-LARGEST = 30.0
-"""Grey levels: a residual that is larger is no worse."""
-
-WORTH = 0.25
-"""Independent observations in one point's: band-passed neighbours share their noise."""
-
-OUTSIDE = 1e9
-"""Residual of a point that the frame does not show."""
+LEAST_NOISE = 1.0  # grey levels: residuals are not smaller than that for long, rounding alone makes a third
+LARGEST = 30.0  # grey levels: a residual that is larger is no worse
+WORTH = 0.25  # independent observations in one point's: band-passed neighbours share their noise
+OUTSIDE = 1e9  # residual of a point that the frame does not show
 
 
 @dataclass(frozen=True, eq=False)
@@ -420,8 +407,7 @@ def _cut(values: Numbers) -> Numbers:
 LEAST_CORRELATION = 0.25
 """Below which a frame is not like the scene wherever the camera looks: chance makes 0.1."""
 
-_CAMERA = np.zeros(1, np.int64)
-"""The one thing that the Gaussians are about."""
+_CAMERA = np.zeros(1, np.int64)  # the one thing that the Gaussians are about
 
 
 @short_repr

@@ -24,9 +24,7 @@ from ..core.short_repr import short_repr
 Numbers = NDArray[np.float64]
 
 MIRROR = np.diag([1.0, 1.0, -1.0])
-
-NEAREST = 1e-2
-"""Depth, of that of the shape's origin, from which a point is before a camera."""
+NEAREST = 1e-2  # depth, of that of the shape's origin, from which a point is before a camera
 
 
 @short_repr

@@ -19,8 +19,7 @@ from .kernels import frame_moments, invert_information, point_moments, smooth_ca
 from .observations import Numbers, Observations
 
 UPPER = np.triu_indices(4)
-DENSE = 0.5
-"""Share of the matrix that must be seen for products of full matrices to be faster than lists."""
+DENSE = 0.5  # share of the matrix that must be seen for products of full matrices to be faster than lists
 
 _SYMMETRIC = np.array([[0, 1, 2, 3], [1, 4, 5, 6], [2, 5, 7, 8], [3, 6, 8, 9]])
 """Which of the ten numbers each entry of a symmetric matrix is."""
@@ -147,7 +146,6 @@ LEAST_NOISE = 1e-9
 """Standard deviation of the noise, in units of the spread of positions, below which rounding decides."""
 
 ORDERS = 3
-
 LEAST_VARIANCE = 1e-12
 
 
@@ -239,8 +237,7 @@ LEAST_JITTER = 1e-3
 """With coherence: by what the motion's noise is expected to change rows over all frames, at the least."""
 
 
-LONGEST_STEP = 1e3
-"""Factor by which a variance of the motion may grow at once."""
+LONGEST_STEP = 1e3  # factor by which a variance of the motion may grow at once
 
 
 def estimate_cameras(
@@ -292,14 +289,12 @@ def _pooled(values: Numbers) -> Numbers:
     return np.stack([rows[:, :3].sum(axis=1), rows[:, 3]], axis=1)
 
 
-WINDOW = 10
-"""Iterations over which the rise of the bound is judged."""
+WINDOW = 10  # iterations over which the rise of the bound is judged
 
 LEARNING = 2
 """Iterations from one to the next in which the cameras' prior is learned; it costs another smoother."""
 
-ROUNDING = 1e-9
-"""Relative error of the bound, a sum of numbers that nearly cancel."""
+ROUNDING = 1e-9  # relative error of the bound, a sum of numbers that nearly cancel
 
 
 def expectation_maximisation(

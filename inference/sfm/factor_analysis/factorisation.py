@@ -39,15 +39,13 @@ from .kernels import (
 )
 from .observations import Indices, Numbers, Observations, as_arrays, determined
 
-ACCURACY = 1e-3
-"""Relative, of the solution of the normal equations."""
+ACCURACY = 1e-3  # relative, of the solution of the normal equations
 MOST_PRODUCTS = 500
 FAR, NEAR = 1.0, 1e-2
 """First damping, of the mean of the diagonal, from anywhere and from near the optimum. It changes by bold
 factors of ten, which get past poor valleys: with gentler ones half of the random starts end in one."""
 LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e12
-STILL = 3
-"""Steps in a row that hardly lower the error: one may be short because it was damped."""
+STILL = 3  # steps in a row that hardly lower the error: one may be short because it was damped
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,10 +142,10 @@ def variable_projection(
 def _in_gauge(
     cameras: Numbers, shape: Numbers, inverses: Numbers, points: NDArray[np.bool_], rank: int
 ) -> tuple[Numbers, Numbers, Numbers]:
-    """Cameras, points and inverses of the points' information in a gauge of similar numbers everywhere.
+    """Cameras, points and inverses of their information with orthogonal columns, about the origin, of size 1.
 
-    Orthogonal columns, and a shape about the origin of size 1: the damping is then the same for all numbers.
-    Medians, because points that two or three frames hardly determine may be anywhere.
+    So the damping is the same for all numbers. Medians, because points that are hardly determined may be
+    anywhere.
     """
     columns, triangle = np.linalg.qr(cameras[..., :rank].reshape(-1, rank))
     turn = np.zeros((RANK, RANK))
@@ -165,8 +163,7 @@ def _in_gauge(
 LOOSEST = 100.0
 """Standard deviation, in spreads of the shape, of a direction in which observations leave a point open."""
 
-HALF = 0.5
-"""A point that is known to this share of the spread of all has its say in what that spread is."""
+HALF = 0.5  # a point that is known to this share of the spread of all has its say in what that spread is
 
 
 def around_start(
@@ -394,23 +391,7 @@ def _with_filled(
     start: Factorisation,
     found: Callable[[Numbers, Factorisation], Factorisation],
 ) -> Factorisation:
-    """Cameras and shape given positions of which one coordinate is missing, by EM over those coordinates.
-
-    What is missing is expected where cameras and shape have it, which are found anew with that (Dempster,
-    Laird and Rubin, 1977); in the end it is where it no longer pulls at anything. Its variance is that of the
-    noise, which is so estimated from what was seen. Covariances do not count it.
-
-    Parameters
-    ----------
-    where, weights
-        of `factorise`.
-    half
-        `(n_frames, n_points)`: of which positions one coordinate is missing.
-    start
-        from which the first ones are foreseen.
-    found
-        gives cameras and shape of positions that are filled in, from an earlier result.
-    """
+    """Cameras and shape given positions of which one coordinate is missing, by EM over those coordinates."""
     missing = np.isnan(where) & half[..., None]
     filled, fit = where.copy(), start
     filled[missing] = projected(fit.cameras, fit.shape)[missing]
@@ -498,10 +479,7 @@ def _beginning(
 
 
 def _with_points(part: Observations, cameras: Numbers) -> tuple[Numbers, Numbers]:
-    """Given cameras with the points that fit them best.
-
-    Where they point past the shape, as random ones do, their translations become the middles of the frames.
-    """
+    """Given cameras with the points that fit them best; translations may become frames' middles."""
     listed = part.by_frame
     counts = np.maximum(np.diff(listed.edges), 1)
     middles = [np.bincount(listed.own, values, part.n_frames) / counts for values in (listed.x, listed.y)]
@@ -599,11 +577,8 @@ def predicted(factorisation: Factorisation) -> tuple[Numbers, Numbers]:
 
 
 MOST_ROUNDS = 20
-SETTLED = 0.002
-"""Mean change of the probabilities of being right with which the rounds end."""
-
-ITERATIONS = 50
-"""Of EM in a round: the next one goes on from there."""
+SETTLED = 0.002  # mean change of the probabilities of being right with which the rounds end
+ITERATIONS = 50  # of EM in a round: the next one goes on from there
 
 FAREST = 25.0
 """Variance of outliers over that of right positions, at the least: closer ones are noise, and are needed."""
@@ -621,11 +596,8 @@ plane seen from near leaves its corners over), and nothing is an outlier."""
 ROUNDING, TINY = 1e-12, 1e-300
 """Of the largest square, and absolutely: the least variance, for positions without noise."""
 
-MEDIAN = 2 * float(np.log(2))
-"""Of the squared length of a vector of two standard normal numbers."""
-
-TRUSTED = 0.5
-"""Probability from which a position is taken to be right."""
+MEDIAN = 2 * float(np.log(2))  # of the squared length of a vector of two standard normal numbers
+TRUSTED = 0.5  # probability from which a position is taken to be right
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,22 +14,13 @@ Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
 RANK = 3
-
-WINDOW_POINTS = 6
-"""A window counts if it shows at least so many points throughout."""
-MOSTLY = 0.5
-"""If this share of the points is seen throughout, the window is the whole."""
-SAMPLE = 100
-"""Numbers of a window's rows and points by which it is judged, at most."""
-LARGE = 50
-"""Tables of more rows and columns than this have their first singular vectors found by iteration."""
-CANDIDATES = 4
-"""So many windows of each length are judged closely."""
-
-VIEWS = 3
-"""Frames that show a point, for it to come in."""
-ROUNDS, LAST_ROUNDS = 3, 10
-"""Of refinement, after frames or points came in, and at the end."""
+WINDOW_POINTS = 6  # a window counts if it shows at least so many points throughout
+MOSTLY = 0.5  # if this share of the points is seen throughout, the window is the whole
+SAMPLE = 100  # numbers of a window's rows and points by which it is judged, at most
+LARGE = 50  # tables of more rows and columns than this have their first singular vectors found by iteration
+CANDIDATES = 4  # so many windows of each length are judged closely
+VIEWS = 3  # frames that show a point, for it to come in
+ROUNDS, LAST_ROUNDS = 3, 10  # of refinement, after frames or points came in, and at the end
 RIDGE = 1e-9
 FORESIGHT = 3.0
 """Variance up to which frames are foreseen together, of that of the one which is foreseen best."""
@@ -37,17 +28,7 @@ FORESIGHT = 3.0
 
 @dataclass(frozen=True)
 class _Terms:
-    """On which frames and points come in.
-
-    Parameters
-    ----------
-    points
-        that a frame shows.
-    strength
-        of a frame: so many points as good as those that are one spread of the shape off, in every direction.
-    spread
-        standard deviation of a point, in spreads of the shape.
-    """
+    """On which frames (that show `points`) and points (that deviate by `spread`, in the shape's) come in."""
 
     points: int
     strength: float
@@ -97,11 +78,7 @@ def _leading(table: Numbers) -> tuple[Numbers, Numbers, Numbers]:
 
 @dataclass(eq=False)
 class _Known:
-    """A structure that grows: what is known of frames and points, in the gauge of a white shape.
-
-    With coherence `prior` is that of the cameras, and `camera_covariance` `(n_frames, 4, 4)` says how well it
-    foresees those of unknown frames.
-    """
+    """A structure that grows: what is known of frames and points, in the gauge of a white shape."""
 
     cameras: Numbers
     shape: Numbers

@@ -269,11 +269,7 @@ def smooth_cameras(information, vector, precision, noise, start_mean, start_vari
 
 @inlined
 def _filtered(information, vector, precision, noise, first, mean, spread):
-    """The way forward, from the state `mean`, `spread` (changed in place) of frame `first`.
-
-    Returns, for every frame, what the way back needs (filtered means and covariances; of the predictions
-    P H^T, the gain on it, (I + information H P H^T)^-1 and the innovation), and the log evidence.
-    """
+    """The way forward, from the state `mean`, `spread` (changed in place) of frame `first`."""
     n_frames = information.shape[0]
     means, spreads = np.empty((n_frames, STATE, 2)), np.empty((n_frames, STATE, STATE))
     ahead, gains = np.empty((n_frames, STATE, ROW)), np.empty((n_frames, ROW, ROW))
@@ -320,10 +316,7 @@ def _filtered(information, vector, precision, noise, first, mean, spread):
 
 @inlined
 def _smoothed(filtered, first, mean, spread, cameras, covariance):
-    """The way back to frame `first`, whose state is written to `mean`, `spread`; and every frame's camera.
-
-    Returns squares and counts of `smooth_cameras`.
-    """
+    """The way back to frame `first`, whose state is written to `mean`, `spread`; and every frame's camera."""
     means, spreads, ahead, gains, shrinks, innovations = filtered
     product = np.empty((STATE, STATE))
     squares, counts = np.zeros(STATE), np.zeros(STATE)
@@ -400,11 +393,7 @@ def _retreat(rows):
 
 @inlined
 def _through_update(rows, ahead, gain, shrink):
-    """(I - H^T G H P) times a matrix of 12 rows, in place; `ahead` is P H^T.
-
-    Of the first four columns the difference is `shrink` = (I + information H P H^T)^-1, which would drown in
-    rounding.
-    """
+    """(I - H^T G H P) times 12 rows, in place; `ahead` is P H^T, `shrink` spares a difference."""
     for c in range(rows.shape[1]):
         v0 = v1 = v2 = v3 = 0.0
         for n in range(ROW, STATE):
@@ -486,8 +475,7 @@ def _shrinkage(scaled, spread, shrink):
     return log_determinant
 
 
-ROUNDING = 1e-13
-"""Share of a point's information below which a direction of it is rounding."""
+ROUNDING = 1e-13  # share of a point's information below which a direction of it is rounding
 
 
 @compiled
@@ -649,8 +637,7 @@ def reduced_step(
     return step
 
 
-ENTRIES = 12
-"""Of a 3x4 matrix; sums over observations are of such, for which vector units serve."""
+ENTRIES = 12  # of a 3x4 matrix; sums over observations are of such, for which vector units serve
 
 
 @inlined

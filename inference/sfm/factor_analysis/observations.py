@@ -19,7 +19,6 @@ Mask = NDArray[np.bool_]
 
 LEAST_FRAMES = 3
 LEAST_POINTS = 4
-
 ROUNDING = 1e-13
 
 

@@ -36,12 +36,8 @@ ALIKE = 10.0
 """So many frames of a video say as much as one that stands by itself; the power of the bases' prior."""
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
-LONGEST_TURN, LONGEST_GROWTH = 0.3, 0.3
-"""Of one step: rad, and change of the logarithm of scale."""
-
-RIDGE = 1e-9
-"""Of the mean information on a point: points that frames leave open stay where they are."""
-
+LONGEST_TURN, LONGEST_GROWTH = 0.3, 0.3  # of one step: rad, and change of the logarithm of scale
+RIDGE = 1e-9  # of the mean information on a point: points that frames leave open stay where they are
 _TURNS = cross_matrices(np.eye(3))
 
 
@@ -422,17 +418,13 @@ def log_likelihood(tracks: Tracks, state: State) -> float:
     return float(e_step(state, point_sums(tracks, state.bases)).log_likelihood.sum())
 
 
-SMOOTH_FRAMES = 5
-"""Fewer say nothing about differences of differences."""
+SMOOTH_FRAMES = 5  # fewer say nothing about differences of differences
 ITERATIONS = 40
 DAMPING = Damping(1e-4, most=1e6)
-MOST_STEPS = 20
-"""That are tried, with more and more damping."""
+MOST_STEPS = 20  # that are tried, with more and more damping
 MOST_CORRELATION = 0.9999
-LEAST_SPREAD = 1e-4
-"""Of second differences of turns, rad: finer ones no film shows."""
-WINDOW = 200
-"""Frames from which the spread of turns is learned; its posterior takes the cube of their number."""
+LEAST_SPREAD = 1e-4  # of second differences of turns, rad: finer ones no film shows
+WINDOW = 200  # frames from which the spread of turns is learned; its posterior takes the cube of their number
 
 
 def smoothed(tracks: Tracks, state: State, on_iteration: Callable[[], None]) -> tuple[State, WeightPosterior]:

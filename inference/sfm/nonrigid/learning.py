@@ -54,14 +54,9 @@ RIGID_ITERATIONS = 60
 SMOOTH = np.radians(5)
 """Standard deviation of an object's turn from frame to frame, where it is doubtful which way it turns."""
 
-DOUBT = 100.0
-"""Of a deforming object the likelihood of a rigid one says so many times less than it seems."""
-
-TURNED_OVER = np.radians(15)
-"""Poses that differ by so much are two ways of seeing the same picture."""
-
-TOLERANCE = 1e-5
-"""Nats a coordinate, for what comes before the last climb."""
+DOUBT = 100.0  # of a deforming object the likelihood of a rigid one says so many times less than it seems
+TURNED_OVER = np.radians(15)  # poses that differ by so much are two ways of seeing the same picture
+TOLERANCE = 1e-5  # nats a coordinate, for what comes before the last climb
 
 
 def rigid_states(tracks: Tracks, positions: Numbers, on_iteration: Callable[[], None]) -> list[State]:
@@ -196,16 +191,12 @@ def _angles(one: Numbers, other: Numbers) -> Numbers:
     return angles
 
 
-STEPS, MOST_TRIED = 100, 2000
-"""Steps that are taken, and tried, at most."""
+STEPS, MOST_TRIED = 100, 2000  # steps that are taken, and tried, at most
 ROWS_DAMPING = Damping(1e-2, rise=4.0)
-LEAST_GAIN = 1e-7
-"""Of the sum of squares, as a share: below this nothing more is to be had."""
-ROWS_RIDGE = 1e-9
-"""Of the mean diagonal: the axes of space are free, and with them three directions of Q."""
+LEAST_GAIN = 1e-7  # of the sum of squares, as a share: below this nothing more is to be had
+ROWS_RIDGE = 1e-9  # of the mean diagonal: the axes of space are free, and with them three directions of Q
 LEAST_RANK = 3
-LEAST_STRENGTH = 1e-6
-"""Singular values below this share of the largest are rounding."""
+LEAST_STRENGTH = 1e-6  # singular values below this share of the largest are rounding
 RANDOM_STARTS, SEED = 4, 0
 
 
@@ -308,10 +299,8 @@ explained by turns that the object never made. More gain little, and take longer
 
 FIRST_ROUND, SECOND_ROUND, PRUNING_ROUND = 40, 100, 40
 """Iterations of all starts, of the best ones, and of a shape after modes were taken away."""
-KEPT = 3
-"""Starts that go on to the second round."""
-SAME = 0.01
-"""Shapes that differ by so little, as `shape_error` measures, are one optimum."""
+KEPT = 3  # starts that go on to the second round
+SAME = 0.01  # shapes that differ by so little, as `shape_error` measures, are one optimum
 NEARLY = 0.05
 """Optima are as good as each other if their noise differs by no more than this share: so much is left to
 chance by what the model leaves out."""
@@ -441,10 +430,8 @@ def _best_first(tracks: Tracks, states: Sequence[State]) -> list[tuple[float, St
 
 Indices = NDArray[np.int64]
 
-LEAST_FRAMES = 3
-"""That a point is seen in, and that there are; two views leave depth open."""
-LEAST_POINTS = 4
-"""Of a frame, for its pose to be known."""
+LEAST_FRAMES = 3  # that a point is seen in, and that there are; two views leave depth open
+LEAST_POINTS = 4  # of a frame, for its pose to be known
 
 
 def learn_shape(
@@ -605,13 +592,10 @@ def _squared_error(tracks: Tracks, state: State, found: WeightPosterior) -> floa
     return float(np.sum(tracks.seen[..., None] * (tracks.positions - predicted) ** 2))
 
 
-WITHHELD = 0.1
-"""Share of the positions; the model is learned from the others."""
-LEAST_LEFT = 5
-"""Positions that a frame or a point keeps at least, where it has them: enough for a pose."""
+WITHHELD = 0.1  # share of the positions; the model is learned from the others
+LEAST_LEFT = 5  # positions that a frame or a point keeps at least, where it has them: enough for a pose
 MOST_BASES = 8
-BLOCKS = 20
-"""Of successive frames, whose errors are alike: what they differ by is the spread of an error."""
+BLOCKS = 20  # of successive frames, whose errors are alike: what they differ by is the spread of an error
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,8 +57,7 @@ def about_centroids(shapes: Numbers) -> Numbers:
     return about
 
 
-POSE = 6
-"""Numbers of a frame before its weights: turn (rad), logarithm of scale, translation (px)."""
+POSE = 6  # numbers of a frame before its weights: turn (rad), logarithm of scale, translation (px)
 
 
 def without_triangles(bases: Numbers) -> MorphableModel:

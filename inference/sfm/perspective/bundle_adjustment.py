@@ -37,12 +37,9 @@ HEAVIEST, LIGHTEST = 3.0, 100.0
 HARDLY = 0.1
 """Share of its weight that is left to an outlier; with the heaviest tails it is reached at 5 deviations."""
 
-LEAST_VARIANCE = 1e-8
-"""px^2, below which rounding decides."""
-
+LEAST_VARIANCE = 1e-8  # px^2, below which rounding decides
 MOST_ROUNDS = 50
-ACCURACY = 1e-4
-"""Of the logarithm of the variance."""
+ACCURACY = 1e-4  # of the logarithm of the variance
 
 
 @short_repr
@@ -135,14 +132,12 @@ class StudentNoise:
 
 
 DAMPING = Damping(1e-3, least=1e-9, most=1e9)
-STILL = 3
-"""Steps in a row that hardly gain: one may be short because it was damped."""
+STILL = 3  # steps in a row that hardly gain: one may be short because it was damped
 
 BEHIND = 1e6
 """px^2: the squared distance that stands for a point behind a camera, and the largest that is told apart."""
 
-GAUGE = 7
-"""Numbers of a shape's place, turn and size, which no film shows."""
+GAUGE = 7  # numbers of a shape's place, turn and size, which no film shows
 
 
 class Sums(NamedTuple):
@@ -334,8 +329,7 @@ def _moved(
     return moved, at.shape + put_in(listed, inverses, sums.mixed, sums.mixed_border, sums.point_vector, step)
 
 
-HELD = 1e6
-"""Information on the gauge, in that on a number of a camera: so much that it does not vary."""
+HELD = 1e6  # information on the gauge, in that on a number of a camera: so much that it does not vary
 OPEN = 1e-10
 """Information, in that on a number of a camera if all points were known, below which it is rounding."""
 

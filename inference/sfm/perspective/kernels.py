@@ -223,10 +223,8 @@ def _jacobian(rotation, scale, shift, curvature, place, by_camera, by_place, by_
     return d
 
 
-ROUNDS = 12
-"""Reweighted linear solutions of each start."""
-OPEN = 1e-9
-"""Share of a point's information below which a direction of it is rounding; there the point stays."""
+ROUNDS = 12  # reweighted linear solutions of each start
+OPEN = 1e-9  # share of a point's information below which a direction of it is rounding; there the point stays
 
 
 @compiled

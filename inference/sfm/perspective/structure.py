@@ -40,34 +40,20 @@ Indices = NDArray[np.int64]
 
 AGREEING_DISTANCE = 2.0
 """px, within which an observation agrees with a camera and a point: some deviations of usual trackers."""
-SURE = 0.999
-"""Probability with which a sample without outlier is found."""
-
-MOST_VIEWS = 16
-"""Frames, evenly spread, of which pairs are tried for the beginning."""
-MOST_PAIRS = 12
-"""Pairs of these with most shared motion, whose essential matrix is found."""
-WIDE = np.radians(15.0)
-"""Angle between rays from which a wider one makes a point no better known."""
-NARROW = np.radians(1.5)
-"""And below which its depth is not known."""
-
-LEAST_SHARED = 12
-"""Points from which a camera is found: twice what it needs."""
+SURE = 0.999  # probability with which a sample without outlier is found
+MOST_VIEWS = 16  # frames, evenly spread, of which pairs are tried for the beginning
+MOST_PAIRS = 12  # pairs of these with most shared motion, whose essential matrix is found
+WIDE = np.radians(15.0)  # angle between rays from which a wider one makes a point no better known
+NARROW = np.radians(1.5)  # and below which its depth is not known
+LEAST_SHARED = 12  # points from which a camera is found: twice what it needs
 LEVELS = ((1, 1.0), (2 / 3, 0.5), (0.5, 0.2))
 """Shares of `LEAST_SHARED` and of `NARROW` that are enough: less, when no other frame can be added."""
-SAMPLES = 200
-"""Of points from which a camera is found, at most."""
-LEAST_AGREEING = 0.5
-"""Share of the points that agree with a frame's camera."""
-MOSTLY = 0.7
-"""Share of the points of the frame that shows most from which another one is taken along with it."""
-GROWTH = 1.25
-"""Factor by which the number of frames grows between two bundle adjustments."""
-STEPS = 12
-"""Of bundle adjustment while it grows."""
-FOCAL_FREE = 5
-"""Frames from which the focal length is estimated, too; fewer hardly show it."""
+SAMPLES = 200  # of points from which a camera is found, at most
+LEAST_AGREEING = 0.5  # share of the points that agree with a frame's camera
+MOSTLY = 0.7  # share of the points of the frame that shows most from which another one is taken along with it
+GROWTH = 1.25  # factor by which the number of frames grows between two bundle adjustments
+STEPS = 12  # of bundle adjustment while it grows
+FOCAL_FREE = 5  # frames from which the focal length is estimated, too; fewer hardly show it
 
 
 def grown(
@@ -158,11 +144,7 @@ class _Growth:
         return [(one, other) for _, one, other in sorted(scores, reverse=True)[:MOST_PAIRS]]
 
     def _two_views(self, one: int, other: int) -> tuple[Numbers, Numbers, Numbers, float] | None:
-        """How the second view lies to the first.
-
-        Rotation and translation, the middle of the points, and how well these are known: the sum of the
-        angles under which they are seen.
-        """
+        """How the second view lies to the first."""
         both = np.flatnonzero(self._seen[one] & self._seen[other])
         curvature = self._cameras.curvature
         here, there = self._places[one, both] * curvature, self._places[other, both] * curvature
@@ -299,10 +281,8 @@ def _angles(one: Numbers, other: Numbers) -> Numbers:
 
 
 FIT_ROUNDS = 15
-FIT_SETTLED = 1e-3
-"""Nats an observation: a round that gains less is the last."""
-PRECISION, MOST_STEPS = 1e-3, 20
-"""Of the least squares of a round: the next one has other weights."""
+FIT_SETTLED = 1e-3  # nats an observation: a round that gains less is the last
+PRECISION, MOST_STEPS = 1e-3, 20  # of the least squares of a round: the next one has other weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -389,12 +369,9 @@ FOCAL_STARTS = (0.8, 1.5, 3.0)
 AFFINE_STARTS = (1.0, 2.0)
 """And those for an affine structure, which is quicker to have but may need them for either mirror image."""
 
-TRIAL_STEPS = 15
-"""Steps of bundle adjustment in each of two rounds after which starts are compared."""
-FINALISTS = 2
-"""Starts that go on after that."""
-MOST_ROUNDS = 6
-"""Of bundle adjustment and new points, at the end."""
+TRIAL_STEPS = 15  # steps of bundle adjustment in each of two rounds after which starts are compared
+FINALISTS = 2  # starts that go on after that
+MOST_ROUNDS = 6  # of bundle adjustment and new points, at the end
 SETTLED = 3.0
 """Nats: a round that gains less is the last. It is the evidence of no more than one number in a film."""
 
@@ -670,11 +647,7 @@ def _upright(found: Bundle, points: Mask) -> Bundle:
 def _in_all_frames(
     found: Bundle, covariance: BundleCovariance, known: Mask
 ) -> tuple[PerspectiveCameras, Numbers, Numbers]:
-    """Cameras of all frames, positions of all points in them, and how uncertain these are.
-
-    Where a frame shows too little its camera lies between those before and after, and positions are as
-    uncertain as the way between those is long.
-    """
+    """Cameras of all frames, positions of all points in them, and how uncertain these are."""
     positions, covariances = predicted(found, covariance)
     if known.all():
         return found.cameras, positions, covariances
