@@ -1,12 +1,11 @@
 """Linear motions in continuous time, and the Kalman filter and smoother of many points in the plane.
 
-A motion is one exact step of any length, so that two short steps make a long one. The closed forms agree with
-filterpy's `kinematic_state_transition` and `Q_continuous_white_noise`; importing filterpy takes 0.3 s (it
-loads scipy.stats), which no run should wait for.
+A motion is one exact step of any length, so that two short steps make a long one. The closed forms agree
+with filterpy's `kinematic_state_transition` and `Q_continuous_white_noise`, whose import takes 0.3 s.
 
-Points move at constant velocity but for white acceleration noise (RSMCM paper, section 3.2), all in one call.
-Measurements are Gaussian messages in information form, so a point that is not seen is one with no information
-and nothing else; and what a chain may send back about a frame is what all other frames say (`cavity`).
+Points move at constant velocity but for white acceleration noise (RSMCM paper, section 3.2), all in one
+call. Measurements are Gaussian messages in information form: a point that is not seen is one with no
+information.
 """
 
 from dataclasses import dataclass
@@ -26,15 +25,7 @@ SHORT = 1e-2
 
 
 class LinearMotion(NamedTuple):
-    """One step of a state: x(t + dt) = transition x(t) + w, w ~ N(0, density noise).
-
-    Parameters
-    ----------
-    transition
-        `(n, n)`.
-    noise
-        `(n, n)`, symmetric: covariance that the step adds for a density of 1.
-    """
+    """One step of a state: x(t + dt) = transition x(t) + w, w ~ N(0, density noise), both `(n, n)`."""
 
     transition: Numbers
     noise: Numbers
@@ -45,17 +36,7 @@ class LinearMotion(NamedTuple):
         return type(self)(np.asarray(transition, np.float64), np.asarray(noise, np.float64))
 
     def moved(self, mean: Numbers, covariance: Numbers, density: ArrayLike) -> tuple[Numbers, Numbers]:
-        """Mean and covariance of states after the step.
-
-        Parameters
-        ----------
-        mean
-            `(..., n)`.
-        covariance
-            `(..., n, n)`.
-        density
-            of the noise, `(...)` or what broadcasts to it.
-        """
+        """Mean `(..., n)` and covariance `(..., n, n)` of states after the step, for a noise of `density`."""
         grown = self.transition @ covariance @ self.transition.T
         grown += np.asarray(density, np.float64)[..., None, None] * self.noise
         return mean @ self.transition.T, 0.5 * (grown + grown.swapaxes(-1, -2))
@@ -64,24 +45,9 @@ class LinearMotion(NamedTuple):
 def kinematic(order: int, dt: float) -> LinearMotion:
     """Position and derivatives, the last of which is driven by white noise: (x, x', ...) after `dt` s.
 
-    Parameters
-    ----------
-    order
-        how many numbers: 1 for a random walk, 2 for constant velocity but for white acceleration, 3 for
-        constant acceleration but for white jerk.
-    dt
-        s, 0 or more.
-
-    Returns
-    -------
-    motion
-        Its noise is for a spectral density of 1 unit^2/s of the last derivative (px^2/s^3 at order 2): by so
-        much the last one's variance grows in a second.
-
-    Raises
-    ------
-    ValueError
-        if `dt` is negative.
+    Order 1 is a random walk, 2 constant velocity but for white acceleration, 3 constant acceleration but for
+    white jerk. The noise is for a spectral density of 1 unit^2/s of the last derivative (px^2/s^3 at order
+    2): by so much its variance grows in a second. A negative `dt` is a `ValueError`.
     """
     _check(dt)
     transition, noise = np.zeros((order, order)), np.empty((order, order))
@@ -98,22 +64,8 @@ def kinematic(order: int, dt: float) -> LinearMotion:
 def ornstein_uhlenbeck_velocity(dt: float, time_constant: float) -> LinearMotion:
     """Position and velocity (x, x') after `dt` s, the velocity being an Ornstein-Uhlenbeck process.
 
-    Parameters
-    ----------
-    dt
-        s, 0 or more.
-    time_constant
-        s, in which a velocity is forgotten: its correlation falls to 1/e.
-
-    Returns
-    -------
-    motion
-        Its noise is for a variance of 1 of the velocity in the long run (density: px^2/s^2).
-
-    Raises
-    ------
-    ValueError
-        if `dt` is negative.
+    In `time_constant` s the velocity's correlation falls to 1/e. The noise is for a variance of 1 of the
+    velocity in the long run (density: px^2/s^2). A negative `dt` is a `ValueError`.
     """
     _check(dt)
     elapsed = dt / time_constant
@@ -190,22 +142,11 @@ class PointStates:
 
 
 def predict(states: PointStates, dt: float, acceleration: ArrayLike) -> PointStates:
-    """States after `dt` s more.
+    """States of `n_points` after `dt` s more.
 
-    Parameters
-    ----------
-    states
-        of `n_points`.
-    dt
-        s, 0 or more.
-    acceleration
-        px^2/s^3, spectral density of the white acceleration along each coordinate: by so much a velocity's
-        variance grows in a second. One for all points or `(n_points,)`.
-
-    Raises
-    ------
-    ValueError
-        if `dt` is negative or the shapes do not fit.
+    `acceleration` is the spectral density px^2/s^3 of the white acceleration along each coordinate, one for
+    all points or `(n_points,)`: by so much a velocity's variance grows in a second. A negative `dt`, or
+    shapes that do not fit, are a `ValueError`.
     """
     if not dt >= 0:
         raise ValueError(f"dt: got {dt} s, expected 0 or more")
@@ -257,8 +198,7 @@ def filter_tracks(
     """States in all frames, each given the measurements up to it: `predict` and `update` from frame to frame.
 
     A point that begins later, or is lost in between, has no information in the frames before. Its prior
-    should be so broad in the first frame that it does not matter when the point begins; the smoother then
-    follows it back to where nobody has seen it yet.
+    should be so broad in the first frame that it does not matter when the point begins.
 
     Parameters
     ----------
@@ -266,17 +206,10 @@ def filter_tracks(
         of `n_points`, in the first frame, before its measurement.
     times
         `(n_frames,)` s, not decreasing.
-    information
-        `(n_frames, n_points, 2, 2)` 1/px^2; see `update`.
-    vector
-        `(n_frames, n_points, 2)` 1/px.
+    information, vector
+        `(n_frames, n_points, 2, 2)` 1/px^2 and `(n_frames, n_points, 2)` 1/px; see `update`.
     acceleration
         px^2/s^3; see `predict`.
-
-    Returns
-    -------
-    filtered
-        `n_frames` times `n_points`.
 
     Raises
     ------
@@ -305,17 +238,8 @@ def smooth(filtered: PointStates, times: ArrayLike, acceleration: ArrayLike) -> 
     """States in all frames given all measurements, by Rauch, Tung and Striebel's recursion.
 
     It keeps two digits of the covariances, or more, as long as a point is not expected to move by more than
-    1e5 standard deviations of its measurements in a step.
-
-    Parameters
-    ----------
-    filtered
-        of `filter_tracks`, with the same `times` and `acceleration`.
-
-    Raises
-    ------
-    ValueError
-        if times decrease or the shapes do not fit.
+    1e5 standard deviations of its measurements in a step. Arguments are those of `filter_tracks`, whose
+    result `filtered` is; times that decrease and shapes that do not fit are a `ValueError`.
     """
     n_points = _checked_states(filtered, 2)
     seconds = _checked_times(times)
@@ -337,24 +261,9 @@ def cavity(smoothed: PointStates, information: ArrayLike, vector: ArrayLike) -> 
     """What all other frames (and the prior) say of each position: smoothed, divided by its own measurement.
 
     This is a chain's message to the feature node (mu_{X -> F}, RSMCM Algorithm 2). Where the others add less
-    than rounding can tell from the measurement, they say nothing.
-
-    Parameters
-    ----------
-    smoothed
-        of `smooth`.
-    information, vector
-        the measurements that `filter_tracks` was given.
-
-    Returns
-    -------
-    information, vector
-        `(n_frames, n_points, 2, 2)` 1/px^2 and `(n_frames, n_points, 2)` 1/px.
-
-    Raises
-    ------
-    ValueError
-        if the shapes do not fit.
+    than rounding can tell from the measurement, they say nothing. Given the measurements of `filter_tracks`,
+    it is information `(n_frames, n_points, 2, 2)` 1/px^2 and vector `(n_frames, n_points, 2)` 1/px; shapes
+    that do not fit are a `ValueError`.
     """
     _checked_states(smoothed, 2)
     own_information, own_vector = _checked_measurements(information, vector, smoothed.mean.shape[:-1])

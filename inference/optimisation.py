@@ -42,17 +42,7 @@ class Damping:
 
 @dataclass(frozen=True, eq=False)
 class Minimum(Generic[Place]):
-    """Where the loop has ended.
-
-    Parameters
-    ----------
-    place
-        the best one.
-    damping
-        of the step that would have been next.
-    steps
-        that were tried.
-    """
+    """Where the loop has ended: the best place, the damping of the next step, and how many were tried."""
 
     place: Place
     damping: float
@@ -80,10 +70,8 @@ def levenberg_marquardt(
         place itself if no step is worth while.
     settled
         whether a step, from one place to another, has hardly lowered the error.
-    damping
-        how it begins, and how it changes.
-    most_steps
-        to be tried.
+    damping, most_steps
+        how it begins and changes; steps to be tried.
     patience
         settled steps in a row with which the loop ends: one may be short because it was damped.
     """
@@ -109,15 +97,7 @@ RIDGE = 1e-10
 
 
 class Anderson:
-    """Anderson acceleration of x <- g(x): the combination of the last steps at which g(x) - x would vanish.
-
-    EM creeps along directions that the data hardly determine, always the same ones; a few steps show how.
-
-    Parameters
-    ----------
-    memory
-        steps that are kept.
-    """
+    """Anderson acceleration of x <- g(x): the combination of the last steps at which g(x) = x."""
 
     def __init__(self, memory: int = 8) -> None:
         self._memory = memory
@@ -141,5 +121,5 @@ class Anderson:
         return image - (share @ (moves + changes)).reshape(image.shape)
 
     def forget(self) -> None:
-        """Begin anew, after a proposal that proved to be none."""
+        """Begin again, after a proposal that proved to be none."""
         del self._places[:-1], self._steps[:-1]

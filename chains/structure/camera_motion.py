@@ -32,10 +32,9 @@ class CameraMotion:
 
     Parameters
     ----------
-    mean
-        `(2, 12)`: of the rows of u and v, m, m' (1/s) and m'' (1/s^2), four numbers each.
-    covariance
-        `(12, 12)`, of either row.
+    mean, covariance
+        `(2, 12)`: of the rows of u and v, m, m' (1/s) and m'' (1/s^2), four numbers each; `(12, 12)` of
+        either.
     noise
         `(3, 2)`: by how much the variances of m, m' and m'' grow in a second of themselves; of the numbers
         that multiply the shape, and of the translation.
@@ -62,15 +61,9 @@ def vague(extent: float, noise: Numbers) -> CameraMotion:
 
 
 def predict(motion: CameraMotion, dt: float) -> CameraMotion:
-    """The camera `dt` seconds on.
+    """The camera `dt` seconds on; a negative `dt` is a `ValueError`.
 
-    Eq. (19), with noise that acts all the time instead of once a frame: two steps do the same as one of their
-    length.
-
-    Raises
-    ------
-    ValueError
-        if `dt` is negative.
+    Eq. (19), with noise that acts all the time: two steps do the same as one of their length.
     """
     steps = kinematic(ORDERS, dt).along(ROW).transition
     covariance = steps @ motion.covariance @ steps.T
@@ -91,15 +84,7 @@ def shaken(motion: CameraMotion, variance: float) -> CameraMotion:
 
 
 def update(motion: CameraMotion, information: Numbers, vector: Numbers) -> CameraMotion:
-    """The camera updated with a frame.
-
-    Parameters
-    ----------
-    information
-        `(4, 4)` of either row.
-    vector
-        `(2, 4)`, information times mean, of the rows of u and v.
-    """
+    """The camera updated with a frame: information `(4, 4)` of either row, vector `(2, 4)` of u and v."""
     seen = motion.covariance[:, :ROW]
     shrink = np.linalg.inv(np.eye(ROW) + information @ seen[:ROW])
     mean = motion.mean + (vector - motion.camera @ information) @ shrink.T @ seen.T

@@ -64,10 +64,9 @@ class StructureTrajectory:
         `(n_tracks,)` int64: column of `factorisation.shape`; -1 where it is not sure enough.
     factorisation
         cameras and points; see there.
-    noise
-        px^2, variance of an observation about what shape and cameras predict.
-    scatter
-        px^2, what of this is the features' own, eq. (20), and not the noise that observations state.
+    noise, scatter
+        px^2, variance of an observation about what shape and cameras predict, and what of this is the
+        features' own, eq. (20), and not the noise that observations state.
     trusted
         `(n_frames, n_tracks)` bool: whether a place that came in is taken to be right, and no outlier.
     """
@@ -158,12 +157,8 @@ def point_messages(
 ) -> list[PointMessage]:
     """What a shape says of tracks in each frame, and which of them it takes for one point.
 
-    Parameters
-    ----------
-    identities, point_of_track
-        `(n_tracks,)`: nothing is said of those whose point is -1.
-    positions, covariances
-        `(n_frames, n_points, 2)` px and `(n_frames, n_points, 2, 2)` px^2 of the points.
+    Of `identities` and `point_of_track` `(n_tracks,)` those with -1 are left out; positions `(n_frames,
+    n_points, 2)` px and covariances `(n_frames, n_points, 2, 2)` px^2 are of points.
     """
     known = point_of_track >= 0
     tracks, points = identities[known], point_of_track[known]
@@ -180,8 +175,7 @@ def without_observations(
 ) -> GaussianMessage:
     """The shape's message about points that are seen, each as if it had not been seen in this frame.
 
-    The shape has been fitted to all observations, so each is taken out again for its point and frame, as if
-    the fit was linear.
+    Each observation is taken out of the fit for its point and frame, as if the fit was linear.
     """
     identities, mean, covariance = shape.moments
     seen, observed, noise = evidence.moments

@@ -9,10 +9,9 @@ from ...models.numerics.compiled import compiled, inlined
 def track_information(tracks, cameras, white, drift, decay):
     """What each track says of its point, under noise that is in part remembered from frame to frame.
 
-    The error of a track along each axis is white noise of variance white / weight plus a first-order
-    Gauss-Markov process of variance drift whose correlation falls by `decay` a frame. A Kalman filter of that
-    process turns observations into independent innovations, each a row of an ordinary regression on the
-    point.
+    White noise of variance white / weight plus a first-order Gauss-Markov process of variance drift whose
+    correlation falls by `decay` a frame, along each axis. A Kalman filter of that process turns observations
+    into independent innovations, each a row of a regression on the point.
 
     Returns information (n, 3, 3), vector (n, 3), quadratic (n,) and log determinant (n,) of the noise.
     """
@@ -177,10 +176,11 @@ def assign_tracks(
     tracks
         observations by track.
     information, vector
-        `(n, 3, 3)` and `(n, 3)` of each track; `prior_information` and `prior_vector` are those of any point.
+        `(n, 3, 3)` and `(n, 3)` of each track; `prior_information` and `prior_vector` are those of any
+        point.
     cameras, variance, far
-        `(n_frames, 2, 4)`: a point is tried if the middle observation of the track, of that variance, is at
-        most `far` squared standard deviations from where cameras show the point, or if the track was its own
+        a point is tried if the middle observation of the track, of that variance, is at most `far` squared
+        standard deviations from where cameras `(n_frames, 2, 4)` show it, or if the track was its own
         before.
     log_new
         log prior odds that a track shows none of the points against that it shows a certain one.

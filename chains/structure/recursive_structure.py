@@ -45,17 +45,7 @@ OUTLIER_TIME = 0.2  # s in which the covariance of a point grows by e while it i
 
 @dataclass(frozen=True, eq=False)
 class ObservedPoints:
-    """Points of a frame.
-
-    Parameters
-    ----------
-    identities
-        `(k,)` int64, increasing.
-    positions
-        `(k, 2)` px.
-    variances
-        `(k,)` px^2, of u and of v, as stated.
-    """
+    """Points of a frame: identities `(k,)` increasing, positions `(k, 2)` px, variances px^2 as stated."""
 
     identities: Identities
     positions: Numbers
@@ -68,15 +58,7 @@ class ObservedPoints:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class CameraEvidence:
-    """What the last frames said of the camera, in information form.
-
-    Parameters
-    ----------
-    information, vector
-        `(n, 4, 4)` and `(n, 2, 4)`, as `camera_motion.update` takes them.
-    times
-        `(n,)` s.
-    """
+    """What the last frames said of the camera: information `(n, 4, 4)`, vector `(n, 2, 4)`, times s."""
 
     information: Numbers
     vector: Numbers
@@ -96,18 +78,15 @@ class Structure:
         `(n, 3)` and `(n, 3, 3)`, in units of the first shape's spread.
     unseen
         `(n,)` s since a point was last an inlier.
-    motion
-        of the camera.
-    evidence
-        of the camera in the last frames.
+    motion, evidence
+        of the camera, and of it in the last frames.
     extent
         px, about how large the shape appeared at first.
     noise_scale
         how much larger the variances of positions are than stated.
-    innovations
-        `(n, 2)` px: position less prediction of each point when it was last an inlier.
-    autocorrelation
-        of innovations, from one frame to the next.
+    innovations, autocorrelation
+        `(n, 2)` px: position less prediction of each point when it was last an inlier; from one frame to the
+        next.
     wander
         px^2/s, in u and in v: how fast what a point is off by changes (see `offsets`).
     """
@@ -128,9 +107,9 @@ class Structure:
     def offsets(self) -> Numbers:
         """`(n, 2)` px: what each point is taken to be off by, since what it was off by lasts.
 
-        The camera is not quite affine, the thing not quite rigid, and a tracker's patch drifts: where it was,
-        it is found again. With e = a + white noise and autocorrelation rho, the mean of a given e is rho e,
-        and its variance rho (1 - rho) that of e. By so much it is taken to grow in every further frame.
+        The camera is not quite affine, the thing not quite rigid, and a tracker's patch drifts. With e = a +
+        white noise and autocorrelation rho, the mean of a given e is rho e, and its variance rho (1 - rho)
+        that of e.
         """
         return self.autocorrelation * self.innovations
 
@@ -155,13 +134,11 @@ class Registration:
 
     Parameters
     ----------
-    motion
-        updated with the frame.
-    information, vector
-        of the camera from the frame, as `camera_motion.update` takes them.
+    motion, information, vector
+        updated with the frame, and what that says, as `camera_motion.update` takes it.
     cameras, leverages
-        `(n, 2, 4)` and `(n,)`: for every known point the camera that the others show, and the variance (px^2,
-        in u and in v) that its uncertainty gives the point's position.
+        `(n, 2, 4)` and `(n,)`: for every known point the camera that the others show, and the variance
+        (px^2, in u and in v) that its uncertainty gives the point's position.
     means, covariances
         `(n, 2)` px and `(n, 2, 2)` px^2: where the point should be therefore, but for noise of one frame.
     places
@@ -186,10 +163,7 @@ class Registration:
 
 
 def register(structure: Structure, seen: ObservedPoints) -> Registration:
-    """The camera that fits a frame's points but for outliers.
-
-    For each point also the camera without it (leave-one-out): its part of the information is taken out again.
-    """
+    """The camera that fits a frame's points but for outliers; for each point also the camera without it."""
     known = np.isin(seen.identities, structure.identities)
     places = np.searchsorted(structure.identities, seen.identities[known])
     positions, variances = seen.positions[known], structure.noise_scale * seen.variances[known]
@@ -247,10 +221,7 @@ def register(structure: Structure, seen: ObservedPoints) -> Registration:
 
 
 def updated(structure: Structure, found: Registration, elapsed: float, time: float) -> Structure:
-    """The structure updated with a frame that it is registered with, `elapsed` s after the last one.
-
-    Outliers become uncertain, so that they are believed at last.
-    """
+    """The structure updated with a frame that it is registered with, `elapsed` s after the last one."""
     shape, covariance = structure.shape.copy(), structure.shape_covariance.copy()
     unseen = structure.unseen.copy()
     inliers, outliers = found.places[found.inliers], found.places[~found.inliers]
@@ -267,11 +238,7 @@ def updated(structure: Structure, found: Registration, elapsed: float, time: flo
 
 
 def add_points(structure: Structure, seen: ObservedPoints) -> Structure:
-    """The structure with the points that are new in a frame, whose camera is known.
-
-    What is known of them after one frame is where they are across the view, and of the rest that they belong
-    to the shape.
-    """
+    """The structure with the points that are new in a frame, whose camera is known."""
     new = ~np.isin(seen.identities, structure.identities)
     count, motion = int(new.sum()), structure.motion
     if not count:
@@ -297,14 +264,8 @@ def intersect(
 ) -> tuple[Numbers, Numbers]:
     """Points after each was seen by a camera of its own (Kalman update in Joseph's form).
 
-    Parameters
-    ----------
-    shape, covariance
-        `(k, 3)` and `(k, 3, 3)`.
-    cameras
-        `(k, 2, 4)`.
-    positions, noise
-        `(k, 2)` px and `(k,)` px^2, of u and of v.
+    Points `(k, 3)` with covariances, cameras `(k, 2, 4)`, positions `(k, 2)` px, noise `(k,)` px^2 of u and
+    of v.
     """
     linear = cameras[:, :, :3]
     off = positions - cameras[:, :, 3] - (linear @ shape[:, :, None])[:, :, 0]
@@ -317,10 +278,7 @@ def intersect(
 
 
 def correlation_time(autocorrelation: float) -> float:
-    """Frames whose observations of a point are worth one: what tracks are off by lasts for a while.
-
-    The integrated autocorrelation time of a first-order Gauss-Markov process.
-    """
+    """Frames whose observations of a point are worth one: integrated autocorrelation time of its errors."""
     correlation = min(max(autocorrelation, 0.0), MOST_CORRELATION)
     return (1 + correlation) / (1 - correlation)
 
@@ -424,10 +382,8 @@ class Window:
     ----------
     identities
         `(n,)` int64, increasing, of the points seen in them.
-    positions
-        `(n_frames, n, 2)` px, 0 where not seen.
-    variances
-        `(n_frames, n)` px^2, 0 where not seen.
+    positions, variances
+        `(n_frames, n, 2)` px and `(n_frames, n)` px^2, 0 where not seen.
     times
         `(n_frames,)` s.
     stride, skipped
@@ -474,8 +430,7 @@ class Window:
 def first_structure(window: Window) -> Structure | None:
     """Shape and camera after the last frame, or `None` if the points' motion does not determine them.
 
-    It does not if the camera stands still or the scene is flat: then one of the shape's three directions
-    comes from noise alone, whose largest singular value is known.
+    Of a static camera or a flat scene one of the shape's three directions comes from noise alone.
     """
     seen = window.variances > 0
     points = seen.sum(axis=0) >= LEAST_FRAMES
@@ -655,8 +610,7 @@ class RecursiveStructure:
         """Where every known point should be (mu_{S -> F}); uniform as long as there is no shape.
 
         All points depend on one camera, which a message of independent points cannot hold: each gets its own
-        marginal, given what its cavity says of the other points. What it says of the point itself is left
-        out.
+        marginal, given what its cavity says of the other points.
         """
         structure = state.structure
         if structure is None or not len(structure):

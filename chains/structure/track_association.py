@@ -39,16 +39,13 @@ ROUNDING = 1e-12  # share of the squares of positions below which errors are rou
 class CorrelatedNoise:
     """Errors of a track along one axis, as a sum of white noise and a first-order Gauss-Markov process.
 
-    A template that has slipped off its point stays off it for some frames: the RSMCM paper (§4.3) emulates
-    this as "consistent bias for five frames". Taken for white, such errors make a short track seem surer than
-    it is.
+    A template that has slipped off its point stays off it for some frames. Taken for white, such errors make
+    a short track seem surer than it is.
 
     Parameters
     ----------
-    white
-        px^2, variance of what is new in each frame, at weight 1.
-    drift
-        px^2, variance of what stays.
+    white, drift
+        px^2, variance of what is new in each frame, at weight 1, and of what stays.
     memory
         frames after which the correlation of what stays has fallen to 1/e.
     """
@@ -67,21 +64,10 @@ class CorrelatedNoise:
         return CorrelatedNoise(factor * self.white, factor * self.drift, self.memory)
 
     def information(self, tracks: Listed, cameras: Numbers) -> tuple[Numbers, Numbers, Numbers, Numbers]:
-        """What tracks say of their points where cameras are known.
+        """What tracks say of their points where cameras `(n_frames, 2, 4)` are known.
 
-        -2 log p(track | its point S) = quadratic - 2 vector . S + S . information S + determinant + constant.
-
-        Parameters
-        ----------
-        tracks
-            observations by track.
-        cameras
-            `(n_frames, 2, 4)`.
-
-        Returns
-        -------
-        information, vector, quadratic, determinant
-            `(n_tracks, 3, 3)`, `(n_tracks, 3)`, `(n_tracks,)`, `(n_tracks,)`.
+        -2 log p(track | its point S) = quadratic - 2 vector . S + S . information S + determinant +
+        constant; the four are `(n_tracks, 3, 3)`, `(n_tracks, 3)`, `(n_tracks,)`, `(n_tracks,)`.
         """
         terms: tuple[Numbers, Numbers, Numbers, Numbers] = track_information(
             tracks, np.ascontiguousarray(cameras), self.white, self.drift, self.decay
@@ -94,18 +80,8 @@ def estimate_correlated_noise(
 ) -> CorrelatedNoise:
     """Find the noise under which the tracks are likeliest, whatever the points are (restricted likelihood).
 
-    The points are integrated out, so that what fitting them takes from the residuals is accounted for.
-
-    Parameters
-    ----------
-    tracks
-        observations by track.
-    cameras
-        `(n_frames, 2, 4)`.
-    point_of_track
-        `(n_tracks,)`.
-    prior
-        `(3, 3)`, covariance of the points about the origin.
+    The points, whose covariance about the origin is `prior` `(3, 3)`, are integrated out, so that what
+    fitting them takes from the residuals is accounted for.
     """
     every = int(np.ceil(2 * len(tracks.x) / MOST_RESIDUALS))
     if every > 1:
@@ -166,18 +142,10 @@ def covariance_of_points(
     noise: CorrelatedNoise,
     chosen: Indices,
 ) -> Numbers:
-    """Covariance `(n, 3, n, 3)` of chosen points `(n,)`, with cameras uncertain as well.
+    """Covariance `(n, 3, n, 3)` of chosen points `(n,)`, with cameras uncertain as well (Laplace).
 
-    Linear about a fit: Laplace's approximation.
-
-    Parameters
-    ----------
-    observations
-        in whose order of points `point_of_track` names the point `(n_tracks,)` of each track.
-    fit
-        of cameras and points, in px.
-    noise
-        of the tracks, in the units of the observations.
+    `point_of_track` `(n_tracks,)` names points in the order of the observations; `fit` is in px, `noise` in
+    the units of the observations.
     """
     tracks, n_points, n_frames = observations.by_point, len(fit.shape), observations.n_frames
     cameras = observations.scaled(fit.cameras)
@@ -230,9 +198,9 @@ def camera_precision(fit: Factorisation, n_frames: int) -> Numbers:
 def motion_precision(variances: Numbers, n_frames: int) -> Numbers:
     """Information `(n_frames, n_frames)` that eq. (19) holds of one number m at all times.
 
-    `variances` are those of eps_1, eps_2 and eps_3; of the first frame nothing is known. Eq. (19) without its
-    derivatives: the third difference of m is (eps_3 + its last value) / 2 plus the first difference of eps_2
-    plus the second difference of eps_1.
+    `variances` are those of eps_1, eps_2 and eps_3. Eq. (19) without its derivatives: the third difference
+    of m is (eps_3 + its last value) / 2 plus the first difference of eps_2 plus the second difference of
+    eps_1.
     """
     count = n_frames - 3
     if count < 1:
@@ -270,10 +238,7 @@ def pooled(membership: csr_array, values: Numbers) -> Numbers:
 
 
 def pooled_positions(membership: csr_array, positions: Numbers, weights: Numbers) -> tuple[Numbers, Numbers]:
-    """Positions `(n_frames, n_points, 2)` px and weights `(n_frames, n_points)` of points, of their tracks.
-
-    A coordinate that no track knows while one knows the other is NaN.
-    """
+    """Positions `(n_frames, n_points, 2)` px and weights `(n_frames, n_points)` of points, from tracks."""
     known = ~np.isnan(positions)
     weight = weights[..., None] * known
     each = pooled(membership, weight.transpose(1, 0, 2)).transpose(1, 0, 2)
@@ -288,17 +253,10 @@ MOST_SHARE, LEAST_SHARE, SHARE_STEPS = 0.1, 1e-9, 50
 
 
 def log_odds_of_new(gains: Numbers, apart: NDArray[np.bool_]) -> float:
-    """Log prior odds that a pair of points is two and not one.
+    """Log prior odds that a pair of points is two and not one; which share is at one place is learned by EM.
 
-    Which share of the pairs is at one place is learned by EM. Different points may be there, too, more often
-    than if they were draws from a Gaussian, as on surfaces: as often as pairs that are two for sure.
-
-    Parameters
-    ----------
-    gains
-        `(n_pairs,)`, log of how much likelier a pair is if it is at one place than if it is not.
-    apart
-        `(n_pairs,)`, whether it is two points for sure.
+    Different points may be there, too: as often as pairs that are two for sure, `apart`. `gains`
+    `(n_pairs,)` are logs of how much likelier a pair is if it is at one place than if it is not.
     """
     share = max(_share_in_one_place(gains[~apart]) - _share_in_one_place(gains[apart]), LEAST_SHARE)
     return float(np.log((1 - share) / share))
@@ -366,22 +324,8 @@ def associate_tracks(
 ) -> TrackAssociation:
     """Find points, cameras, and which tracks belong to which point.
 
-    Parameters
-    ----------
-    positions
-        `(n_frames, n_tracks, 2)` px; NaN for a coordinate that is not known while the other one is; anything
-        where the weight is 0. Who shows what is decided by positions that are known; cameras and points are
-        found from all.
-    weights
-        `(n_frames, n_tracks)`, 1 / relative variance, 0 where nothing was seen; where left out, 1 wherever
-        there is a coordinate.
-    coherence
-        whether cameras move by eq. (19).
-
-    Raises
-    ------
-    ValueError
-        as `factorise` does.
+    Arguments and errors are those of `factorise`. Who shows what is decided by positions that are known;
+    cameras and points are found from all.
     """
     where, weight = as_arrays(positions, weights)
     where = np.where(weight[..., None] > 0, where, 0.0)

@@ -1,9 +1,8 @@
 """Affine cameras: what makes them cameras of a rigid world, and shapes that are alike up to a transformation.
 
-A factorisation knows shape and cameras up to an affine change of space. Under scaled orthography the rows
-of a camera are of equal length and orthogonal, which fixes that change up to a similarity and a reflection
-(seen from far, a shape and its mirror image that turns the other way look the same) - if the motion is rich
-enough.
+A factorisation knows shape and cameras up to an affine change of space. Under scaled orthography the rows of
+a camera are of equal length and orthogonal, which fixes that up to a similarity and a reflection - if the
+motion is rich enough.
 """
 
 from collections.abc import Callable
@@ -48,11 +47,9 @@ class Euclidean:
 
     Parameters
     ----------
-    determined
-        whether the motion determines it. If not, `shape` and `cameras` are those given, `transform` is the
-        identity, and there are no scales and rotations (NaN).
-    reason
-        one line that says why not; empty where it does.
+    determined, reason
+        whether the motion determines it, and one line that says why not. If not, `shape` and `cameras` are
+        those given, `transform` is the identity, and scales and rotations are NaN.
     transform
         `(3, 3)`: shape = given shape @ transform.T.
     shape
@@ -80,20 +77,17 @@ class Euclidean:
 def euclidean(cameras: ArrayLike, shape: ArrayLike, camera_covariance: ArrayLike | None = None) -> Euclidean:
     """Find the metric in which rows of affine cameras are orthogonal and of equal length.
 
-    Scaled orthography: each camera may have its own scale (zoom, distance), and no perspective. The symmetric
-    matrix Q = G G^T with u Q v = 0 and u Q u = v Q v for the rows u, v of all frames is first found by linear
-    least squares, made positive definite, then refined so that relative errors are weighted as the cameras'
-    uncertainty says.
+    Scaled orthography: each camera may have its own scale. The symmetric matrix Q = G G^T with u Q v = 0 and
+    u Q u = v Q v for the rows u, v of all frames is found by linear least squares, made positive definite,
+    then refined so that relative errors are weighted as the cameras' uncertainty says.
 
     Parameters
     ----------
-    cameras
-        `(n_frames, 2, 4)`.
-    shape
-        `(n_points, 3)`.
+    cameras, shape
+        `(n_frames, 2, 4)` and `(n_points, 3)`.
     camera_covariance
         `(n_frames, 4, 4)` of the rows of u and of v. Where left out, errors are taken to be as large as the
-        rows' deviations, and in all frames alike. Frames of which it is very large hardly count.
+        rows' deviations, and in all frames alike.
 
     Raises
     ------
@@ -277,16 +271,9 @@ def scaled_rotations(matrices: ArrayLike) -> tuple[Numbers, Numbers]:
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """How a shape is brought onto another.
+    """A shape brought onto another: aligned `(n_points, 3)` = shape @ matrix.T + translation.
 
-    Parameters
-    ----------
-    matrix, translation
-        `(3, 3)` and `(3,)`: aligned = shape @ matrix.T + translation.
-    aligned
-        `(n_points, 3)`.
-    error
-        root mean square distance that is left, in the target's unit.
+    `error` is the root mean square distance that is left, in the target's unit.
     """
 
     matrix: Numbers
@@ -296,13 +283,7 @@ class Alignment:
 
 
 def affine_alignment(shape: ArrayLike, target: ArrayLike) -> Alignment:
-    """Affine map of a shape `(n_points, 3)` onto another, by least squares.
-
-    Raises
-    ------
-    ValueError
-        if shapes do not fit.
-    """
+    """Affine map of a shape `(n_points, 3)` onto another, by least squares; else a `ValueError`."""
     points, goal = np.asarray(shape, np.float64), np.asarray(target, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or points.shape != goal.shape or not len(points):
         raise ValueError(

@@ -65,10 +65,8 @@ class Motion:
     ----------
     kind
         see `Kind`.
-    tracks
-        that are seen at all.
-    life
-        median number of frames in which one is seen; 0 without tracks.
+    tracks, life
+        how many are seen at all, and the median number of frames in which one is; 0 without tracks.
     per_frame
         median px by which a point moves from a frame to the next; NaN where none is seen in two.
     parallax
@@ -84,14 +82,9 @@ class Motion:
 
 
 def motion_of(tracks: Numbers, most: float = MOST) -> Motion:
-    """Say what tracks show.
+    """Say what tracks `(n_frames, n_tracks, 2)` px show, NaN where they are not seen.
 
-    Parameters
-    ----------
-    tracks
-        `(n_frames, n_tracks, 2)` px, NaN where they are not seen.
-    most
-        share of those of a pair of pictures that counts, those that are explained best.
+    `most` is the share of those of a pair of pictures that counts, those that are explained best.
     """
     seen = ~np.isnan(tracks[..., 0])
     lives = seen.sum(axis=0)
@@ -127,13 +120,7 @@ def picture_motion(pictures: Sequence[NDArray[np.uint8]]) -> float:
 
 
 def far_pairs(seen: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Pairs of frames as far apart as half of the usual number of tracks allows, evenly chosen.
-
-    Parameters
-    ----------
-    seen
-        `(n_frames, n_tracks)`.
-    """
+    """Pairs of frames as far apart as half of the usual number of `seen` tracks allows."""
     enough = max(LEAST_SHARED, float(np.median(seen.sum(axis=1))) / 2)
     lag = len(seen) // 2
     while lag:
@@ -148,15 +135,14 @@ def far_pairs(seen: NDArray[np.bool_]) -> list[tuple[int, int]]:
 def variance_over_shape(places: Numbers, residuals: Numbers, most: float = MOST) -> float:
     """Variance about homographies between pictures, in that about a shape in depth; NaN if it is not known.
 
-    Homographies have a number fewer for each point, and as many for each picture. Where they do as well, what
-    was taken for depth is something else: of a plane, or a camera that turns, the perspective.
+    Where homographies do as well, what was taken for depth is something else: of a plane, or a camera that
+    turns, the perspective.
 
     Parameters
     ----------
-    places
-        `(n_frames, n_points, 2)` px where points were seen, NaN where not.
-    residuals
-        `(n_frames, n_points, 2)` px that the shape in depth leaves.
+    places, residuals
+        `(n_frames, n_points, 2)` px where points were seen, NaN where not, and what the shape in depth
+        leaves.
     most
         share of the points of a pair of pictures that counts, those that are explained best.
     """
@@ -258,12 +244,8 @@ MOST_STEPS = 60
 class Depth:
     """How much better than a flat shape one in depth explains the observations.
 
-    Parameters
-    ----------
-    gain
-        squared error that the third direction takes away, in variances of the noise.
-    needed
-        what it has to take away: log(numbers observed) for each number that it needs.
+    `gain` is the squared error that the third direction takes away, in variances of the noise, `needed` what
+    it has to take away: log(numbers observed) for each number that it needs.
     """
 
     gain: float
@@ -280,21 +262,9 @@ def depth(positions: ArrayLike, weights: ArrayLike | None, found: Factorisation)
 
     Before a static camera, under a motion in the picture plane, or of a flat scene, positions (less their
     mean) have rank 2, and a third direction fits noise. It has 2 n_frames + n_points - 6 numbers; fitting
-    noise, they take away at most about twice as many variances (the largest singular value of a random
-    matrix), so that a criterion of log(numbers observed) for each leaves room, whatever the scene. Errors
-    of a tracker that last may still pass for depth.
-
-    Parameters
-    ----------
-    positions, weights
-        as `factorise` took them.
-    found
-        what it gave.
-
-    Raises
-    ------
-    ValueError
-        as `factorise` does.
+    noise, they take away at most about twice as many variances, so that log(numbers observed) for each
+    leaves room. Errors of a tracker that last may still pass for depth. Arguments and errors are those of
+    `factorise`, which gave `found`.
     """
     observations = Observations.from_arrays(positions, weights)
     frames, points = determined(observations, apart=found.coherent)

@@ -99,8 +99,7 @@ class AffineMap:
     """Where the places of a scene's picture are seen in a frame of the same size.
 
     A place x, with (u, v) = (x - middle) / radius, is seen at x + (p0 + p1 u + p2 v, p3 + p4 u + p5 v); the
-    radius is half the picture's diagonal. All six numbers are therefore in px, and none moves a place of the
-    picture by more than its own amount.
+    radius is half the picture's diagonal, so that all six numbers are in px.
 
     Parameters
     ----------
@@ -149,10 +148,7 @@ class AffineMap:
         return places @ matrix[:, :2].T + matrix[:, 2]
 
     def box(self, box: BoundingBox) -> BoundingBox:
-        """Where the frame shows a box (x, y, width, height) of the scene: upright, about the same middle.
-
-        Boxes have the pixels' edges at whole numbers.
-        """
+        """Where the frame shows a box (x, y, width, height): upright, about the same middle."""
         x, y, width, height = box
         (middle_x, middle_y) = self.points(np.array([x + width / 2 - 0.5, y + height / 2 - 0.5])) + 0.5
         across, down = np.hypot(*self.matrix[:, :2])
@@ -160,15 +156,7 @@ class AffineMap:
         return float(middle_x) - width / 2, float(middle_y) - height / 2, width, height
 
     def in_scene(self, image: Image, beyond: Image) -> Image:
-        """A frame's image as the scene's picture: what every place of the scene shows.
-
-        Parameters
-        ----------
-        image
-            `(height, width[, 3])` uint8.
-        beyond
-            of the same shape: what is taken where the frame does not show the scene.
-        """
+        """A frame's image as the scene's picture; `beyond` is taken where it does not show the scene."""
         out = beyond.copy()
         flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
         cv2.warpAffine(
@@ -275,15 +263,8 @@ class Registration:
 class ScenePicture:
     """A picture of the scene, prepared so that frames can be registered with it.
 
-    Parameters
-    ----------
-    grey
-        `(height, width)` uint8 or float32.
-
-    Raises
-    ------
-    ValueError
-        if a side is below `THINNEST` px when the picture is as small as `FINEST`: nothing can be recognised.
+    `grey` is `(height, width)` uint8 or float32; a `ValueError` if it is too thin for anything to be
+    recognised.
     """
 
     def __init__(self, grey: NDArray[np.uint8] | Floats) -> None:
@@ -299,15 +280,7 @@ class ScenePicture:
         self._levels = [Level.of(band, finest * 2.0**k, self.size) for k, band in enumerate(self._bands)]
 
     def register(self, grey: NDArray[np.uint8], start: AffineMap) -> Registration:
-        """Find the map by which a frame shows this scene.
-
-        Parameters
-        ----------
-        grey
-            `(height, width)` uint8.
-        start
-            near which the map is, within some 40 px; jumps without rotation may be longer.
-        """
+        """Find the map by which a frame shows this scene, within some 40 px of `start`."""
         bands = _pyramid(grey)
         parameters = self._nearest(bands, start.parameters)
         for band, level in zip(reversed(bands), reversed(self._levels), strict=True):
@@ -457,20 +430,9 @@ class View:
     def register(self, image: Image) -> tuple[Self, Image]:
         """The likelihood of the map, and the image as the scene's picture.
 
-        The likelihood is Laplace's approximation, 1 at its peak: what the image's pixels say there is said by
-        the pixels. Where the frame is not like the scene at all, it is uniform. The picture is seen by the
-        most likely map, prediction included; where the frame does not show the scene, it is what is known of
-        it.
-
-        Parameters
-        ----------
-        image
-            `(height, width[, 3])` uint8.
-
-        Raises
-        ------
-        ValueError
-            if this factor has no scene.
+        The likelihood is Laplace's approximation, 1 at its peak; uniform where the frame is not like the
+        scene at all. The picture is seen by the most likely map, prediction included; where the frame does
+        not show the scene, it is what is known of it. Without a scene it is a `ValueError`.
         """
         if self.scene is None:
             raise ValueError("view: got no scene, expected one by which frames are found")

@@ -1,16 +1,15 @@
 """Perspective cameras of one focal length, written so that the affine camera is one of them.
 
-A point p = R X before a camera with focal length f and translation T is seen at f (p_xy + T_xy) / (p_z + T_z)
-from the principal point. With a = f / T_z (the scale at the origin of the shape), u = f T_xy / T_z (where the
-origin is seen) and q = 1 / f that is
+A point p = R X before a camera with focal length f and translation T is seen at f (p_xy + T_xy) / (p_z +
+T_z) from the principal point. With a = f / T_z (the scale at the origin of the shape), u = f T_xy / T_z
+(where the origin is seen) and q = 1 / f that is
 
     x = (a p_xy + u) / (1 + q a p_z),
 
 which for q = 0 is scaled orthography (Christy and Horaud, "Euclidean shape and motion from multiple
-perspective views by affine iterations", 1996, with their epsilon = q a p_z). How long the focal length is,
-is then a question about a number near 0, of which a film may say more or less. A mirrored shape (z is -z)
-with -q is seen in the same places: of the two shapes that an affine camera cannot tell apart, one has a
-negative focal length. The origin of the shape has to be before all cameras.
+perspective views by affine iterations", 1996, with their epsilon = q a p_z). A mirrored shape (z is -z) with
+-q is seen in the same places: of the two shapes that an affine camera cannot tell apart, one has a negative
+focal length. The origin of the shape has to be before all cameras.
 """
 
 from dataclasses import dataclass, replace

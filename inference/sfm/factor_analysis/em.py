@@ -2,9 +2,7 @@
 
 Model, in the units of `Observations`: position = M_t (S_i, 1) + noise of variance sigma^2 / weight; points
 S_i ~ N(0, I), which is no restriction as long as cameras are free to scale and shear; the rows of M_t
-either independent, or moving by eq. (19). The posterior is sought in the form q(M) q(S) (variational EM),
-so both sides enter each other's update with their moments: a point that is hardly determined does not pull
-at cameras, nor a camera that hardly is at points.
+either independent, or moving by eq. (19). The posterior is sought in the form q(M) q(S) (variational EM).
 """
 
 import math
@@ -52,9 +50,9 @@ def camera_moments(cameras: Numbers, covariance: Numbers) -> Numbers:
 class Sums:
     """Weighted sums over the observations.
 
-    Over lists where the matrix is sparse; as matrix products where most points are seen; and where all are,
-    with equal weights, the normal matrices of all points are one, and so are those of all frames: then they
-    come as one matrix that is repeated without being stored more than once.
+    Over lists where the matrix is sparse, as matrix products where most points are seen. Where all are, with
+    equal weights, all points have one normal matrix, and so have all frames: it is repeated without being
+    stored again.
     """
 
     def __init__(self, observations: Observations) -> None:
@@ -190,16 +188,8 @@ def _parts(cameras: Numbers) -> tuple[Numbers, Numbers]:
 class Posterior:
     """Means and covariances of cameras and points, noise, and the prior of cameras.
 
-    Parameters
-    ----------
-    cameras, camera_covariance
-        `(n_frames, 2, 4)` and `(n_frames, 4, 4)`; u and v rows have the same covariance.
-    shape, shape_covariance
-        `(n_points, 3)` and `(n_points, 3, 3)`.
-    noise
-        variance at weight 1.
-    prior
-        of the cameras.
+    Cameras `(n_frames, 2, 4)`, whose rows share a covariance `(n_frames, 4, 4)`; shape `(n_points, 3)` and
+    its covariance `(n_points, 3, 3)`; `noise` is the variance at weight 1.
     """
 
     cameras: Numbers
@@ -214,14 +204,8 @@ class Posterior:
 class CameraEstimate:
     """Posterior of the cameras given the moments of the points.
 
-    Parameters
-    ----------
-    cameras, covariance
-        as in `Posterior`.
-    log_evidence
-        log integral of p(M) exp(sum of (vector . m - m . information m / 2) / noise) dM.
-    better
-        prior of the cameras under which the log evidence is not less.
+    `log_evidence` is the log integral of p(M) exp(sum of (vector . m - m . information m / 2) / noise) dM,
+    and `better` a prior of the cameras under which it is not less.
     """
 
     cameras: Numbers
@@ -276,8 +260,8 @@ def estimate_cameras(
 def least_variance(n_frames: int) -> Numbers:
     """Weight of the prior exp(-b / q) on the variances q of eps_1, eps_2, eps_3 `(3, 1)`.
 
-    Noise of order k changes rows over n frames by about sqrt(q n^(2k - 1)). Without a prior the likelihood of
-    few frames may be highest where there is no noise at all, of which EM would be overconfident.
+    Noise of order k changes rows over n frames by about sqrt(q n^(2k - 1)). Without a prior the likelihood
+    of few frames may be highest where there is no noise at all.
     """
     order = 2.0 * np.arange(ORDERS)[:, None] + 1
     return np.asarray(LEAST_JITTER**2 / float(n_frames) ** order, np.float64)
@@ -309,14 +293,10 @@ def expectation_maximisation(
 
     Parameters
     ----------
-    observations
-        what was seen.
-    posterior
-        the start.
-    iterations
-        at most so many.
-    tolerance
-        nats per iteration: less than that, on average over ten, is standing still.
+    observations, posterior
+        what was seen, and the start.
+    iterations, tolerance
+        at most so many, and until they gain less than so many nats each, on average over ten.
     accelerate
         extrapolate the shape from the last iterations. Steps that lower the bound are taken back.
 

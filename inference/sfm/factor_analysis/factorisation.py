@@ -50,17 +50,7 @@ STILL = 3  # steps in a row that hardly lower the error: one may be short becaus
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """Cameras and shape, and the weighted squared error that they leave.
-
-    Parameters
-    ----------
-    cameras, shape
-        in the units of the observations.
-    inverses
-        `(n_points, 3, 3)` of the points' information.
-    error
-        weighted squared error.
-    """
+    """Cameras and shape, inverses of the points' information, and the weighted squared error."""
 
     cameras: Numbers
     shape: Numbers
@@ -88,10 +78,8 @@ def variable_projection(
         `(n_frames, 2, 4)`, the start.
     damping
         `FAR` or `NEAR`: how far that is from the optimum.
-    tolerance
-        share of the error by which the last steps still lowered it.
-    most_steps
-        to be tried.
+    tolerance, most_steps
+        share of the error by which the last steps still lowered it; steps to be tried.
     rank
         2 for a flat shape, whose third axis is 0.
     enough
@@ -177,17 +165,8 @@ def around_start(
 ) -> Posterior:
     """A posterior from which EM can begin.
 
-    Parameters
-    ----------
-    observations
-        what was seen.
-    cameras, shape
-        `(n_frames, 2, 4)` and `(n_points, 3)`.
-    frames, points
-        of which this is more than a filler. Other frames lie between those, other points are draws of N(0,
-        I).
-    coherent
-        which prior to begin with.
+    `frames` and `points` are those of which cameras `(n_frames, 2, 4)` and shape `(n_points, 3)` are more
+    than a filler: other frames lie between them, other points are draws of N(0, I).
     """
     cameras, shape = whitened(cameras, shape, points)
     cameras = _bridged(cameras, frames)
@@ -213,20 +192,11 @@ def _bridged(cameras: Numbers, known: Mask) -> Numbers:
 
 
 def around_optimum(observations: Observations, part: Observations, found: LeastSquares) -> Posterior:
-    """A posterior around the least squares optimum.
+    """A posterior around the least squares optimum of `part`, the frames and points that it determines.
 
     Points: sigma^2 (sum of w R^T R)^-1, given the cameras. Cameras: sigma^2 (sum of w (1 - h) s s^T)^-1
     with h the share that an observation has in its own point, so that a point which a frame all but defines
-    does not vouch for the frame's camera; given the other cameras.
-
-    Parameters
-    ----------
-    observations
-        what was seen.
-    part
-        of frames and points that least squares determines. Others get the prior's posterior given those.
-    found
-        from that part.
+    does not vouch for the frame's camera. Other frames and points get the prior's posterior given those.
     """
     cameras, shape = found.cameras, found.shape
     noise = max(found.error / max(freedom(part), 1.0), LEAST_VARIANCE**2)
@@ -355,9 +325,8 @@ def factorise(
         published start); an earlier result for the same frames and points; or cameras `(n_frames, 2, 4)`,
         in px.
     polish
-        go on to the optimum. Without coherence that is weighted least squares: no prior pulls at points and
-        frames that are determined. With coherence it is the bound of the likelihood that EM climbs, with
-        acceleration. If not, plain EM is all.
+        go on to the optimum: without coherence weighted least squares, with it the bound of the likelihood,
+        with acceleration. If not, plain EM is all.
     iterations, tolerance
         of EM: at most so many, and until it gains less than so many nats in each.
 
@@ -553,14 +522,10 @@ def projected(cameras: Numbers, shape: Numbers) -> Numbers:
 
 
 def predicted(factorisation: Factorisation) -> tuple[Numbers, Numbers]:
-    """Positions of all points in all frames, and how uncertain cameras and shape leave them.
+    """Positions `(n_frames, n_points, 2)` px of all points in all frames, and their covariances px^2.
 
-    Returns
-    -------
-    positions
-        `(n_frames, n_points, 2)` px.
-    covariances
-        `(n_frames, n_points, 2, 2)` px^2, without the noise of observations.
+    These are `(n_frames, n_points, 2, 2)`: how uncertain cameras and shape leave them, without observations'
+    noise.
     """
     cameras, shape = factorisation.cameras, factorisation.shape
     camera_covariance, shape_covariance = factorisation.camera_covariance, factorisation.shape_covariance
@@ -632,26 +597,13 @@ class RobustFactorisation:
 def factorise_robustly(
     positions: ArrayLike, weights: ArrayLike | None = None, *, coherence: bool = False
 ) -> RobustFactorisation:
-    """Find cameras and shape where some positions are wrong.
+    """Find cameras and shape where some positions are wrong; arguments and errors as of `factorise`.
 
     A position is right with a probability that is learned, and then off by noise of its weight; or else it
     is an outlier, off by noise of a larger variance that is learned as well: a contaminated normal (Tukey,
     "A survey of sampling from contaminated distributions", 1960), by EM. Probabilities come from what
-    `factorise` leaves, and make the weights of the next `factorise`. Where nothing is wrong all of them are
-    near 1, and the result is that of `factorise`.
-
-    What is left of a position counts in parts of what its point's other positions leave open: of a mismatch
-    in a track of two frames three quarters go into the point.
-
-    Parameters
-    ----------
-    positions, weights, coherence
-        as of `factorise`.
-
-    Raises
-    ------
-    ValueError
-        as `factorise` does.
+    `factorise` leaves, in parts of what a point's other positions leave open, and make the weights of the
+    next `factorise`. Where nothing is wrong all of them are near 1, and the result is that of `factorise`.
     """
     where, given = as_arrays(positions, weights)
     fit = _roughly(where, given, coherence, "grow")

@@ -40,10 +40,7 @@ TERMS = (_Terms(6, 0.3, 0.3), _Terms(5, 0.1, 0.5), _Terms(4, 0.02, 1.0))
 
 
 def mean_filled(observations: Observations) -> tuple[Numbers, Numbers]:
-    """Cameras and shape from the SVD of the matrix of positions, with gaps filled by each point's mean.
-
-    The published start of single-chain structure from motion; poor with partial tracks.
-    """
+    """Cameras and shape from the SVD of the mean-filled matrix of positions: the published start."""
     listed = observations.by_point
     seen = np.maximum(np.diff(listed.edges), 1)
     n_frames, n_points = observations.n_frames, observations.n_points
@@ -94,8 +91,8 @@ def grown(observations: Observations, *, coherent: bool) -> tuple[Numbers, Numbe
 
     Frames come in as soon as they show enough known points, points as soon as known cameras determine them.
     What is known is refined after every round; with coherence by the smoother, which also foresees the next
-    cameras where growing would end otherwise. Points that no frames determine stay out, so that they spoil
-    nothing. Where no window shows six points throughout, the mean-filled matrix has to do.
+    cameras where growing would end otherwise. Where no window shows six points throughout, the mean-filled
+    matrix has to do.
     """
     n_frames, n_points = observations.n_frames, observations.n_points
     window = _best_window(observations)

@@ -237,8 +237,8 @@ def smooth_cameras(information, vector, precision, noise, start_mean, start_vari
     noise
         `(12,)` variances of eps_1, eps_2, eps_3.
     start_mean, start_variance
-        `(12, 2)` and `(12,)` of the state in the first frame with information. Frames before that are
-        foreseen backwards from there, as if nothing were known of the very first one.
+        `(12, 2)` and `(12,)` of the state in the first frame with information; those before are foreseen
+        back.
 
     Returns
     -------
@@ -576,23 +576,10 @@ def reduced_step(
     """Gauss-Newton step of the cameras `(n_frames, 2, 4)` with points eliminated, by conjugate gradients.
 
     The matrix is never formed: a product with it goes through both lists of observations once. It leaves out
-    how the eliminated points' own directions turn (Kaufman), as all variable projection does that works well.
-
-    Parameters
-    ----------
-    by_point, by_frame
-        the observations in both orders.
-    cameras, shape, inverses
-        cameras `(n_frames, 2, 4)`, the points `(n_points, 3)` that `eliminate_points` gives for them, and the
-        inverses `(n_points, 3, 3)` of these points' information.
-    information, preconditioner
-        `(n_frames, 4, 4)` of the cameras at fixed points, and the inverse of it plus `damping`.
-    gradient
-        `(n_frames, 2, 4)`, of `camera_gradient`.
-    damping
-        added to the diagonal.
-    accuracy, most
-        relative, and number of products at most.
+    how the eliminated points' own directions turn (Kaufman). `shape` and `inverses` are those that
+    `eliminate_points` gives for the cameras, `information` `(n_frames, 4, 4)` is that of cameras at fixed
+    points and `preconditioner` the inverse of it plus `damping`; `accuracy` is relative, and `most` the
+    number of products.
     """
     n_frames, n_points = cameras.shape[0], shape.shape[0]
     step, residual = np.zeros(gradient.shape), -gradient

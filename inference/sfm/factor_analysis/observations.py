@@ -25,16 +25,8 @@ ROUNDING = 1e-13
 class Listed(NamedTuple):
     """Observations in one order: those of frame (or point) k are `edges[k]:edges[k + 1]`.
 
-    Parameters
-    ----------
-    edges
-        `(n + 1,)`.
-    own, other
-        `(n_observations,)`, the frame (or point) of each, and the point (or frame).
-    x, y
-        `(n_observations,)` positions.
-    weight
-        `(n_observations,)` positive: 1 / relative variance.
+    `own` is the frame (or point) of each and `other` the point (or frame), `x` and `y` its position,
+    `weight` 1 / relative variance.
     """
 
     edges: Indices
@@ -68,13 +60,7 @@ class Listed(NamedTuple):
 
 
 def as_arrays(positions: ArrayLike, weights: ArrayLike | None) -> tuple[Numbers, Numbers]:
-    """Positions `(n_frames, n_points, 2)`, weights `(n_frames, n_points)`: 1 by default where one is seen.
-
-    Raises
-    ------
-    ValueError
-        if shapes do not fit.
-    """
+    """Positions `(n_frames, n_points, 2)` and weights `(n_frames, n_points)`; else a `ValueError`."""
     where = np.asarray(positions, np.float64)
     if where.ndim != 3 or where.shape[2] != 2:
         raise ValueError(f"positions: got {where.shape}, expected (n_frames, n_points, 2)")
@@ -114,23 +100,11 @@ class Observations:
     def from_arrays(
         cls, positions: ArrayLike, weights: ArrayLike | None = None, *, known: float = 1.0
     ) -> Self:
-        """List what was observed.
+        """List what was observed; `positions` and `weights` as of `factorise`.
 
-        Parameters
-        ----------
-        positions
-            `(n_frames, n_points, 2)` px; anything where the weight is 0.
-        weights
-            `(n_frames, n_points)`, 1 / relative variance, 0 where nothing was seen; where left out, 1
-            wherever there is a coordinate.
-        known
-            share of the coordinates that were seen.
-
-        Raises
-        ------
-        ValueError
-            if shapes do not fit, weights are negative or not finite, a position with weight is not finite, or
-            there are fewer than 3 frames or 4 points.
+        `known` is the share of the coordinates that were seen. A `ValueError` says if shapes do not fit,
+        weights are negative or not finite, a position with weight is not finite, or there are fewer than 3
+        frames or 4 points.
         """
         where, weight = as_arrays(positions, weights)
         n_frames, n_points = weight.shape

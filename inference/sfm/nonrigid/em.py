@@ -1,14 +1,17 @@
 """EM for probabilistic PCA of shape: 3-D points whose places are linear in Gaussian weights, seen in 2-D.
 
-Torresani, Hertzmann and Bregler (2008): in frame t, point j is seen at c_t R_t (v_j0 + sum_k z_tk v_jk) + l_t
-plus noise of variance sigma^2, R_t the first two rows of a rotation and z_t ~ N(0, I). Everything that the
-steps need of a frame is in sums over its points of products of (1, v_j) and of its positions: they are taken
-once an iteration, and the steps on poses do not depend on the number of points.
+Torresani, Hertzmann and Bregler (2008): in frame t, point j is seen at c_t R_t (v_j0 + sum_k z_tk v_jk) +
+l_t plus noise of variance sigma^2, R_t the first two rows of a rotation and z_t ~ N(0, I). Sums over a
+frame's points are taken once an iteration, so that steps on poses do not depend on the number of points.
 
 Where we depart from the paper: poses climb the likelihood with the weights integrated out (ECME) instead of
-its bound, by damped Gauss-Newton steps that move weights and pose together, since an expression and a turn of
-the head explain much the same; weights are let go of N(0, I) in the M-step and brought back to it by changing
-the bases (parameter-expanded EM); and bases have a prior, see `basis_covariance`.
+its bound, by damped Gauss-Newton steps that move weights and pose together; weights are let go of N(0, I) in
+the M-step and brought back to it by changing the bases (parameter-expanded EM); and bases have a prior.
+
+Smoothly, weights of modes are first-order autoregressive, z_t = a z_t-1 + noise, each N(0, 1) by itself:
+correlations a are learned by EM (Shumway and Stoffer 1982). Turns are a walk whose steps are a walk: second
+differences of rotations are N(0, s^2 I). Poses then climb the posterior with the weights of all frames
+integrated out, all frames together. Frames that are left out count as none.
 """
 
 from collections.abc import Callable
@@ -47,10 +50,8 @@ class Tracks:
 
     Parameters
     ----------
-    positions
-        `(n_frames, n_points, 2)`, 0 where not seen.
-    seen
-        `(n_frames, n_points)`, 1 or 0.
+    positions, seen
+        `(n_frames, n_points, 2)`, 0 where not seen, and `(n_frames, n_points)`, 1 or 0.
     patterns, pattern_of_frame
         `(n_patterns, n_points)` the different rows of `seen`, and `(n_frames,)` which is a frame's.
     """
@@ -115,16 +116,10 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class WeightPosterior:
-    """Posterior of the weights of modes in each frame, and the log likelihood without them.
+    """Posterior of the weights of modes in each frame, and the log likelihood `(n_frames,)` without them.
 
-    Parameters
-    ----------
-    mean, covariance
-        `(n_frames, n_modes)` and `(n_frames, n_modes, n_modes)`.
-    log_likelihood
-        `(n_frames,)` nats.
-    products, sums
-        `(n_frames, n_bases, n_bases)` and `(n_frames, 2, n_bases)`: of bases as they are seen, over points.
+    Mean `(n_frames, n_modes)` with covariance; `products` `(n_frames, n_bases, n_bases)` and `sums`
+    `(n_frames, 2, n_bases)` of bases as they are seen, over points.
     """
 
     mean: Numbers
@@ -148,16 +143,10 @@ class WeightPosterior:
 
 @dataclass(frozen=True, eq=False)
 class PointSums:
-    """Sums over the points that a frame shows.
+    """Sums over the points that a frame shows: of products of (1, v_j), of positions times these, of squares.
 
-    Parameters
-    ----------
-    points
-        `(n_frames or 1, 1 + 3 n_bases, 1 + 3 n_bases)` of products of (1, v_j), basis by basis.
-    positions
-        `(n_frames, 2, 1 + 3 n_bases)` of positions times (1, v_j).
-    squares
-        `(n_frames,)` of squared positions.
+    `points` `(n_frames or 1, 1 + 3 n_bases, 1 + 3 n_bases)`, basis by basis, `positions`
+    `(n_frames, 2, 1 + 3 n_bases)`, `squares` `(n_frames,)`.
     """
 
     points: Numbers
@@ -234,9 +223,9 @@ def moved_poses(state: State, step: Numbers) -> State:
 def pose_equations(state: State, sums: PointSums, found: WeightPosterior) -> tuple[Numbers, Numbers]:
     """Curvature `(n_frames, 6, 6)` and gradient `(n_frames, 6)` of log likelihoods, times the noise.
 
-    By turn, logarithm of scale and translation. Rotations move on SO(3), R <- exp([w]x) R. The gradient is
-    that of the likelihood without the weights (Fisher's identity), the curvature that of poses after the
-    weights are eliminated from a joint step.
+    By turn (R <- exp([w]x) R), logarithm of scale and translation. The gradient is that of the likelihood
+    without the weights (Fisher's identity), the curvature that of poses after the weights are eliminated
+    from a joint step.
     """
     n, n_bases = len(state.scales), len(state.bases)
     axes, extended = state.seen_axes, found.extended
@@ -293,10 +282,10 @@ def chosen_poses(first: NDArray[np.bool_], one: State, other: State) -> State:
 def basis_covariance(state: State) -> Numbers:
     """Prior covariance `(n_bases, n_bases)` of a point's bases along any axis of space: as they are seen.
 
-    Where an object hardly turns, its likelihood grows with its depth: sliding outlines and whatever else does
-    not fit the model are then best explained by deep shapes that turn by a trifle. The prior says that a
-    basis is about as deep as it is wide; it is taken to the power `ALIKE`, since successive frames err alike
-    and their likelihood is that much surer than it should be. The mean is independent of the modes.
+    Where an object hardly turns, its likelihood grows with its depth: whatever does not fit the model is
+    best explained by deep shapes that turn by a trifle. The prior says that a basis is about as deep as it
+    is wide; it is taken to the power `ALIKE`, since successive frames err alike. The mean is independent of
+    the modes.
     """
     return basis_covariance_of_axes(state.bases, state.seen_axes)
 
@@ -428,10 +417,7 @@ WINDOW = 200  # frames from which the spread of turns is learned; its posterior 
 
 
 def smoothed(tracks: Tracks, state: State, on_iteration: Callable[[], None]) -> tuple[State, WeightPosterior]:
-    """The state and its weights after so many iterations of EM with the prior of smoothness.
-
-    The log likelihoods of the posterior are those of frames by themselves.
-    """
+    """The state and its weights after EM with the prior of smoothness; frames' own log likelihoods."""
     correlations, spread = np.zeros(len(state.bases) - 1), None
     prior, damping = basis_covariance(state), DAMPING.first
     for _ in range(ITERATIONS):

@@ -63,11 +63,6 @@ def rigid_states(tracks: Tracks, positions: Numbers, on_iteration: Callable[[], 
     """Rigid motions: as factorisation gives it, and with smooth turns where they are not.
 
     Sudden turns of about 180 degrees explain a flat object's picture as well.
-
-    Parameters
-    ----------
-    tracks, positions
-        the same, `positions` `(n_frames, n_points, 2)` with NaN where not seen.
     """
     rigid, _ = run_em(tracks, rigid_start(positions), RIGID_ITERATIONS, TOLERANCE, on_iteration)
     smooth = with_smooth_turns(tracks, rigid)
@@ -153,9 +148,8 @@ def with_smooth_turns(tracks: Tracks, state: State) -> State | None:
     """The state with each frame's rotation or its mirror image, so that turns are smooth; `None` if they are.
 
     Under orthography a flat object appears the same as its mirror image behind it, R -> F R F_n with F a
-    reflection in depth and F_n one of the object through its plane. For one that is not quite flat, one of
-    the two is more likely, though not always the true one if it deforms. The best sequence is found by
-    Viterbi's algorithm.
+    reflection in depth and F_n one of the object through its plane. The best sequence is found by Viterbi's
+    algorithm.
     """
     centred = state.bases[0] - state.bases[0].mean(axis=0)
     normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
@@ -203,16 +197,9 @@ RANDOM_STARTS, SEED = 4, 0
 def rotations_of_rank(positions: Numbers, ranks: set[int]) -> list[Numbers]:
     """Rotations `(n_frames, 3, 3)`, two for each rank, by the method of Levenberg and Marquardt.
 
-    One starts from the three strongest columns. The other one is what fulfils the constraints best of some
-    that start from random ones: there are local optima, more of them the more there is of deformation.
-
-    Parameters
-    ----------
-    positions
-        `(n_frames, n_points, 2)` about the middle of each frame and in units of their spread, complete.
-    ranks
-        numbers of singular vectors; if positions have fewer, all that they have. Of fewer than three there
-        are no rotations.
+    One starts from the three strongest columns, the other one is the best of some that start from random
+    ones: there are local optima. Positions `(n_frames, n_points, 2)` are about the middle of each frame, in
+    units of their spread, complete; of fewer than three singular vectors there are no rotations.
     """
     n_frames, n_points, _ = positions.shape
     left, values, _ = np.linalg.svd(positions.transpose(0, 2, 1).reshape(-1, n_points), full_matrices=False)
@@ -311,17 +298,7 @@ RANKS = (6, 9, 15, 24)
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """The likeliest state, and others that are nearly as likely.
-
-    Parameters
-    ----------
-    state
-        with as many modes as the tracks tell.
-    history
-        of its last climb.
-    others
-        log likelihoods below that of the best after as many iterations, and states.
-    """
+    """The likeliest state, the history of its last climb, and others that are nearly as likely."""
 
     state: State
     history: list[float]
@@ -340,19 +317,8 @@ def search(
     """Climb from many starts, with more modes than are asked for, and go on with the best.
 
     A model with few modes explains finer deformations by turns of the object; the likelihood then prefers
-    wrong poses to true ones. With more modes it does not. Those that do not pay by the criterion of Hannan
-    and Quinn (1979) are taken away at the end.
-
-    Parameters
-    ----------
-    tracks, positions
-        the same, `positions` `(n_frames, n_points, 2)` with NaN where not seen.
-    bases
-        number of bases that there will be at least.
-    most
-        number of bases that the tracks can tell apart.
-    iterations, tolerance
-        of the last climb, for `run_em`.
+    wrong poses to true ones. Modes that do not pay by the criterion of Hannan and Quinn (1979) are taken
+    away at the end. There will be `bases` at least, and the tracks can tell `most` apart.
     """
 
     def climbed(state: State, rounds: int) -> State:
@@ -445,9 +411,9 @@ def learn_shape(
 ) -> NonrigidShape:
     """Learn a deformable shape by EM for probabilistic PCA (Torresani, Hertzmann and Bregler 2008).
 
-    See `em` for the model and the steps, `search` for where they start, and for modes beyond those that are
-    asked for. Without `smooth` the frames' order matters only where a flat object's turns are doubtful. Equal
-    tracks give equal bytes.
+    See `em` for the model and the steps, `search` for modes beyond those that are asked for. Without
+    `smooth` the frames' order matters only where a flat object's turns are doubtful. Equal tracks give equal
+    bytes.
 
     Parameters
     ----------
@@ -458,8 +424,8 @@ def learn_shape(
     iterations, tolerance
         of the last climb: at most so many, until one gains less than so many nats a coordinate.
     smooth
-        frames are successive: weights and turns are smoothed at the end, by as much as the tracks tell, see
-        `smoothness`. Covariances, history and log likelihood are of frames by themselves.
+        frames are successive: weights and turns are smoothed at the end, by as much as the tracks tell.
+        Covariances, history and log likelihood are of frames by themselves.
     on_iteration
         is called after every iteration.
 
@@ -600,20 +566,16 @@ BLOCKS = 20  # of successive frames, whose errors are alike: what they differ by
 
 @dataclass(frozen=True, eq=False)
 class BasesChoice:
-    """Errors at positions that were withheld.
+    """Errors at positions that were withheld, for the numbers of bases that were tried.
 
     Parameters
     ----------
-    bases
-        the number that was chosen.
-    candidates
-        `(n,)` numbers of bases that were tried.
+    bases, candidates
+        the number that was chosen, and `(n,)` numbers that were tried.
     errors
         `(n,)` px: root mean square of a coordinate at withheld positions.
-    excess
-        `(n,)` px^2: by how much the mean square is above that of the best candidate.
-    excess_errors
-        `(n,)` px^2: standard error of this, from blocks of frames.
+    excess, excess_errors
+        `(n,)` px^2: by how much the mean square is above that of the best candidate; its standard error.
     """
 
     bases: int
@@ -634,23 +596,8 @@ def choose_bases(
 
     A tenth of all positions, drawn at random once for all candidates, is withheld and predicted by shapes
     learned from the rest (the one-standard-error rule of Hastie, Tibshirani and Friedman 2009, section 7.10,
-    with differences to the best candidate, paired by blocks of frames).
-
-    Parameters
-    ----------
-    tracks
-        as for `learn_shape`.
-    candidates
-        numbers of bases; 2 to 8 by default, as far as the tracks can tell so many apart.
-    seed
-        of which positions are withheld.
-    on_iteration
-        as for `learn_shape`.
-
-    Raises
-    ------
-    ValueError
-        as `learn_shape` does.
+    with differences to the best candidate, paired by blocks of frames). `candidates` are 2 to 8 by default,
+    as far as the tracks can tell so many apart; other arguments and errors are those of `learn_shape`.
     """
     positions = np.array(tracks, np.float64)
     hidden = withheld(positions, seed)
@@ -699,37 +646,18 @@ ROUNDS = 3
 
 @dataclass(frozen=True, eq=False)
 class AssociatedShape:
-    """A shape, and the tracks that show its points.
-
-    Parameters
-    ----------
-    shape
-        the shape.
-    point_of_track
-        `(n_tracks,)` int64; -1 where a track is too short.
-    """
+    """A shape, and the point `(n_tracks,)` int64 that each track shows; -1 where a track is too short."""
 
     shape: NonrigidShape
     point_of_track: Indices
 
 
 def learn_associated(positions: Numbers, bases: int, *, associate: bool) -> AssociatedShape:
-    """Learn a shape from tracks, of which some may show one point one after the other.
+    """Learn a shape from tracks `(n_frames, n_tracks, 2)` px, NaN where not seen.
 
-    Parameters
-    ----------
-    positions
-        `(n_frames, n_tracks, 2)` px, NaN where not seen.
-    bases
-        for `learn_shape`, fewer if the tracks cannot tell so many apart.
-    associate
-        whether tracks are united: pairs that were never seen at once, of which each lies where the shape
-        expects the other and no other one lies nearer. Then the shape is learned again, until none are left.
-
-    Raises
-    ------
-    ValueError
-        as `learn_shape` does.
+    With `associate`, pairs of tracks that were never seen at once, of which each lies where the shape
+    expects the other and no other one lies nearer, are united, and the shape is learned again. A
+    `ValueError` as of `learn_shape`.
     """
     point = _long_enough(positions)
     for _ in range(ROUNDS):

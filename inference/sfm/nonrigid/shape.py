@@ -17,15 +17,10 @@ MIRRORED = np.array([1.0, 1.0, -1.0])
 def shape_error(found: Numbers, truth: Numbers) -> float:
     """Mean 3-D error of points over the mean standard deviation of the true ones: e3D.
 
-    Gotardo and Martinez (2011) after Akhter et al. (2008): sum_tj |s_tj - s*_tj| / (n_frames n_points sigma),
-    sigma the mean over frames of (sigma_x + sigma_y + sigma_z) / 3, the standard deviations of the true
-    points of a frame. Shapes are in the axes of the camera and about their centroids; the one of the two
-    mirror images in depth that is nearer counts, the same for all frames. Nothing else is aligned.
-
-    Parameters
-    ----------
-    found, truth
-        `(n_frames, n_points, 3)`, in one unit; frames with NaN in either are left out.
+    Gotardo and Martinez (2011) after Akhter et al. (2008): sum_tj |s_tj - s*_tj| / (n_frames n_points
+    sigma), sigma the mean over frames of (sigma_x + sigma_y + sigma_z) / 3, the standard deviations of the
+    true points of a frame. Shapes are in the axes of the camera and about their centroids; the nearer one of
+    the two mirror images in depth counts, the same for all frames. Frames with NaN in either are left out.
 
     Raises
     ------
@@ -75,15 +70,7 @@ def frame_changes(bases: Numbers, poses: Poses) -> Numbers:
 
 
 def frame_covariances(bases: Numbers, poses: Poses, seen: NDArray[np.bool_], noise: float) -> Numbers:
-    """`(n_frames, 6 + n_modes, 6 + n_modes)` given the bases; weights are N(0, 1) before.
-
-    Parameters
-    ----------
-    seen
-        `(n_frames, n_points)`.
-    noise
-        px: standard deviation of a coordinate.
-    """
+    """`(n_frames, 6 + n_modes, 6 + n_modes)` given the bases; weights are N(0, 1) before, `noise` is px."""
     rows = frame_changes(bases, poses)[:, :, :2] * seen[..., None, None] / noise
     flat = rows.reshape(len(rows), -1, rows.shape[-1])
     information = flat.transpose(0, 2, 1) @ flat
@@ -257,12 +244,7 @@ def convex(shape: Numbers) -> bool:
 def triangles_in_front(shape: Numbers) -> NDArray[np.int64]:
     """Delaunay triangles `(n_triangles, 3)` of a shape `(n_points, 3)` as seen from the front.
 
-    Their normals (cross products of edges) have z < 0. Of points in the very same place one has triangles.
-
-    Raises
-    ------
-    ValueError
-        if all points lie on a line, as seen from the front.
+    Their normals (cross products of edges) have z < 0. Points on a line are a `ValueError`.
     """
     from scipy.spatial import Delaunay, QhullError
 

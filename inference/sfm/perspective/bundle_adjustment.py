@@ -45,7 +45,7 @@ ACCURACY = 1e-4  # of the logarithm of the variance
 @short_repr
 @dataclass(frozen=True)
 class StudentNoise:
-    """Errors of positions in two coordinates.
+    """Errors of positions in two coordinates, with heavy tails, by which outliers lose their weight.
 
     With d the distance in px and g the weight of the observation, the density is
 
@@ -64,15 +64,7 @@ class StudentNoise:
 
     @classmethod
     def of_errors(cls, squares: Numbers, weight: Numbers) -> "StudentNoise":
-        """The noise under which errors are likeliest.
-
-        Parameters
-        ----------
-        squares
-            `(n,)` squared distances, px^2.
-        weight
-            `(n,)` 1 / relative variance of the observations.
-        """
+        """The noise under which squared distances `(n,)` px^2 of such weights are likeliest."""
         middle = float(np.median(weight * squares))
 
         def of_freedom(log_freedom: float) -> "StudentNoise":
@@ -141,7 +133,7 @@ GAUGE = 7  # numbers of a shape's place, turn and size, which no film shows
 
 
 class Sums(NamedTuple):
-    """What `normal_equations` gives; see there."""
+    """What `normal_equations` gives."""
 
     cameras: Numbers
     camera_vector: Numbers
@@ -156,19 +148,7 @@ class Sums(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """Cameras and points, the noise about what they predict, and how likely that is.
-
-    Parameters
-    ----------
-    cameras
-        of all frames.
-    shape
-        `(n_points, 3)`.
-    noise
-        px^2 at weight 1.
-    log_likelihood
-        of all observations, nats.
-    """
+    """Cameras and points `(n_points, 3)`, the noise about what they predict, and log likelihood."""
 
     cameras: PerspectiveCameras
     shape: Numbers
@@ -248,10 +228,7 @@ def adjust(
 
 
 def retriangulated(listed: Listed, found: Bundle) -> Numbers:
-    """Points `(n_points, 3)` for the cameras of a bundle, none of them less likely than its own.
-
-    A step moves all points at once, and leaves behind what has gone to the wrong side of a camera.
-    """
+    """Points `(n_points, 3)` for the cameras of a bundle, none of them less likely than its own."""
     cameras, noise, shape = found.cameras, found.noise, found.shape.copy()
     triangulate(
         listed, cameras.rotations, cameras.scales, cameras.shifts, cameras.curvature, shape,
@@ -338,14 +315,8 @@ OPEN = 1e-10
 class BundleCovariance:
     """To first order, in the gauge (place, turn and size of the shape) in which cameras vary least.
 
-    Parameters
-    ----------
-    cameras
-        `(n_frames, 7, 7)`: of turn, log scale and shift of each frame, and of 1 / focal length.
-    points
-        `(n_points, 3, 3)`.
-    points_and_cameras
-        `(n_points, 3, 6 n_frames + 1)`, the last number 1 / focal length.
+    Cameras `(n_frames, 7, 7)` are turn, log scale and shift of each frame, and 1 / focal length; points
+    `(n_points, 3, 3)`; both `(n_points, 3, 6 n_frames + 1)`, the last number 1 / focal length.
     """
 
     cameras: Numbers
@@ -361,16 +332,8 @@ class BundleCovariance:
 def covariance_of(listed: Listed, found: Bundle, prior: Numbers, *, focal_known: bool) -> BundleCovariance:
     """Uncertainty at the optimum, from the information of all observations (Laplace).
 
-    Parameters
-    ----------
-    listed
-        observations by point, of `about`; each frame has some.
-    found
-        the optimum.
-    prior
-        `(3, 3)`, covariance of points before anything is seen: what is known of one of a single frame.
-    focal_known
-        whether the focal length was given.
+    `prior` is the covariance `(3, 3)` of points before anything is seen: what is known of one of a single
+    frame.
     """
     squares = squares_of(listed, found.cameras, found.shape)
     precision = found.noise.precision(squares, listed.weight, freedom(listed, focal_known=focal_known))
@@ -438,15 +401,7 @@ def gauge_of(cameras: PerspectiveCameras) -> Numbers:
 
 
 def predicted(found: Bundle, covariance: BundleCovariance) -> tuple[Numbers, Numbers]:
-    """Positions of all points in all frames, and how uncertain cameras and shape leave them.
-
-    Returns
-    -------
-    positions
-        `(n_frames, n_points, 2)` px.
-    covariances
-        `(n_frames, n_points, 2, 2)` px^2, without the noise of observations.
-    """
+    """Positions `(n_frames, n_points, 2)` px of all points in all frames, and their covariances px^2."""
     cameras = found.cameras
     positions, _ = cameras.seen(found.shape)
     covariances: Numbers = prediction_covariances(

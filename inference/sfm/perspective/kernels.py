@@ -36,16 +36,9 @@ def squared_distances(by_point, rotations, scales, shifts, curvature, shape, nea
 def normal_equations(by_point, weight, rotations, scales, shifts, curvature, shape, nearest):
     """Normal equations at weights `(n,)`: sums of w J^T J and of w J^T r, by blocks.
 
-    Returns
-    -------
-    cameras, camera_vector
-        `(n_frames, 6, 6)` and `(n_frames, 6)`.
-    border, corner, corner_vector
-        of q: with the cameras `(n_frames, 6)`, with itself, and its sum.
-    points, point_vector
-        `(n_points, 3, 3)` and `(n_points, 3)`.
-    mixed, mixed_border
-        `(n, 3, 6)` of the point and the camera of each observation; `(n_points, 3)` of q and a point.
+    Of cameras `(n_frames, 6, 6)` and `(n_frames, 6)`; of q with them `(n_frames, 6)`, with itself, and its
+    sum; of points `(n_points, 3, 3)` and `(n_points, 3)`; of the point and the camera of each observation
+    `(n, 3, 6)`; of q and a point `(n_points, 3)`.
     """
     edges, _, other, x, y, _ = by_point
     n_frames, n_points = scales.size, edges.size - 1
@@ -98,16 +91,7 @@ def normal_equations(by_point, weight, rotations, scales, shifts, curvature, sha
 
 @compiled
 def eliminated(by_point, inverses, mixed, mixed_border, point_vector, matrix, vector):
-    """Take the points out of the normal equations of cameras and q, in place.
-
-    Parameters
-    ----------
-    inverses
-        `(n_points, 3, 3)` of the (damped) blocks of points.
-    matrix, vector
-        `(6 n_frames + 1, 6 n_frames + 1)`, of which only the lower half is right afterwards, and
-        `(6 n_frames + 1,)`.
-    """
+    """Take the points out of the normal equations of cameras and q, in place; the lower half is right."""
     edges, _, other, _, _, _ = by_point
     last = vector.size - 1
     lifted, lines = np.empty((CAMERA, 3)), np.empty((3, last))
@@ -233,17 +217,6 @@ def triangulate(by_point, rotations, scales, shifts, curvature, shape, variance,
 
     From where it is, from all its observations alike, and from its first and its last one alone: an outlier
     spoils one of the starts. Equations are linear in the point once its depths are divided out.
-
-    Parameters
-    ----------
-    rotations, scales, shifts, curvature
-        of `PerspectiveCameras`.
-    shape
-        `(n_points, 3)`, changed in place.
-    variance, freedom
-        of the noise.
-    nearest, behind
-        the least depth before a camera, and the squared distance that stands for less than that.
     """
     edges, _, other, x, y, weight = by_point
     most = 1
@@ -335,14 +308,8 @@ def prediction_covariances(
 ):
     """Covariances `(n_frames, n_points, 2, 2)` of all points in all frames, to first order.
 
-    Parameters
-    ----------
-    of_cameras
-        `(n_frames, 7, 7)` of each frame's camera and q.
-    of_points
-        `(n_points, 3, 3)`.
-    of_points_and_cameras
-        `(n_points, 3, 6 n_frames + 1)`.
+    From those of each frame's camera and q `(n_frames, 7, 7)`, points, and both `(n_points, 3, 6 n_frames +
+    1)`.
     """
     n_frames, n_points = scales.size, shape.shape[0]
     out = np.empty((n_frames, n_points, 2, 2))

@@ -65,10 +65,8 @@ def grown(
     ----------
     places
         `(n_frames, n_points, 2)` px from the principal point, NaN where nothing was seen.
-    focal
-        px, with which to begin.
-    focal_known
-        whether to keep it.
+    focal, focal_known
+        px, with which to begin, and whether to keep it.
 
     Returns
     -------
@@ -287,20 +285,10 @@ PRECISION, MOST_STEPS = 1e-3, 20  # of the least squares of a round: the next on
 
 @dataclass(frozen=True, eq=False)
 class AffineFit:
-    """Cameras and shape under Student's noise.
+    """Cameras `(n_frames, 2, 4)` and shape `(n_points, 3)` under Student's noise.
 
-    Parameters
-    ----------
-    cameras, shape
-        `(n_frames, 2, 4)` and `(n_points, 3)`, in px.
-    frames, points
-        `(n_frames,)` and `(n_points,)` bool: which the observations determine; others are not fitted.
-    weights
-        `(n_frames, n_points)`: as given, less what makes an observation an outlier.
-    noise
-        px^2 at weight 1.
-    log_likelihood
-        of the observations of those frames and points, nats.
+    `frames` and `points` are those which the observations determine; others are not fitted. `weights`
+    `(n_frames, n_points)` are as given, less what makes an observation an outlier.
     """
 
     cameras: Numbers
@@ -315,17 +303,8 @@ class AffineFit:
 def affine_fit(positions: ArrayLike, weights: ArrayLike, cameras: Numbers, shape: Numbers) -> AffineFit:
     """Make observations likelier, by weighted least squares whose weights follow from the round before.
 
-    Parameters
-    ----------
-    positions, weights
-        as of `factorise`.
-    cameras, shape
-        `(n_frames, 2, 4)` and `(n_points, 3)`, the start.
-
-    Raises
-    ------
-    ValueError
-        as `factorise` does, but frames may fall into sets that share no points.
+    Arguments and errors are those of `factorise` and a start; frames may fall into sets that share no
+    points.
     """
     where, given = np.asarray(positions, np.float64), np.asarray(weights, np.float64)
     frames, points = determined(Observations.from_arrays(where, given), apart=True)
@@ -379,20 +358,7 @@ SETTLED = 3.0
 def affine_starts(
     metric: Euclidean, principal: Numbers, width: float, focal: float | None
 ) -> Iterable[Start]:
-    """Starts from an affine structure: the shape and its mirror image.
-
-    Parameters
-    ----------
-    metric
-        the affine structure in a space with right angles.
-    principal
-        `(2,)` px.
-    width
-        px, the longer edge of the picture.
-    focal
-        px; `None` where it is unknown. Then scaled orthography is a start as well, from which the first step
-        finds out which of the two it is.
-    """
+    """An affine structure and its mirror image, before cameras of several focal lengths."""
     shifts = metric.cameras[..., 3] - principal
     focals = [focal] if focal is not None else [factor * width for factor in AFFINE_STARTS]
     curvatures = [sign / each for each in focals for sign in (1, -1)]
@@ -402,15 +368,7 @@ def affine_starts(
 
 
 def grown_starts(places: Numbers, principal: Numbers, width: float, focal: float | None) -> Iterable[Start]:
-    """Starts that grow from two views, which need no affine structure and take any depth.
-
-    Parameters
-    ----------
-    places
-        `(n_frames, n_points, 2)` px, NaN where nothing was seen.
-    principal, width, focal
-        as of `affine_starts`.
-    """
+    """Structures that grow from two views, with several focal lengths."""
     focals = [focal] if focal is not None else [factor * width for factor in FOCAL_STARTS]
     tried = [grown(places - principal, each, focal_known=focal is not None) for each in focals]
     found = [each for each in tried if each is not None]
@@ -487,24 +445,18 @@ class PerspectiveStructure:
         `(height, width)` px of the picture.
     cameras
         of all frames; of those that are not determined, between those before and after.
-    shape
+    shape, shape_covariance
         `(n_points, 3)`, axes as in the first view (x right, y down, z away), in px at the mean scale of the
-        cameras.
-    shape_covariance
-        `(n_points, 3, 3)`.
+        cameras, and `(n_points, 3, 3)`.
     positions, covariances
         `(n_frames, n_points, 2)` px and `(n_frames, n_points, 2, 2)` px^2 of all points in all frames, seen
         or not, without the noise of observations.
     frame_determined
         `(n_frames,)` bool: the frame shows four points or more.
-    noise
-        of observations of weight 1.
-    log_likelihood
-        of all observations, nats.
-    parameters
-        how many numbers are fitted to them.
-    observations
-        numbers observed.
+    noise, log_likelihood
+        of observations of weight 1; of all observations, nats.
+    parameters, observations
+        how many numbers are fitted, and numbers observed.
     curvature_deviation
         1/px, standard deviation of 1 / focal length; 0 where that was given.
     """
@@ -537,10 +489,7 @@ class PerspectiveStructure:
         return (self.cameras.curvature / self.curvature_deviation) ** 2 > math.log(self.observations)
 
     def agrees(self, positions: Numbers, weights: Numbers) -> Mask:
-        """Whether there is an observation `(n_frames, n_points)`, and no outlier.
-
-        Arguments as of `perspective_structure`.
-        """
+        """Whether there is an observation `(n_frames, n_points)`, and no outlier."""
         squares = np.sum((positions - self.positions) ** 2, axis=2)
         agreeing: Mask = (weights > 0) & self.noise.agrees(np.where(weights > 0, squares, 0), weights)
         return agreeing
@@ -559,8 +508,7 @@ class PerspectiveStructure:
         """Whether it explains the positions better than affine cameras do, by Schwarz's criterion (BIC).
 
         An affine camera has 8 numbers, and 12 of a film's are the choice of the shape's axes; a perspective
-        one has 6, all together have a focal length, and 7 are the choice of the axes. Both have the same
-        points, and noise of the same kind.
+        one has 6, all together have a focal length, and 7 are the choice of the axes.
         """
         n_frames, n_points = np.count_nonzero(affine.frames), np.count_nonzero(affine.points)
         more = self.parameters - (8 * n_frames + 3 * n_points - 12)
@@ -575,10 +523,9 @@ def perspective_structure(
 
     Parameters
     ----------
-    positions
-        `(n_frames, n_points, 2)` px; anything where the weight is 0.
-    weights
-        `(n_frames, n_points)`, 1 / relative variance, 0 where nothing was seen. Each point is seen somewhere.
+    positions, weights
+        `(n_frames, n_points, 2)` px and `(n_frames, n_points)`, as of `factorise`; each point is seen
+        somewhere.
     affine
         the same with affine cameras, to begin with; those frames and points count that it determines.
     lens
