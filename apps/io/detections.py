@@ -248,7 +248,11 @@ def _of_coco(row: Row, frame: int, categories: Mapping[str, str]) -> Found:
         left, top, width, height = map(float, box if isinstance(box, list) else ())
     except (TypeError, ValueError, OverflowError):
         raise row.wrong(f"bbox {brief(box)}", "four numbers: left, top, width, height") from None
-    score = row.number("score")
+    score = row.values.get("score")
+    try:
+        score = None if score is None else float(score)
+    except (TypeError, ValueError, OverflowError):
+        raise row.wrong(f"score {brief(score)}", "a number") from None
     if not (category is None or isinstance(category, int | str)):
         raise row.wrong(f"category_id {brief(category)}", "a number")
     name = None if category is None else categories.get(str(category), str(category))

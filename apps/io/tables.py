@@ -36,14 +36,6 @@ class Row(NamedTuple):
         """What to raise for something wrong in the row."""
         return ValueError(f"{self.path}, {self.unit} {self.place}: got {got}, expected {expected}")
 
-    def number(self, name: str) -> float | None:
-        """A number of JSON; `None` if there is none, and ValueError if it is something else."""
-        value = self.values.get(name)
-        try:
-            return None if value is None else float(value)
-        except (TypeError, ValueError, OverflowError):
-            raise self.wrong(f"{name} {brief(value)}", "a number") from None
-
 
 class Column(NamedTuple):
     """A column of text under a header.

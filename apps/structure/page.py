@@ -210,8 +210,8 @@ def _cards(found: Reconstruction, summary: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def three_sides(found: Reconstruction, colours: NDArray[np.uint8], name: str = "") -> list[Plot]:
-    """The points of a shape that is not undetermined, from three sides; `name` stands before the captions."""
+def three_sides(found: Reconstruction, colours: NDArray[np.uint8]) -> list[Plot]:
+    """The points of a shape that is not undetermined, from three sides."""
     centred = found.shape - np.median(found.shape, axis=0)
     # what is badly known lies anywhere, and would make everything else small
     shown = np.all(np.abs(centred) <= 2 * np.quantile(np.abs(centred), 0.9, axis=0), axis=1)
@@ -222,9 +222,7 @@ def three_sides(found: Reconstruction, colours: NDArray[np.uint8], name: str = "
         if found.geometry == "euclidean"
         else "Up to an affine map: lengths and angles mean nothing."
     )
-    caption = f"{name}{caption}" + (
-        f" {left_out} of {found.n_points} points lie outside." if left_out else ""
-    )
+    caption += f" {left_out} of {found.n_points} points lie outside." if left_out else ""
     return [
         Plot(
             side,

@@ -268,21 +268,17 @@ def flat(settings: Mapping[str, object], above: str = "") -> list[tuple[object, 
 
 
 def picture(image: Image, caption: str = "") -> Markup:
-    """A picture, `(height, width[, 3])` uint8, BGR."""
-    return Markup(_parts.captioned(_inlined(image, caption), caption))
+    """A picture, `(height, width[, 3])` uint8, BGR: JPEG, or PNG for few values, which JPEG would smear."""
+    few = image.ndim == 2 and len(np.unique(image)) <= 16
+    kind, options = ("png", []) if few else ("jpeg", [cv2.IMWRITE_JPEG_QUALITY, 88])
+    inlined = Markup(_parts.image(kind, encoded(image, f".{kind}", options), caption))
+    return Markup(_parts.captioned(inlined, caption))
 
 
 def picture_file(path: Path, caption: str) -> Markup:
     """A picture from a PNG file."""
     data = base64.b64encode(path.read_bytes()).decode("ascii")
     return Markup(_parts.captioned(Markup(_parts.image("png", data, caption)), caption))
-
-
-def _inlined(image: Image, description: str) -> Markup:
-    """An image as part of the page: JPEG, or PNG for pictures of few values, which JPEG would smear."""
-    few = image.ndim == 2 and len(np.unique(image)) <= 16
-    kind, options = ("png", []) if few else ("jpeg", [cv2.IMWRITE_JPEG_QUALITY, 88])
-    return Markup(_parts.image(kind, encoded(image, f".{kind}", options), description))
 
 
 def encoded(image: Image, kind: str, options: Sequence[int] = ()) -> str:
@@ -377,7 +373,9 @@ def write_page(path: Path, page: Page) -> None:
             inlined = base64.b64encode(film.path.read_bytes()).decode("ascii")
     text = _environment.get_template("page.html").render(
         page=page,
-        links=_links_beside(path),
+        links={
+            name: text for name, text in LINKED.items() if name != path.name and (path.parent / name).exists()
+        },
         sections=sections,
         parameters=table(("parameter", "value"), flat(page.parameters)) if page.parameters else None,
         with_data=bool(film is not None or plots),
@@ -385,13 +383,6 @@ def write_page(path: Path, page: Page) -> None:
         film=Markup(inlined),
     )
     write_text(path, text)
-
-
-def _links_beside(path: Path) -> dict[str, str]:
-    """What lies beside a page, by the names of the files: the text of the link."""
-    return {
-        name: text for name, text in LINKED.items() if name != path.name and (path.parent / name).exists()
-    }
 
 
 @dataclass(frozen=True)
@@ -466,14 +457,6 @@ def _packed(value: Any) -> Any:
     return {"array": name, "shape": array.shape, "bytes": base64.b64encode(array.tobytes()).decode("ascii")}
 
 
-def _rounded(value: object) -> object:
-    return f"{value:.4g}" if isinstance(value, float | np.floating) else value
-
-
-def _is_numeric(value: object) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
-
-
 def templates_in(folder: Path) -> jinja2.Environment:
     """Templates of HTML: what is not `Markup` is escaped, and names that are not given are errors."""
     return jinja2.Environment(
@@ -489,8 +472,12 @@ def templates_in(folder: Path) -> jinja2.Environment:
 _TEMPLATES = Path(__file__).parent / "templates"
 _environment = templates_in(_TEMPLATES)
 _environment.globals["source"] = lambda name: Markup((_TEMPLATES / name).read_text(encoding="utf-8"))
-_environment.filters["rounded"] = _rounded
-_environment.tests["numeric"] = _is_numeric
+_environment.filters["rounded"] = lambda value: (
+    f"{value:.4g}" if isinstance(value, float | np.floating) else value
+)
+_environment.tests["numeric"] = lambda value: (
+    isinstance(value, int | float | np.number) and not isinstance(value, bool)
+)
 _parts: Any = _environment.get_template("parts.html").module
 
 

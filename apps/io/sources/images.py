@@ -148,15 +148,15 @@ def _is_image(path: Path) -> bool:
 
 
 class ImageReader(Reader):
-    """Images of one folder or glob, `rate` a second."""
+    """Images of one folder or glob."""
 
     kind = "images"
     counted = True
 
-    def __init__(self, source: str, folder: Path, files: list[Path], rate: float | None) -> None:
+    def __init__(self, source: str, folder: Path, files: list[Path]) -> None:
         self.name = source
         self.total = self.last_number = len(files)
-        self.rate = _sequence_rate(folder) if rate is None else rate
+        self.rate = _sequence_rate(folder)
         if not (math.isfinite(self.rate) and self.rate > 0):
             raise ValueError(f"{source}: got {self.rate} frames per second, expected more than 0")
         self.pictures = [path.name for path in files]

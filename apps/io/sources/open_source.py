@@ -233,7 +233,6 @@ def open_source(
     step: int = 1,
     *,
     after: int = 0,
-    image_rate: float | None = None,
     reconnect: float | None = None,
 ) -> Source:
     """Open a source of frames.
@@ -245,12 +244,10 @@ def open_source(
         a camera, or an rtsp or http(s) address.
     start, stop, step
         which frames: 1-based, both ends included. Frames before `start` are decoded and discarded, so that
-        the selected ones are exactly those that reading from the beginning gives.
+        the selected ones are exactly those that reading from the beginning gives. Images, which have no time
+        stamps, come at `frameRate` of a MOT `seqinfo.ini` in or above the folder, or 25 a second.
     after
         number of the last frame that an earlier run has processed; frames up to it are left out.
-    image_rate
-        frames per second of images, which have no time stamps; default: `frameRate` in a MOT `seqinfo.ini` in
-        or above the folder, else 25.
     reconnect
         seconds for which a camera or address is tried again when it is lost; default: not at all. A gap in a
         live source is missing frames. Of a file behind an address, nothing is missing.
@@ -268,19 +265,19 @@ def open_source(
     selection = Selection(start, stop, step, after)
     if reconnect is not None and not 0 < reconnect < math.inf:
         raise ValueError(f"--reconnect: got {reconnect:g}, expected seconds, more than 0")
-    return Source(lambda: _open_reader(source, image_rate, reconnect), selection)
+    return Source(lambda: _open_reader(source, reconnect), selection)
 
 
 def fingerprint(source: str) -> dict[str, Any]:
     """Return `Source.fingerprint` of a file or a folder or glob of images; no picture is decoded."""
-    reader = _open_reader(source, None, None)
+    reader = _open_reader(source, None)
     try:
         return reader.fingerprint()
     finally:
         reader.close()
 
 
-def _open_reader(source: str, image_rate: float | None, reconnect: float | None) -> Reader:
+def _open_reader(source: str, reconnect: float | None) -> Reader:
     scheme, separator, _ = source.partition("://")
     if separator:
         if scheme.lower() not in NETWORK_SCHEMES:
@@ -295,18 +292,18 @@ def _open_reader(source: str, image_rate: float | None, reconnect: float | None)
         return LiveReader(Camera(int(source)), lambda: Camera(int(source)), reconnect)
     if reconnect is not None:
         raise ValueError(f"--reconnect: got it for {source}, expected a camera or an address")
-    return _open_path(source, path, image_rate)
+    return _open_path(source, path)
 
 
-def _open_path(source: str, path: Path, image_rate: float | None) -> Reader:
+def _open_path(source: str, path: Path) -> Reader:
     if path.is_dir():
         files = images_among(path.iterdir())
         if not files:
             raise FileNotFoundError(f"{source}: the folder holds no images")
-        return ImageReader(source, path, files, image_rate)
+        return ImageReader(source, path, files)
     if path.is_file():
         if path.suffix.lower() in IMAGE_SUFFIXES:
-            return ImageReader(source, path.parent, [path], image_rate)
+            return ImageReader(source, path.parent, [path])
         return VideoReader(source, network=False)
     if path.exists():
         raise ValueError(f"{source}: neither a file nor a folder")
@@ -314,7 +311,7 @@ def _open_path(source: str, path: Path, image_rate: float | None) -> Reader:
         files = images_among(Path(match) for match in glob.glob(source, recursive=True))
         if not files:
             raise FileNotFoundError(f"{source}: matches no images")
-        return ImageReader(source, files[0].parent, files, image_rate)
+        return ImageReader(source, files[0].parent, files)
     raise FileNotFoundError(f"{source}: no such file or folder")
 
 

@@ -355,7 +355,6 @@ def test_frame_rate_of_a_mot_sequence(tmp_path: Path, place: str) -> None:
     folder = write_images(tmp_path / "images", 2)
     (tmp_path / place / "seqinfo.ini").write_text("[Sequence]\nname=a\nframeRate=10\n")
     assert open_source(str(folder)).rate == 10
-    assert open_source(str(folder), image_rate=5).rate == 5
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg", "bmp"])
