@@ -46,8 +46,7 @@ from ..view.overlay import Draw
 from ..view.page import Page
 from .job import LAG, BodyJob
 from .joint_files import read_joints
-from .page import body_page, drawing, drawn_of, with_final_names
-from .record import PART_JOINTS, BodyRecord
+from .page import PART_JOINTS, BodyRecord, body_page, drawing, drawn_of, with_final_names
 
 _log = logging.getLogger(__name__)
 

@@ -30,8 +30,7 @@ from ..view.film import Film
 from ..view.overlay import Draw, draw_face
 from ..view.page import Page
 from .job import FaceJob
-from .page import FaceDrawing, face_page
-from .record import FaceRecord
+from .page import FaceDrawing, FaceRecord, face_page
 from .texture import vertices_on_texture, write_textures
 
 Array = NDArray[np.float64]

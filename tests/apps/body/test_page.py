@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.body.page import PER_PX, SAMPLES, drawn_of, over_the_film, with_final_names
-from rsmcm.apps.body.record import PART_JOINTS
+from rsmcm.apps.body.page import PART_JOINTS, PER_PX, SAMPLES, drawn_of, over_the_film, with_final_names
 from rsmcm.apps.scenes import signer
 from rsmcm.apps.view.film import Film, read_film
 from rsmcm.apps.view.page import SEEN, Page

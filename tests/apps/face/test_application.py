@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.face import application
-from rsmcm.apps.face.record import ANGLES, FaceRecord, angles
+from rsmcm.apps.face.page import ANGLES, FaceRecord, angles
 from rsmcm.apps.io import film as films
 from rsmcm.apps.scenes import face
 from rsmcm.chains.face.recovery import WIDTH_OF_FACE

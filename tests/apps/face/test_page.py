@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.face.page import MOST_POINTS, FaceDrawing, face_page
-from rsmcm.apps.face.record import FaceRecord
+from rsmcm.apps.face.page import MOST_POINTS, FaceDrawing, FaceRecord, face_page
 from rsmcm.apps.face.texture import vertices_on_texture
 from rsmcm.apps.scenes import face
 from rsmcm.apps.scenes.talking_face import FaceScene
