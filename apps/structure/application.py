@@ -144,8 +144,9 @@ class _StructureRun:
         after = None if saved is None else self._engine.load(saved, film.frames)[0]
         try:
             solution = self._ascended(after)
-        except NoShapeError as error:
-            return self._nothing(no_points(film.frames, followed(film.frames), str(error)))
+        except ValueError as error:
+            reason = str(error).removeprefix("positions: ")
+            return self._nothing(no_points(film.frames, followed(film.frames), reason))
         lens, about_lens = known_lens(film.frames, job.focal, next(iter(film.pictures), None))
         try:
             found = reconstruction_of(solution, job.camera, lens, film.n_tracks)
@@ -160,19 +161,18 @@ class _StructureRun:
         return session.outcome(summary, in_words(summary))
 
     def _ascended(self, after: Solution | None) -> Solution:
-        """The best solution, when the ascent ends or a signal arrives; saved after every round."""
+        """The best solution, when the ascent ends or a signal arrives; saved after every round.
+
+        A ValueError says why no shape can be found in what is followed.
+        """
         best = after
         done = 0 if after is None else len(after.rounds)
         rounds = self._engine.rounds(self._film.frames, after=after)
-        try:
-            with Progress(NAME, MOST_ROUNDS, done, unit="rounds") as progress:
-                for solution in self._session.interruption.items(rounds):
-                    self._begin_once()
-                    best = solution
-                    self._save(best)
-                    progress.update()
-        except ValueError as error:
-            raise NoShapeError(str(error).removeprefix("positions: ")) from None
+        with Progress(NAME, MOST_ROUNDS, done, unit="rounds") as progress:
+            for best in self._session.interruption.items(rounds):
+                self._begin_once()
+                self._save(best)
+                progress.update()
         if best is None:
             assert self._session.interruption.signal is not None  # or there would be a first round
             raise Interrupted(self._session.interruption.signal)
@@ -226,7 +226,6 @@ class _StructureRun:
             "stream": film.stream,
             "objective": list(found.objective),
             "notes": notes,
-            "seconds": self._session.seconds(),
         }
         summary = self._summary(facts)
         if film.n_tracks is None:
@@ -248,13 +247,7 @@ class _StructureRun:
         self._begin_once()
         folder, film = self.job.out, self._film
         notes = [*film.notes, *diagnosis.sentences]
-        facts = {
-            **diagnosis.facts(),
-            "stream": film.stream,
-            "notes": notes,
-            "seconds": self._session.seconds(),
-        }
-        summary = self._summary(facts)
+        summary = self._summary({**diagnosis.facts(), "stream": film.stream, "notes": notes})
         seen = film.n_tracks is None and any(frame.image is not None for frame in film.frames)
         shown = write_film(folder, film.frames, film.rate) if seen else None
         page = nothing_page(self._title, film.frames, diagnosis.figures, summary, shown)
@@ -266,6 +259,7 @@ class _StructureRun:
     def _summary(self, facts: Mapping[str, Any]) -> dict[str, Any]:
         film = self._film
         missing = [frame.number for frame in film.frames if frame.missing]
+        facts = {**facts, "seconds": self._session.seconds()}
         return self._session.summary(film.name, [frame.number for frame in film.frames], missing, facts)
 
     @property
@@ -332,10 +326,6 @@ def _write_video(path: Path, frames: Sequence[Frame], found: Reconstruction, rat
         for index, frame in enumerate(frames):
             video.add(frame, partial(drawn_of, found, index))
             progress.update()
-
-
-class NoShapeError(Exception):
-    """No shape can be found in what is followed."""
 
 
 def _notes(found: Reconstruction, diagnosis: Diagnosis | None, given: bool) -> list[str]:
