@@ -39,21 +39,15 @@ GROUP = "rsmcm.chains"
 def read_parameters(path: Path | None, chosen: Iterable[str] = ()) -> Parameters:
     """Read the sections of a TOML file; what they leave out keeps its default.
 
-    Parameters
-    ----------
-    path
-        of the file, with the sections of `SECTIONS`, and `[chains.NAME]` for chains of others; `None` for
-        none. What stands outside of sections are options of the command line.
-    chosen
-        names of chains of others that are wanted, whether the file has parameters of them or not.
+    Sections are those of `SECTIONS`, and `[chains.NAME]` for chains of others. What stands outside of
+    sections are options of the command line. The chains `chosen` are wanted, whether the file has parameters
+    of them or not.
 
     Raises
     ------
     ValueError
         if it is no TOML, names a section, chain or parameter that does not exist, or a value is of another
         type or out of range; in one line that says where.
-    OSError
-        if the file cannot be read.
     """
     content = {} if path is None else read_settings(path)
     known = [*SECTIONS, OTHERS]

@@ -89,10 +89,8 @@ class Event:
 
     Parameters
     ----------
-    moment
-        when and where.
-    kind
-        what it is.
+    moment, kind
+        when and where, and what it is.
     zone
         name of the zone or line; "" of who stands in no zone.
     identity

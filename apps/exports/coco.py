@@ -97,16 +97,13 @@ BITS, GOES_ON, NEGATIVE = 5, 0x20, 0x10
 
 
 def object_masks(foreground: NDArray[np.uint8], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """What of the foreground lies in each box: `(n, height, width)` pixels whose middle is in it.
+    """What of the foreground `(height, width)`, 0 or 255, lies in each box `(n, 4)`: x, y, width, height px.
 
-    A run stores one mask for all of its objects: where boxes overlap, a pixel is taken for both.
-
-    Parameters
-    ----------
-    foreground
-        `(height, width)`, 0 or 255.
-    boxes
-        `(n, 4)` px: x, y, width, height.
+    Returns
+    -------
+    NDArray[np.bool_]
+        `(n, height, width)`: pixels whose middle is in the box. A run stores one mask for all of its objects:
+        where boxes overlap, a pixel is taken for both.
     """
     masks = np.zeros((len(boxes), *foreground.shape), bool)
     for mask, (x, y, width, height) in zip(masks, boxes.tolist(), strict=True):

@@ -23,19 +23,8 @@ SPACE = ["x", "y"]
 def to_movement(run: str | Path, out: str | Path) -> str:
     """Write what a run has tracked as a netCDF file of `movement`, whole or not at all.
 
-    Returns
-    -------
-    str
-        what was written, in words.
-
-    Raises
-    ------
-    ValueError
-        if this is another run, its files are damaged, nothing was tracked, or it is too large for one array.
-    ImportError
-        if `xarray` is not installed.
-    OSError
-        if a file cannot be read or written.
+    Result and errors are as of `to_coco`; it is a ValueError as well if nothing was tracked, or it is too
+    large for one array, and an ImportError if `xarray` is not installed.
     """
     dataset = movement_dataset(run)
     with write_atomically(Path(out)) as unfinished:

@@ -347,8 +347,6 @@ class MaskWriter:
     ----------
     folder
         of the results; made where it is not there.
-    mode
-        `"none"`, `"png"` or `"video"`.
     rate
         pictures per second of the video.
     resume_after

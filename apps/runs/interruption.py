@@ -35,15 +35,7 @@ class Outcome:
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal has ended a run at once.
-
-    Parameters
-    ----------
-    signal
-        its number.
-    what
-        what there is of the run.
-    """
+    """A signal, by its number, has ended a run at once; it says what there is of the run."""
 
     def __init__(self, signal: int, what: str = "interrupted before there was any result") -> None:
         super().__init__(what)

@@ -27,19 +27,8 @@ GIGA = 1e9
 def check_memory(name: str, size: tuple[int, int], per_pixel: float, beside: float = 0) -> None:
     """Refuse a run that would need more memory than there is, before it takes any.
 
-    Parameters
-    ----------
-    name
-        of the source.
-    size
-        `(width, height)` px.
-    per_pixel, beside
-        bytes per pixel, and bytes that do not depend on the size.
-
-    Raises
-    ------
-    ValueError
-        saying what is needed and what is available.
+    A source of `(width, height)` px needs bytes per pixel, and others beside; the ValueError says how many,
+    and how many are available.
     """
     width, height = size
     needed, available = width * height * per_pixel + beside, psutil.virtual_memory().available

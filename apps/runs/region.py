@@ -16,13 +16,8 @@ Mask = NDArray[np.uint8]
 def read_region(text: str, size: tuple[int, int]) -> Mask:
     """Read a region of interest: `(height, width)` uint8, 255 inside and 0 outside.
 
-    Parameters
-    ----------
-    text
-        `x,y,width,height` px, with x and y of the upper left corner from 0; or the name of a picture of the
-        video's size that is not black inside the region.
-    size
-        `(width, height)` px of the video.
+    It is given as `x,y,width,height` px, with x and y of the upper left corner from 0, or as the name of a
+    picture of the video's `size` `(width, height)` px that is not black inside the region.
 
     Raises
     ------

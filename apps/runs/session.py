@@ -66,12 +66,9 @@ class Session:
     def running(self) -> Iterator[None]:
         """Hold the folder's lock; a first SIGINT (Ctrl-C) or SIGTERM is noted, a second one ends the run.
 
-        Raises
-        ------
-        ValueError, OSError
-            if the folder holds other results, or another run writes there.
-        Interrupted
-            if a signal came before there was any result, or a second one; it says how the run goes on.
+        It is a ValueError or OSError if the folder holds other results, or another run writes there, and
+        Interrupted if a signal came before there was any result, or a second one; it says how the run goes
+        on.
         """
         job = self.job
         try:

@@ -128,18 +128,9 @@ Section = tuple[str, Sequence[Part]]
 
 @dataclass(frozen=True, eq=False)
 class TimelineRow:
-    """A thing that is followed over time.
+    """A row over the frames of the film: its identity, label, colour as CSS has it, and spans.
 
-    Parameters
-    ----------
-    identity
-        by which it is selected.
-    label
-        what it is called.
-    colour
-        as CSS has it.
-    spans
-        `(n, 3)`: first and last index of frames in the film, and `SEEN` or `PREDICTED`.
+    These are `(n, 3)`: first and last index of frames in the film, and `SEEN` or `PREDICTED`.
     """
 
     identity: int

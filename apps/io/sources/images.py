@@ -37,17 +37,12 @@ warnings.filterwarnings("ignore", module=r"PIL\.")
 def read_image(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16] | None:
     """Read a picture, turned upright as its EXIF data say; `None` if it is damaged.
 
-    Returns
-    -------
-    NDArray[np.uint8] | NDArray[np.uint16] | None
-        `(height, width)`, or `(height, width, 3)` BGR; transparency is left out.
+    It is `(height, width)`, or `(height, width, 3)` BGR; transparency is left out.
 
     Raises
     ------
     ValueError
         if it has more than `MOST_PIXELS` pixels, or values of neither 8 nor 16 bits.
-    OSError
-        if the file cannot be read at all.
     """
     # Without IMREAD_UNCHANGED, which does not turn the picture.
     image = _decoded(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)

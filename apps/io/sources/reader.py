@@ -67,14 +67,12 @@ class Reader(ABC):
 
     Attributes
     ----------
-    name, kind, live, rate, truncated
+    name, kind, live, rate, truncated, counted, pictures
         as of `Source`.
     header_size
         `(width, height)` px, 0 where only a picture tells.
     total
         frames in the whole source as far as it is stated.
-    counted
-        whether `total` is a count, not worked out from a duration, behind which there may be more.
     last_number
         of the last frame seen, also of those not selected.
     lost
@@ -83,8 +81,6 @@ class Reader(ABC):
         in which the connection was lost, so far.
     notes
         what is out of the ordinary, a sentence each.
-    pictures
-        names of the images' files in order, where it consists of such.
     """
 
     name: str
