@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from cyclopts import Parameter
 
-from ..options.job import Bounds, FilmJob, resolved
+from ..options.job import Bounds, FilmJob
 
 Camera = Literal["fixed", "moving"]
 Engine = Literal["recursive-bp", "feed-forward", "stand-alone", "coordinate-ascent"]
@@ -102,19 +102,11 @@ class BackgroundJob(FilmJob):
         from ..io.tables import digest
         from .parameters import read_parameters, with_defaults
 
-        def content(path: Path | None) -> dict[str, str] | None:
-            return None if path is None else {"file": str(path.resolve()), "sha256": digest(path)}
-
-        return {
-            **super().settings(),
-            "engine": self.engine,
-            "camera": self.camera,
-            "warm_up": self.warm_up,
-            "roi": self.roi,
-            "masks": self.masks,
-            "ground_truth": resolved(self.ground_truth),
-            "detections": content(self.detections),
-            "classes": self.class_names,
-            "zones": content(self.zones),
-            **with_defaults(read_parameters(self.config, self.chain)),
-        }
+        settings = self.plain(
+            (*self.OF_RUNS, "engine", "camera", "warm_up", "roi", "masks", "ground_truth", "detections")
+        )
+        settings |= {"classes": self.class_names, **self.plain(("zones",))}
+        for name in ("detections", "zones"):
+            if (path := getattr(self, name)) is not None:
+                settings[name] = {"file": settings[name], "sha256": digest(path)}
+        return {**settings, **with_defaults(read_parameters(self.config, self.chain))}

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar
 
 from cyclopts import Parameter
 
-from ..options.job import Bounds, FilmJob, resolved
+from ..options.job import Bounds, FilmJob
 
 FEWEST_SAMPLES = 10
 
@@ -53,6 +53,7 @@ class BodyJob(FilmJob):
     samples: int = 1000
     lag: int | None = None
 
+    SETTINGS: ClassVar[Sequence[str]] = ("detector", "joints", "keypoints", "head", "samples", "lag")
     BOUNDS: ClassVar[Bounds] = {
         "samples": (lambda samples: samples >= FEWEST_SAMPLES, f"{FEWEST_SAMPLES} or more"),
         "lag": (lambda frames: 0 <= frames <= MOST_LAG, f"0 to {MOST_LAG} frames"),
@@ -63,18 +64,10 @@ class BodyJob(FilmJob):
     )
 
     def settings(self) -> dict[str, Any]:
-        """What the results depend on, beside the source."""
+        """What the results depend on, beside the source; with the content of the key points."""
         from ..io.keypoints import digest_of
 
-        keypoints = None
+        settings = super().settings()
         if self.keypoints is not None:
-            keypoints = {"file": resolved(self.keypoints), "sha256": digest_of(self.keypoints)}
-        return {
-            "detector": resolved(self.detector),
-            "joints": resolved(self.joints),
-            "keypoints": keypoints,
-            "head": self.head,
-            "samples": self.samples,
-            "lag": self.lag,
-            **super().settings(),
-        }
+            settings["keypoints"] = {"file": settings["keypoints"], "sha256": digest_of(self.keypoints)}
+        return settings

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
-from ..options.job import Bounds, FilmJob, resolved
+from ..options.job import Bounds, FilmJob
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +45,9 @@ class FaceJob(FilmJob):
     experts: int = 20
     gain: float | Literal["learned"] = 0.1
 
+    SETTINGS: ClassVar[Sequence[str]] = (
+        "model", "landmarks", "correspondences", "detector", "experts", "gain",
+    )  # fmt: skip
     BOUNDS: ClassVar[Bounds] = {"experts": (lambda experts: experts >= 1, "1 or more")}
     EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = tuple(
         (option, "--from", "--from says what the face is like")
@@ -57,13 +60,3 @@ class FaceJob(FilmJob):
             raise ValueError(f"--gain: got {self.gain}, expected 0 to 1, or learned")
         if self.landmarks is None and self.correspondences is not None:
             raise ValueError("--correspondences: got them without landmarks, expected --landmarks as well")
-
-    def settings(self) -> dict[str, Any]:
-        """What the results depend on, beside the source."""
-        files = ("model", "landmarks", "correspondences", "detector")
-        return {
-            **{name: resolved(getattr(self, name)) for name in files},
-            "experts": self.experts,
-            "gain": self.gain,
-            **super().settings(),
-        }

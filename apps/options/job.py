@@ -65,6 +65,10 @@ class Job:
     overwrite: OfRuns[Flag] = False
     reconnect: OfRuns[float | None] = None
 
+    SETTINGS: ClassVar[Sequence[str]] = ()
+    OF_RUNS: ClassVar[Sequence[str]] = ("start", "stop", "step")
+    """Fields on which results depend: those of an application, and those of every run."""
+
     BOUNDS: ClassVar[Bounds] = {}
     EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = (("--resume", "--overwrite"),)
     """Pairs of options, perhaps with one of their values, that are not given together, and perhaps why."""
@@ -91,7 +95,14 @@ class Job:
 
     def settings(self) -> dict[str, Any]:
         """What the results depend on, beside the source: a run is resumed only with the same."""
-        return {"start": self.start, "stop": self.stop, "step": self.step}
+        return self.plain((*self.SETTINGS, *self.OF_RUNS))
+
+    def plain(self, names: Sequence[str]) -> dict[str, Any]:
+        """Fields of these names, paths in full as texts."""
+        values = {NAMES.get(name, name): getattr(self, name) for name in names}
+        return {
+            name: str(value.resolve()) if isinstance(value, Path) else value for name, value in values.items()
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,6 +132,7 @@ class FilmJob(Job):
     live: OfRuns[str | None] = None
     video: OfRuns[Flag] = False
 
+    OF_RUNS: ClassVar[Sequence[str]] = ("learned", "start", "stop", "step", "seed")
     BOUNDS: ClassVar[Bounds] = {
         "every": (lambda frames: frames >= 1, "1 or more frames"),
         "seed": (lambda seed: seed >= 0, "0 or more"),
@@ -130,15 +142,6 @@ class FilmJob(Job):
         super().__post_init__()
         if self.live is not None:
             read_address(self.live)
-
-    def settings(self) -> dict[str, Any]:
-        """What the results depend on, beside the source: a run is resumed only with the same."""
-        return {"from": resolved(self.learned), **super().settings(), "seed": self.seed}
-
-
-def resolved(path: Path | None) -> str | None:
-    """A path as it stands in settings."""
-    return None if path is None else str(path.resolve())
 
 
 LOOPBACK = "127.0.0.1"

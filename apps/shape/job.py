@@ -1,12 +1,13 @@
 """What the shape application is asked for."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, ClassVar, Literal
 
 from cyclopts import Parameter
 
-from ..options.job import Flag, Job, resolved
+from ..options.job import Flag, Job
 
 AUTO: Literal["auto"] = "auto"
 
@@ -38,11 +39,4 @@ class ShapeJob(Job):
     resume: Annotated[Flag, Parameter(parse=False)] = False
     reconnect: Annotated[float | None, Parameter(parse=False)] = None
 
-    def settings(self) -> dict[str, Any]:
-        """What the results depend on, beside the source."""
-        return {
-            "bases": self.bases,
-            "smooth": self.smooth,
-            "truth": resolved(self.truth),
-            **super().settings(),
-        }
+    SETTINGS: ClassVar[Sequence[str]] = ("bases", "smooth", "truth")

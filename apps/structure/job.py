@@ -64,10 +64,4 @@ class StructureJob(FilmJob):
         """What the results depend on, beside the source."""
         if self.engine == "recursive-bp":
             return {"engine": self.engine, **super().settings()}
-        return {
-            "coherence": self.coherence,
-            "association": self.association,
-            "camera": self.camera,
-            "focal": self.focal,
-            **Job.settings(self),
-        }
+        return self.plain(("coherence", "association", "camera", "focal", *Job.OF_RUNS))
