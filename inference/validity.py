@@ -630,10 +630,7 @@ class ScoreComparison:
 
 
 def compare_scores(
-    scores: Numbers,
-    groups: ArrayLike,
-    random: np.random.Generator | None = None,
-    resamples: int = 1000,
+    scores: Numbers, groups: ArrayLike, random: np.random.Generator | None = None, resamples: int = 1000
 ) -> ScoreComparison:
     """Judge from log densities whether combining two chains pays; arguments as of `compare`.
 

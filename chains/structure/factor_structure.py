@@ -16,9 +16,7 @@ from .track_association import associate_tracks
 Numbers = NDArray[np.float64]
 
 
-def observations(
-    incoming_over_time: Sequence[BatchIncoming],
-) -> tuple[NDArray[np.int64], Numbers, Numbers]:
+def observations(incoming_over_time: Sequence[BatchIncoming]) -> tuple[NDArray[np.int64], Numbers, Numbers]:
     """Identities `(n,)`, positions `(n_frames, n, 2)` and 1 / variances `(n_frames, n)` of what comes in.
 
     Where there is information about one coordinate only the other one is NaN.

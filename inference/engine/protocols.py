@@ -4,16 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import (
-    Any,
-    Generic,
-    Never,
-    Protocol,
-    Self,
-    TypeVar,
-    cast,
-    overload,
-)
+from typing import Any, Generic, Never, Protocol, Self, TypeVar, cast, overload
 
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr

@@ -397,9 +397,7 @@ def _without_filled(fit: Factorisation, weights: Numbers, half: Mask, missing: M
     total = weights.sum(axis=1)
     seen = 1 - 0.5 * np.where(half, weights, 0.0).sum(axis=1) / np.where(total > 0, total, 1.0)
     return replace(
-        fit,
-        shape_covariance=shape_covariance,
-        camera_covariance=fit.camera_covariance / seen[:, None, None],
+        fit, shape_covariance=shape_covariance, camera_covariance=fit.camera_covariance / seen[:, None, None]
     )
 
 

@@ -330,11 +330,7 @@ def affine_fit(positions: ArrayLike, weights: ArrayLike, cameras: Numbers, shape
 def _refitted(positions: Numbers, weights: Numbers, cameras: Numbers) -> tuple[Numbers, Numbers]:
     observations = Observations.from_arrays(positions, weights)
     found = variable_projection(
-        observations,
-        observations.scaled(cameras),
-        damping=NEAR,
-        tolerance=PRECISION,
-        most_steps=MOST_STEPS,
+        observations, observations.scaled(cameras), damping=NEAR, tolerance=PRECISION, most_steps=MOST_STEPS
     )
     moved = found.cameras * observations.scale
     moved[..., 3] += observations.centre
