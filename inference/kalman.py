@@ -20,8 +20,7 @@ from . import kernels as kalman_kernels
 
 Numbers = NDArray[np.float64]
 
-SHORT = 1e-2
-"""Of a time constant: steps below it have the noise of a position as a series, which keeps its digits."""
+SHORT = 1e-2  # of a time constant: steps below it have the noise of a position as a series
 
 
 class LinearMotion(NamedTuple):

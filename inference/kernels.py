@@ -17,8 +17,7 @@ _NUMBERS = 14
 _ROUNDING = 1e-14
 """Share of the diagonal that is added or kept, so that rounding leaves every covariance positive definite."""
 
-LEAST_SHARE = 1e-12
-"""Of a position's whole information: what the other frames add that is less is lost in rounding."""
+LEAST_SHARE = 1e-12  # of a position's information: what other frames add that is less is rounding
 
 
 @inlined

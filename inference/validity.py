@@ -219,8 +219,7 @@ def symmetric(matrix: Numbers) -> Numbers:
 Bounded = TypeVar("Bounded", float, Numbers)
 Verdict = Literal["helps", "does not help", "not sure"]
 
-LEAST_VARIANCE = 1e-6
-"""Of prediction errors, as a share of the observation's variance: less cannot be told from that noise."""
+LEAST_VARIANCE = 1e-6  # of prediction errors, in the observation's: less is that noise
 
 FEWEST_GROUPS = 20
 """Below so many independent groups there is no verdict: the bootstrap's intervals are too short (they hold

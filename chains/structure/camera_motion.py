@@ -18,10 +18,7 @@ Numbers = NDArray[np.float64]
 
 ROW = 4
 ORDERS = 3
-VAGUE = 1e2
-"""Standard deviation of a camera, its velocity and its acceleration before anything is seen, in extents of
-the picture of the shape (and a second)."""
-
+VAGUE = 1e2  # standard deviation of what is not known yet, in extents of the shape's picture (and a second)
 UNSTEADY = 1e-2  # noise of a motion of which nothing is known, in extents a frame
 
 

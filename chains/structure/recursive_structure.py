@@ -32,11 +32,7 @@ MEDIAN = 2 * np.log(2)  # of squared Mahalanobis distances of positions
 REGISTRATIONS = 5  # rounds in which the camera and the choice of inliers settle, at most
 PRIOR_DEVIATION = 3.0  # standard deviation of a new point's place, in units of the first shape's spread
 MOTION_FRAMES = 48  # last frames from which the noise of the camera's motion is learned
-
-LEARNING_RATE = 0.05
-"""Share by which a frame with many points changes what is known of the noise of positions: of a frame and not
-of a second, since each frame is one more sample of that noise."""
-
+LEARNING_RATE = 0.05  # share by which a frame with many points changes what is known of the noise
 LEAST_SCALE = 1e-4  # of that scale: a hundredth of the standard deviation that is stated
 MOST_CORRELATION = 0.9  # of a point's errors from one frame to the next; then 19 observations are worth one
 MANY = 10  # points of a frame from which on it counts as one with many
@@ -363,10 +359,7 @@ def _with_learned_noise(structure: Structure, found: Registration, elapsed: floa
 
 LEAST_SEEN = 6  # points that a frame has to show to be kept
 LEAST_FRAMES = 3  # frames that have to show a point for it to be part of the first shape
-
-FIRST_FRAMES, MOST_FRAMES, STEP = 8, 32, 4
-"""Frames that are kept at the first attempt, at most, and from one attempt to the next."""
-
+FIRST_FRAMES, MOST_FRAMES, STEP = 8, 32, 4  # frames that are kept at first, at most, and between attempts
 CLEAR = 4.0  # how far the shape's third direction must stand out of what noise alone would give for one
 UNEVEN = 3.0  # mean over usual squared error from which on there are outliers
 TRIMMINGS = 4  # rounds in which outliers are dropped, at most

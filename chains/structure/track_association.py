@@ -25,13 +25,9 @@ Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99)  # of the variance, that may be drift
-MEMORIES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0, 20.0)
-"""Frames in which drift may be forgotten: longer ones cannot be told from another position of the point."""
-
-STEPS, PRECISION = 50, 1e-3
-"""Of the variance of the noise: at most so many, and until it changes by no more than this share."""
-MOST_RESIDUALS = 10_000
-"""Of more, about so many are asked, those of every n-th point: they say variances to a hundredth or two."""
+MEMORIES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0, 20.0)  # frames in which drift may be forgotten
+STEPS, PRECISION = 50, 1e-3  # of the variance of the noise: at most so many, to this share
+MOST_RESIDUALS = 10_000  # of more, those of every n-th point say variances to a hundredth or two
 ROUNDING = 1e-12  # share of the squares of positions below which errors are rounding
 
 
@@ -248,8 +244,7 @@ def pooled_positions(membership: csr_array, positions: Numbers, weights: Numbers
         return sums.transpose(1, 0, 2) / np.where(each > 0, each, np.nan), each.max(axis=2)
 
 
-MOST_SHARE, LEAST_SHARE, SHARE_STEPS = 0.1, 1e-9, 50
-"""Of pairs that are at one place: at most, and to begin with; at the least; steps of EM."""
+MOST_SHARE, LEAST_SHARE, SHARE_STEPS = 0.1, 1e-9, 50  # of pairs at one place: most, least, steps of EM
 
 
 def log_odds_of_new(gains: Numbers, apart: NDArray[np.bool_]) -> float:
@@ -272,28 +267,17 @@ def _share_in_one_place(gains: Numbers) -> float:
 
 
 NEW_POINT = 0.1  # prior probability that a track shows a point that no other one shows, at the least
-
-MARGINS = (3.0, 1.5, 0.0)
-"""Nats by which a union has to be likelier than what it excludes: round by round, as cameras get better."""
-
+MARGINS = (3.0, 1.5, 0.0)  # nats by which a union has to be likelier than what it excludes, round by round
 MOST_ROUNDS = 6
 SOFT_ROUNDS = 4
-ITERATIONS, LAST_ITERATIONS = 50, 500
-"""Of EM after each change of who shows what, from the cameras before; and at the end."""
-
+ITERATIONS, LAST_ITERATIONS = 50, 500  # of EM after each change of who shows what, and at the end
 SURE = 0.99  # probability from which a track is said to show a point
-
-DETERMINED = 0.15
-"""A point is one if its positions in all frames are known to this share of the spread of all points."""
-
+DETERMINED = 0.15  # share of the spread of all points to which one has to be known in all frames
 MOSTLY = 0.5  # share of the tracks from which being the only one of a point is what is to be expected
 LEAST_VIEWS = 2  # frames of a track that is a point of its own: fewer leave its depth open
 FAR = 64.0  # squared standard deviations: a point is not tried for a track whose middle is farther than eight
 TORN = 0.05  # product of probabilities from which a track is torn between two points
-
-MOST_TOGETHER = 500
-"""Tracks with most observations whose joint posterior is computed; others are only assigned at the end."""
-
+MOST_TOGETHER = 500  # tracks with most observations that have a joint posterior; others are only assigned
 AT_ONCE = 0.05  # unions between two comparisons of all pairs, as a share of the points
 
 

@@ -23,8 +23,7 @@ from .protocols import (
 
 IMAGE = "image"  # name of the observation in the graph
 
-Step = tuple[str, str]
-"""One message of a time slice: its sender (a chain, or `IMAGE`) and the feature node that it goes to."""
+Step = tuple[str, str]  # one message of a time slice: its sender (a chain, or `IMAGE`) and the feature
 
 Method = TypeVar("Method", bound=Callable[..., Any], covariant=True)
 

@@ -16,10 +16,7 @@ from ..optimisation import Damping, levenberg_marquardt
 Numbers = NDArray[np.float64]
 
 LEAST_VIEWS = 3  # two views of a rigid shape leave its depth open (bas-relief)
-
-DETERMINED = 0.1
-"""A metric is one if stretches of space are known to about a tenth (one standard deviation of their log)."""
-
+DETERMINED = 0.1  # standard deviation of the log of stretches of space with which a metric is one
 CLEAR = 4.0  # by what factor a direction must stand out of what noise alone would make of one (in squares)
 FLAT = 1e-10  # share of the cameras' squares that is rounding
 OPEN = 1e-12  # share of the information on stretches that is rounding

@@ -30,9 +30,7 @@ moves; shifts, turns and zooms of the picture; a camera that turns and zooms whe
 few tracks are long enough to tell."""
 
 MOST_PAIRS = 12
-LEAST_SHARED = 8
-"""Tracks that two pictures have in common: twice those that a homography goes through whatever they
-do."""
+LEAST_SHARED = 8  # tracks of two pictures: twice those that any homography goes through
 
 AS_WELL = 1.5
 """Variance about a plainer map, in that about the best homography, up to which it explains as much: lenses
@@ -44,14 +42,11 @@ leaves two thirds and more."""
 
 MOST = 0.8  # share of the tracks that are believed: some of a tracker's jump to other points
 TRIMMED_STEPS = 5
-ROUNDING = 1e-12
-"""Variance, in squares of the tracks' extent, that is none: of pictures that are all the same."""
+ROUNDING = 1e-12  # variance, in squares of the tracks' extent, that is none
 
 FOCAL_LENGTHS = (0.7, 3.0)
 """In the tracks' extent: where the search for a camera that turns begins, wide and narrow."""
-SHORTEST, LONGEST = 0.4, 100.0
-"""In the tracks' extent: the shortest sees 100 degrees; wider, a camera that turns explains planes, too."""
-
+SHORTEST, LONGEST = 0.4, 100.0  # in the tracks' extent: wider, a camera that turns explains planes, too
 MOST_LOOKED_AT = 8  # pairs of pictures from which the motion is told where no track says it
 FEATURES = 500
 FEWEST_MATCHES = 10

@@ -187,10 +187,7 @@ half as exact, and a fortieth of a pixel."""
 
 THINNEST = 16  # px, of a side of the finest level, below which a picture is too thin to be registered
 LOCAL_MEAN = 15  # px, side of the square about a pixel whose mean is taken off its value
-
-STEPS, SMALL = 12, 0.01
-"""Gauss-Newton steps at most on each level, and px of a step after which there is no other."""
-
+STEPS, SMALL = 12, 0.01  # Gauss-Newton steps at most on each level, and px of one that is the last
 LEAST_NOISE = 1.0  # grey levels: residuals are not smaller than that for long, rounding alone makes a third
 LARGEST = 30.0  # grey levels: a residual that is larger is no worse
 WORTH = 0.25  # independent observations in one point's: band-passed neighbours share their noise
@@ -377,9 +374,7 @@ def _cut(values: Numbers) -> Numbers:
     return np.clip(values, -usual, usual)
 
 
-LEAST_CORRELATION = 0.25
-"""Below which a frame is not like the scene wherever the camera looks: chance makes 0.1."""
-
+LEAST_CORRELATION = 0.25  # below it a frame is not like the scene anywhere: chance makes 0.1
 _CAMERA = np.zeros(1, np.int64)  # the one thing that the Gaussians are about
 
 

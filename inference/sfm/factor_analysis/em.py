@@ -214,13 +214,8 @@ class CameraEstimate:
     better: CameraPrior
 
 
-FIRST_SPREAD = (1e2, 0.1, 0.01)
-"""With coherence: variances of m, m', m'' in the first frame; broad, as shape and positions are about 1."""
-
-LEAST_JITTER = 1e-3
-"""With coherence: by what the motion's noise is expected to change rows over all frames, at the least."""
-
-
+FIRST_SPREAD = (1e2, 0.1, 0.01)  # with coherence: variances of m, m', m'' in the first frame; broad
+LEAST_JITTER = 1e-3  # with coherence: by what noise is expected to change rows over all frames, at the least
 LONGEST_STEP = 1e3  # factor by which a variance of the motion may grow at once
 
 
@@ -274,10 +269,7 @@ def _pooled(values: Numbers) -> Numbers:
 
 
 WINDOW = 10  # iterations over which the rise of the bound is judged
-
-LEARNING = 2
-"""Iterations from one to the next in which the cameras' prior is learned; it costs another smoother."""
-
+LEARNING = 2  # iterations from one to the next in which the prior is learned; it costs another smoother
 ROUNDING = 1e-9  # relative error of the bound, a sum of numbers that nearly cancel
 
 

@@ -148,9 +148,7 @@ def _in_gauge(
     return moved, turned / size - middle / size, turn @ inverses @ turn.T
 
 
-LOOSEST = 100.0
-"""Standard deviation, in spreads of the shape, of a direction in which observations leave a point open."""
-
+LOOSEST = 100.0  # standard deviation, in spreads of the shape, of a direction that is left open
 HALF = 0.5  # a point that is known to this share of the spread of all has its say in what that spread is
 
 
@@ -245,8 +243,7 @@ def _completed(observations: Observations, posterior: Posterior, frames: Mask, p
 
 Start = Literal["grow", "svd"]
 
-FILLED = 1e-3
-"""Mean change of coordinates that are filled in, in the noise's standard deviation, with which they are."""
+FILLED = 1e-3  # mean change of filled coordinates, in the noise's standard deviation, that ends filling
 MOST_FILLINGS = 50
 
 
@@ -542,23 +539,15 @@ def predicted(factorisation: Factorisation) -> tuple[Numbers, Numbers]:
 MOST_ROUNDS = 20
 SETTLED = 0.002  # mean change of the probabilities of being right with which the rounds end
 ITERATIONS = 50  # of EM in a round: the next one goes on from there
-
-FAREST = 25.0
-"""Variance of outliers over that of right positions, at the least: closer ones are noise, and are needed."""
-
-LEAST_FREE = 0.02
-"""Share of an observation that its own point leaves free, at the least: of less, rounding decides."""
-
-FIRST_ROUNDS = 3
-"""In which the variance of right positions is that of their median: the mean is still that of outliers."""
+FAREST = 25.0  # variance of outliers over that of right positions, at the least: closer ones are needed
+LEAST_FREE = 0.02  # share of an observation that its own point leaves free, at the least
+FIRST_ROUNDS = 3  # in which the variance of right positions is that of their median
 
 FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.05, 1e-4, 0.2
 """Of outliers: to begin with, at the least, and at most. Where more do not fit, the camera is not affine (a
 plane seen from near leaves its corners over), and nothing is an outlier."""
 
-ROUNDING, TINY = 1e-12, 1e-300
-"""Of the largest square, and absolutely: the least variance, for positions without noise."""
-
+ROUNDING, TINY = 1e-12, 1e-300  # of the largest square, and absolutely: the least variance
 MEDIAN = 2 * float(np.log(2))  # of the squared length of a vector of two standard normal numbers
 TRUSTED = 0.5  # probability from which a position is taken to be right
 

@@ -22,8 +22,7 @@ CANDIDATES = 4  # so many windows of each length are judged closely
 VIEWS = 3  # frames that show a point, for it to come in
 ROUNDS, LAST_ROUNDS = 3, 10  # of refinement, after frames or points came in, and at the end
 RIDGE = 1e-9
-FORESIGHT = 3.0
-"""Variance up to which frames are foreseen together, of that of the one which is foreseen best."""
+FORESIGHT = 3.0  # variance up to which frames are foreseen together, of that of the best one
 
 
 @dataclass(frozen=True)

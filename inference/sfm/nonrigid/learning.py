@@ -46,14 +46,9 @@ from .shape import (
 
 Numbers = NDArray[np.float64]
 
-USUAL_DEPTH = 0.7
-"""Of objects that do not turn enough to show it, in root mean squares of their width and height."""
-
+USUAL_DEPTH = 0.7  # of objects that hardly turn, in root mean squares of their width and height
 RIGID_ITERATIONS = 60
-
-SMOOTH = np.radians(5)
-"""Standard deviation of an object's turn from frame to frame, where it is doubtful which way it turns."""
-
+SMOOTH = np.radians(5)  # standard deviation of a turn from frame to frame, where it is doubtful which way
 DOUBT = 100.0  # of a deforming object the likelihood of a rigid one says so many times less than it seems
 TURNED_OVER = np.radians(15)  # poses that differ by so much are two ways of seeing the same picture
 TOLERANCE = 1e-5  # nats a coordinate, for what comes before the last climb
@@ -288,12 +283,8 @@ FIRST_ROUND, SECOND_ROUND, PRUNING_ROUND = 40, 100, 40
 """Iterations of all starts, of the best ones, and of a shape after modes were taken away."""
 KEPT = 3  # starts that go on to the second round
 SAME = 0.01  # shapes that differ by so little, as `shape_error` measures, are one optimum
-NEARLY = 0.05
-"""Optima are as good as each other if their noise differs by no more than this share: so much is left to
-chance by what the model leaves out."""
-
-RANKS = (6, 9, 15, 24)
-"""Of the factorisations whose rotations are tried, beside three times the numbers of bases."""
+NEARLY = 0.05  # optima are as good as each other if their noise differs by no more than this share
+RANKS = (6, 9, 15, 24)  # of factorisations whose rotations are tried, beside thrice the numbers of bases
 
 
 @dataclass(frozen=True, eq=False)
@@ -639,8 +630,7 @@ ALIKE = 3.0
 It is 1 for one point, if covariances are honest. Its errors are alike over time, so that the mean over a
 short track spreads as a chi-square of few degrees of freedom would: 3 is its 95 % point for two of them.
 """
-SHARP = 0.1
-"""Places are expected to this share of the object's size, or another track cannot be told from them."""
+SHARP = 0.1  # places are expected to this share of the object's size, or tracks cannot be told apart
 ROUNDS = 3
 
 

@@ -31,12 +31,8 @@ from .kernels import (
     triangulate,
 )
 
-HEAVIEST, LIGHTEST = 3.0, 100.0
-"""Degrees of freedom that are considered: Cauchy's distribution, and one that is as good as normal."""
-
-HARDLY = 0.1
-"""Share of its weight that is left to an outlier; with the heaviest tails it is reached at 5 deviations."""
-
+HEAVIEST, LIGHTEST = 3.0, 100.0  # degrees of freedom: Cauchy's distribution, and as good as normal
+HARDLY = 0.1  # share of its weight that is left to an outlier: at 5 deviations with the heaviest tails
 LEAST_VARIANCE = 1e-8  # px^2, below which rounding decides
 MOST_ROUNDS = 50
 ACCURACY = 1e-4  # of the logarithm of the variance
@@ -125,10 +121,7 @@ class StudentNoise:
 
 DAMPING = Damping(1e-3, least=1e-9, most=1e9)
 STILL = 3  # steps in a row that hardly gain: one may be short because it was damped
-
-BEHIND = 1e6
-"""px^2: the squared distance that stands for a point behind a camera, and the largest that is told apart."""
-
+BEHIND = 1e6  # px^2, that stands for a point behind a camera, and the largest that is told apart
 GAUGE = 7  # numbers of a shape's place, turn and size, which no film shows
 
 
@@ -307,8 +300,7 @@ def _moved(
 
 
 HELD = 1e6  # information on the gauge, in that on a number of a camera: so much that it does not vary
-OPEN = 1e-10
-"""Information, in that on a number of a camera if all points were known, below which it is rounding."""
+OPEN = 1e-10  # information, in that if all points were known, below which it is rounding
 
 
 @dataclass(frozen=True, eq=False)

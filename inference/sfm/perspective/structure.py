@@ -38,8 +38,7 @@ from .bundle_adjustment import (
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
-AGREEING_DISTANCE = 2.0
-"""px, within which an observation agrees with a camera and a point: some deviations of usual trackers."""
+AGREEING_DISTANCE = 2.0  # px, between an observation and where camera and point have it
 SURE = 0.999  # probability with which a sample without outlier is found
 MOST_VIEWS = 16  # frames, evenly spread, of which pairs are tried for the beginning
 MOST_PAIRS = 12  # pairs of these with most shared motion, whose essential matrix is found
@@ -339,16 +338,12 @@ def _refitted(positions: Numbers, weights: Numbers, cameras: Numbers) -> tuple[N
 
 Start = tuple[PerspectiveCameras, Numbers]
 
-FOCAL_STARTS = (0.8, 1.5, 3.0)
-"""Focal lengths to grow with, in widths of the picture: from 64 degrees wide, as of phones, to 19."""
-AFFINE_STARTS = (1.0, 2.0)
-"""And those for an affine structure, which is quicker to have but may need them for either mirror image."""
-
+FOCAL_STARTS = (0.8, 1.5, 3.0)  # focal lengths to grow with, in widths of the picture: 64 to 19 degrees
+AFFINE_STARTS = (1.0, 2.0)  # and those for an affine structure, which may need them for either mirror image
 TRIAL_STEPS = 15  # steps of bundle adjustment in each of two rounds after which starts are compared
 FINALISTS = 2  # starts that go on after that
 MOST_ROUNDS = 6  # of bundle adjustment and new points, at the end
-SETTLED = 3.0
-"""Nats: a round that gains less is the last. It is the evidence of no more than one number in a film."""
+SETTLED = 3.0  # nats: a round that gains less is the last
 
 
 def affine_starts(
