@@ -9,7 +9,7 @@ above its error, on the rotations of a deforming shape 1.5 times. It serves wher
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,15 +40,6 @@ class Damping:
     most: float = 1e10
 
 
-@dataclass(frozen=True, eq=False)
-class Minimum(Generic[Place]):
-    """Where the loop has ended: the best place, the damping of the next step, and how many were tried."""
-
-    place: Place
-    damping: float
-    steps: int
-
-
 def levenberg_marquardt(
     start: Place,
     linearised: Callable[[Place], Callable[[float], Place | None]],
@@ -57,8 +48,8 @@ def levenberg_marquardt(
     *,
     most_steps: int,
     patience: int = 1,
-) -> Minimum[Place]:
-    """Lower an error step by step, as far as it goes.
+) -> tuple[Place, float]:
+    """Lower an error step by step, as far as it goes; the best place, and the damping of the next step.
 
     Parameters
     ----------
@@ -90,7 +81,7 @@ def levenberg_marquardt(
         place, step = reached, None
         if still == patience:
             break
-    return Minimum(place, added, tried)
+    return place, added
 
 
 RIDGE = 1e-10

@@ -222,7 +222,7 @@ def _refined(rows: Numbers, spread: Numbers | None, root: Numbers) -> tuple[Numb
         lambda before, after: after.step < SHORT,
         DAMPING,
         most_steps=MOST_STEPS,
-    ).place
+    )[0]
     known = np.linalg.eigvalsh(found.normal)
     if known[0] <= OPEN * known[-1]:
         return found.root, np.inf

@@ -124,7 +124,7 @@ def variable_projection(
         Damping(damping, least=LEAST_DAMPING, most=MOST_DAMPING),
         most_steps=most_steps,
         patience=STILL,
-    ).place
+    )[0]
 
 
 def _in_gauge(

@@ -544,5 +544,5 @@ def _turned(
         return step
 
     damped = replace(DAMPING, first=damping)
-    found = levenberg_marquardt(state, linearised, lambda *_: True, damped, most_steps=MOST_STEPS)
-    return found.place, DAMPING.first if found.place is state else found.damping
+    reached, after = levenberg_marquardt(state, linearised, lambda *_: True, damped, most_steps=MOST_STEPS)
+    return reached, DAMPING.first if reached is state else after

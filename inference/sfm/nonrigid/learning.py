@@ -249,7 +249,7 @@ def _corrected(motion: Numbers, first: Numbers) -> _Corrected:
         ),
         ROWS_DAMPING,
         most_steps=MOST_TRIED,
-    ).place
+    )[0]
 
 
 def _violations(rows: Numbers) -> Numbers:

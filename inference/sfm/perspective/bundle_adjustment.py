@@ -217,7 +217,7 @@ def adjust(
         DAMPING,
         most_steps=most_steps,
         patience=STILL,
-    ).place
+    )[0]
 
 
 def retriangulated(listed: Listed, found: Bundle) -> Numbers:
