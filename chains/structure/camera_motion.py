@@ -6,6 +6,7 @@ are seen through the same points, so they share one covariance.
 """
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,45 +52,42 @@ class CameraMotion:
         """`(4, 4)`, of either row."""
         return self.covariance[:ROW, :ROW]
 
+    @classmethod
+    def vague(cls, extent: float, noise: Numbers) -> Self:
+        """A camera of which nothing is known, before a shape that appears about `extent` px large."""
+        return cls(np.zeros((2, ORDERS * ROW)), (VAGUE * extent) ** 2 * np.eye(ORDERS * ROW), noise)
 
-def vague(extent: float, noise: Numbers) -> CameraMotion:
-    """A camera of which nothing is known, before a shape that appears about `extent` px large."""
-    return CameraMotion(np.zeros((2, ORDERS * ROW)), (VAGUE * extent) ** 2 * np.eye(ORDERS * ROW), noise)
+    def predict(self, dt: float) -> Self:
+        """The camera `dt` seconds on; a negative `dt` is a `ValueError`.
 
+        Eq. (19), with noise that acts all the time: two steps do the same as one of their length.
+        """
+        steps = kinematic(ORDERS, dt).along(ROW).transition
+        covariance = steps @ self.covariance @ steps.T
+        added = np.zeros((ORDERS, ORDERS, ROW))
+        for order in range(1, ORDERS + 1):  # noise of a derivative moves those below it
+            density = self.noise[order - 1, [0, 0, 0, 1]]
+            added[:order, :order] += kinematic(order, dt).noise[:, :, None] * density
+        for number in range(ROW):
+            covariance[number::ROW, number::ROW] += added[:, :, number]
+        return replace(self, mean=self.mean @ steps.T, covariance=0.5 * (covariance + covariance.T))
 
-def predict(motion: CameraMotion, dt: float) -> CameraMotion:
-    """The camera `dt` seconds on; a negative `dt` is a `ValueError`.
+    def shaken(self, variance: float) -> Self:
+        """The camera after a jerk that adds `variance` (px^2) to each number of its rows."""
+        covariance = self.covariance.copy()
+        covariance[range(ROW), range(ROW)] += variance
+        return replace(self, covariance=covariance)
 
-    Eq. (19), with noise that acts all the time: two steps do the same as one of their length.
-    """
-    steps = kinematic(ORDERS, dt).along(ROW).transition
-    covariance = steps @ motion.covariance @ steps.T
-    added = np.zeros((ORDERS, ORDERS, ROW))
-    for order in range(1, ORDERS + 1):  # noise of a derivative moves those below it
-        density = motion.noise[order - 1, [0, 0, 0, 1]]
-        added[:order, :order] += kinematic(order, dt).noise[:, :, None] * density
-    for number in range(ROW):
-        covariance[number::ROW, number::ROW] += added[:, :, number]
-    return replace(motion, mean=motion.mean @ steps.T, covariance=0.5 * (covariance + covariance.T))
-
-
-def shaken(motion: CameraMotion, variance: float) -> CameraMotion:
-    """The camera after a jerk that adds `variance` (px^2) to each number of its rows."""
-    covariance = motion.covariance.copy()
-    covariance[range(ROW), range(ROW)] += variance
-    return replace(motion, covariance=covariance)
-
-
-def update(motion: CameraMotion, information: Numbers, vector: Numbers) -> CameraMotion:
-    """The camera updated with a frame: information `(4, 4)` of either row, vector `(2, 4)` of u and v."""
-    seen = motion.covariance[:, :ROW]
-    shrink = np.linalg.inv(np.eye(ROW) + information @ seen[:ROW])
-    mean = motion.mean + (vector - motion.camera @ information) @ shrink.T @ seen.T
-    covariance = motion.covariance - seen @ (shrink @ information) @ seen.T
-    # the block that is seen as a product: a difference of large numbers would lose sharp information
-    covariance[:ROW] = (seen @ shrink).T
-    covariance[:, :ROW] = covariance[:ROW].T
-    return replace(motion, mean=mean, covariance=0.5 * (covariance + covariance.T))
+    def update(self, information: Numbers, vector: Numbers) -> Self:
+        """The camera updated with a frame: information `(4, 4)` of either row, vector `(2, 4)` of u and v."""
+        seen = self.covariance[:, :ROW]
+        shrink = np.linalg.inv(np.eye(ROW) + information @ seen[:ROW])
+        mean = self.mean + (vector - self.camera @ information) @ shrink.T @ seen.T
+        covariance = self.covariance - seen @ (shrink @ information) @ seen.T
+        # the block that is seen as a product: a difference of large numbers would lose sharp information
+        covariance[:ROW] = (seen @ shrink).T
+        covariance[:, :ROW] = covariance[:ROW].T
+        return replace(self, mean=mean, covariance=0.5 * (covariance + covariance.T))
 
 
 def learned_noise(

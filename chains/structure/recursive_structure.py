@@ -20,8 +20,7 @@ from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.numerics.densities import squared_distances
 from ...models.points.point_tracks import NOWHERE, PointMessage, PointTracks
-from . import camera_motion
-from .camera_motion import CameraMotion
+from .camera_motion import CameraMotion, learned_noise
 
 Numbers = NDArray[np.float64]
 Identities = NDArray[np.int64]
@@ -131,7 +130,7 @@ class Registration:
     Parameters
     ----------
     motion, information, vector
-        updated with the frame, and what that says, as `camera_motion.update` takes it.
+        updated with the frame, and what that says, as `CameraMotion.update` takes it.
     cameras, leverages
         `(n, 2, 4)` and `(n,)`: for every known point the camera that the others show, and the variance
         (px^2, in u and in v) that its uncertainty gives the point's position.
@@ -183,11 +182,11 @@ def register(structure: Structure, seen: ObservedPoints) -> Registration:
     inliers = distances(before, np.zeros(len(points), bool)) <= GATE
     if 2 * inliers.sum() < len(inliers):
         # A jerk: of the camera next to nothing is known from before, by as much as the points are off.
-        before = camera_motion.shaken(before, float(np.median(off)))
+        before = before.shaken(float(np.median(off)))
         inliers = distances(before, np.zeros(len(points), bool)) <= GATE
     for _ in range(REGISTRATIONS):
         information, vector = camera_information(points, positions, np.where(inliers, 1 / noise, 0.0))
-        motion = camera_motion.update(before, information, vector)
+        motion = before.update(information, vector)
         settled, inliers = inliers, distances(motion, inliers) <= GATE
         if np.array_equal(inliers, settled):
             break
@@ -343,9 +342,7 @@ def _with_learned_noise(structure: Structure, found: Registration, elapsed: floa
     )
     noise = structure.motion.noise
     if len(evidence.times) > 1:
-        noise = camera_motion.learned_noise(
-            noise, evidence.information, evidence.vector, evidence.times, structure.extent
-        )
+        noise = learned_noise(noise, evidence.information, evidence.vector, evidence.times, structure.extent)
     return replace(
         structure,
         noise_scale=scale,
@@ -458,15 +455,15 @@ def first_structure(window: Window) -> Structure | None:
         for where, precision, noise in zip(positions, precisions, of_shape, strict=True)
     ]
     information, vector = (np.array(parts) for parts in zip(*of_camera, strict=True))
-    motion_noise = camera_motion.learned_noise(None, information, vector, times, extent, ROUNDS)
-    motion = camera_motion.vague(extent, motion_noise)
+    motion_noise = learned_noise(None, information, vector, times, extent, ROUNDS)
+    motion = CameraMotion.vague(extent, motion_noise)
     for k in range(len(times)):
         if k:
-            motion = camera_motion.predict(motion, float(times[k] - times[k - 1]))
-        motion = camera_motion.update(motion, information[k], vector[k])
+            motion = motion.predict(float(times[k] - times[k - 1]))
+        motion = motion.update(information[k], vector[k])
     now = float(window.times[-1])
     if now > times[-1]:
-        motion = camera_motion.predict(motion, now - float(times[-1]))
+        motion = motion.predict(now - float(times[-1]))
     last_seen = times[len(times) - 1 - np.argmax(seen[::-1], axis=0)]
     return Structure(
         identities=window.identities[points],
@@ -595,7 +592,7 @@ class RecursiveStructure:
         """The camera moves on, the shape stays."""
         structure = state.structure
         if structure is not None:
-            motion = camera_motion.predict(structure.motion, dt)
+            motion = structure.motion.predict(dt)
             structure = replace(structure, motion=motion, unseen=structure.unseen + dt)
         return replace(state, time=state.time + dt, elapsed=state.elapsed + dt, structure=structure)
 

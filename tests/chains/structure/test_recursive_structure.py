@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.chains.points.point_tracker import PointTracker
-from rsmcm.chains.structure import camera_motion as motion_filter
-from rsmcm.chains.structure.camera_motion import CameraMotion
+from rsmcm.chains.structure.camera_motion import CameraMotion, learned_noise
 from rsmcm.chains.structure.recursive_structure import (
     GATE,
     LEAST_SEEN,
@@ -141,8 +140,8 @@ def picture(structure: Structure, truth: Numbers, seed: int = 0) -> ObservedPoin
 def test_two_predictions_are_one_of_their_length(seed: int, first: float, second: float) -> None:
     random = np.random.default_rng(seed)
     motion = CameraMotion(random.normal(size=(2, 12)), np.eye(12), random.random((3, 2)))
-    twice = motion_filter.predict(motion_filter.predict(motion, first), second)
-    once = motion_filter.predict(motion, first + second)
+    twice = motion_filter.predict(motion.predict(first), second)
+    once = motion.predict(first + second)
     np.testing.assert_allclose(twice.mean, once.mean, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(twice.covariance, once.covariance, rtol=1e-9, atol=1e-9)
 
@@ -157,7 +156,7 @@ def test_prediction_is_equation_19() -> None:
         for _ in range(n_steps):
             covariance = taylor @ covariance @ taylor.T + step * np.diag(rates[:, kind])
         still = CameraMotion(np.zeros((2, 12)), np.zeros((12, 12)), rates)
-        predicted = motion_filter.predict(still, 1.0).covariance[component::4, component::4]
+        predicted = still.predict(1.0).covariance[component::4, component::4]
         np.testing.assert_allclose(predicted, covariance, rtol=0.02)
 
 
@@ -170,7 +169,7 @@ def test_update_is_that_of_joint_gaussians(seed: int, decades: float) -> None:
     points = 10**decades * random.normal(size=(7, 4))
     positions = random.normal(size=(7, 2))
     information, vector = points.T @ points, positions.T @ points
-    found = motion_filter.update(motion, information, vector)
+    found = motion.update(information, vector)
     gain = motion.covariance[:, :4] @ points.T
     gain = gain @ np.linalg.inv(points @ motion.covariance[:4, :4] @ points.T + np.eye(7))
     mean = motion.mean + (positions.T - motion.mean[:, :4] @ points.T) @ gain.T
@@ -183,12 +182,12 @@ def test_update_is_that_of_joint_gaussians(seed: int, decades: float) -> None:
 
 def test_a_vague_camera_takes_sharp_information() -> None:
     """Covariances stay positive definite over 16 decades."""
-    motion = motion_filter.vague(100.0, np.full((3, 2), 1e-6))
+    motion = CameraMotion.vague(100.0, np.full((3, 2), 1e-6))
     points = homogeneous(np.random.default_rng(0).normal(size=(50, 3)))
     for _ in range(100):
-        motion = motion_filter.update(motion, 1e6 * points.T @ points, np.zeros((2, 4)))
+        motion = motion.update(1e6 * points.T @ points, np.zeros((2, 4)))
         assert np.linalg.eigvalsh(motion.covariance[:4, :4])[0] > 0
-        motion = motion_filter.predict(motion, DT)
+        motion = motion.predict(DT)
         assert np.linalg.eigvalsh(motion.covariance)[0] > -1e-9 * np.trace(motion.covariance)
 
 
@@ -200,7 +199,7 @@ def test_noise_of_the_motion_is_learned() -> None:
         rates = np.full((3, 2), 1e-6)
         rates[order] = (50.0, 400.0, 4000.0)[order]
         motion = CameraMotion(np.zeros((2, 12)), np.zeros((12, 12)), rates)
-        root = np.linalg.cholesky(motion_filter.predict(motion, DT).covariance + 1e-12 * np.eye(12))
+        root = np.linalg.cholesky(motion.predict(DT).covariance + 1e-12 * np.eye(12))
         row, vectors = np.zeros((2, 12)), []
         for _ in range(300):
             row = motion_filter.predict(replace(motion, mean=row), DT).mean
@@ -209,9 +208,9 @@ def test_noise_of_the_motion_is_learned() -> None:
             vectors.append(positions.T @ points / 0.01)
         information = np.tile(points.T @ points / 0.01, (300, 1, 1))
         times = DT * np.arange(300)
-        found = motion_filter.learned_noise(None, information, np.array(vectors), times, 100.0, 200)
+        found = learned_noise(None, information, np.array(vectors), times, 100.0, 200)
         assert 0.1 < found[order, 0] / rates[order, 0] < 10
-        more = motion_filter.learned_noise(found, information, np.array(vectors), times, 100.0)
+        more = learned_noise(found, information, np.array(vectors), times, 100.0)
         np.testing.assert_allclose(more[order], found[order], rtol=0.1)
 
 
