@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.chains.points.point_tracker import PointTracker
-from rsmcm.chains.structure.camera_motion import CameraMotion, learned_noise
 from rsmcm.chains.structure.recursive_structure import (
     GATE,
     LEAST_SEEN,
@@ -19,6 +18,7 @@ from rsmcm.chains.structure.recursive_structure import (
     MOTION_FRAMES,
     OUTLIER_TIME,
     CameraEvidence,
+    CameraMotion,
     ObservedPoints,
     RecursiveStructure,
     Structure,
@@ -27,6 +27,7 @@ from rsmcm.chains.structure.recursive_structure import (
     add_points,
     first_structure,
     intersect,
+    learned_noise,
     register,
     updated,
 )
@@ -140,7 +141,7 @@ def picture(structure: Structure, truth: Numbers, seed: int = 0) -> ObservedPoin
 def test_two_predictions_are_one_of_their_length(seed: int, first: float, second: float) -> None:
     random = np.random.default_rng(seed)
     motion = CameraMotion(random.normal(size=(2, 12)), np.eye(12), random.random((3, 2)))
-    twice = motion_filter.predict(motion.predict(first), second)
+    twice = motion.predict(first).predict(second)
     once = motion.predict(first + second)
     np.testing.assert_allclose(twice.mean, once.mean, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(twice.covariance, once.covariance, rtol=1e-9, atol=1e-9)
@@ -202,7 +203,7 @@ def test_noise_of_the_motion_is_learned() -> None:
         root = np.linalg.cholesky(motion.predict(DT).covariance + 1e-12 * np.eye(12))
         row, vectors = np.zeros((2, 12)), []
         for _ in range(300):
-            row = motion_filter.predict(replace(motion, mean=row), DT).mean
+            row = replace(motion, mean=row).predict(DT).mean
             row = row + random.normal(size=(2, 12)) @ root.T
             positions = points @ row[:, :4].T + 0.1 * random.normal(size=(30, 2))
             vectors.append(positions.T @ points / 0.01)
