@@ -125,14 +125,8 @@ class Reconstruction:
     @property
     def reprojection_error(self) -> float:
         """Root mean square distance between observations and positions, px."""
-        return _root_mean(self.residuals[self.observed])
-
-    @property
-    def reprojection_errors(self) -> Numbers:
-        """`reprojection_error` of each frame, `(n_frames,)`; NaN where nothing was seen."""
-        return np.array(
-            [_root_mean(errors[seen]) for errors, seen in zip(self.residuals, self.observed, strict=True)]
-        )
+        squares = np.square(self.residuals[self.observed]).sum(axis=-1)
+        return float(np.sqrt(squares.mean())) if len(squares) else np.nan
 
     @property
     def deviations(self) -> Numbers:
@@ -464,7 +458,3 @@ def _observations_of_points(
     observed = counts > 0
     with np.errstate(invalid="ignore"):
         return sums / counts[:, :, None], observed
-
-
-def _root_mean(vectors: Numbers) -> float:
-    return float(np.sqrt(np.square(vectors).sum(axis=-1).mean())) if len(vectors) else np.nan

@@ -85,13 +85,13 @@ def levenberg_marquardt(
 
 
 RIDGE = 1e-10
+MEMORY = 8  # steps that are kept
 
 
 class Anderson:
     """Anderson acceleration of x <- g(x): the combination of the last steps at which g(x) = x."""
 
-    def __init__(self, memory: int = 8) -> None:
-        self._memory = memory
+    def __init__(self) -> None:
         self._places: list[Numbers] = []
         self._steps: list[Numbers] = []
 
@@ -99,7 +99,7 @@ class Anderson:
         """Where to go on, after `image` = g(`place`); the image itself the first time."""
         self._places.append(place.reshape(-1).copy())
         self._steps.append((image - place).reshape(-1))
-        del self._places[: -self._memory - 1], self._steps[: -self._memory - 1]
+        del self._places[: -MEMORY - 1], self._steps[: -MEMORY - 1]
         if len(self._steps) == 1:
             return image
         moves, changes = np.diff(self._places, axis=0), np.diff(self._steps, axis=0)

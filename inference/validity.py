@@ -24,7 +24,8 @@ there. That the correlation must be less than 0.5 is true of (17) with Sigma_0 >
 dimension products help up to a correlation of A, B, K of log 2 = 0.69.
 """
 
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
@@ -33,21 +34,6 @@ from numpy.typing import ArrayLike, NDArray
 from ..models.numerics.densities import squared_distances
 
 Numbers = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Costs:
-    """Costs of either chain and of their product, nats, each `(...)`."""
-
-    first: Numbers
-    second: Numbers
-    product: Numbers
-
-    @property
-    def gain(self) -> Numbers:
-        """What the product saves over the better one of the chains; positive where combining pays."""
-        better: Numbers = np.minimum(self.first, self.second)
-        return better - self.product
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,39 +70,17 @@ class PredictionErrors:
             self.second, self.first, transposed(self.cross), self.process, self.observation
         )
 
-    def costs(self, noises: tuple[Numbers, Numbers] | None = None) -> Costs:
-        """C(q_1), C(q_2), C(q*) of eq. (16); infinite where Sigma_0 is singular.
-
-        `noises` are Sigma_1 and Sigma_2, `(..., d, d)`, which the chains state; Lemma 1's if not given.
-        """
-        first, second = self.optimal_noises if noises is None else noises
-        noise, of_first, of_second = product_of(first, second)
-        crossed = of_first @ self.cross @ transposed(of_second)
-        error = (
-            of_first @ self.first @ transposed(of_first)
-            + of_second @ self.second @ transposed(of_second)
-            + crossed
-            + transposed(crossed)
-        )
-        return Costs(
-            cost(first, self.first, self.process, self.observation),
-            cost(second, self.second, self.process, self.observation),
-            cost(noise, error, self.process, self.observation),
-        )
-
     @property
     def gains(self) -> tuple[Numbers, Numbers]:
         """C(q_1) - C(q*) and C(q_2) - C(q*) with Lemma 1's noises, `(...)` nats, for any Sigma_0."""
-        shares, losses = self._shares_and_losses()
-        return shares[0] - losses[0], shares[1] - losses[1]
+        first, second = (share - loss for share, loss in self._shares_and_losses())
+        return first, second
 
     @property
     def bearable(self) -> Numbers:
         """`(...)`: by what factor K could grow before combining stops paying; perhaps infinite."""
-        shares, losses = self._shares_and_losses()
-        pairs = zip(shares, losses, strict=True)
         with np.errstate(divide="ignore"):
-            factors = [np.where(loss > 0, share / loss, np.inf) for share, loss in pairs]
+            factors = [np.where(loss > 0, share / loss, np.inf) for share, loss in self._shares_and_losses()]
         smaller: Numbers = np.minimum(*factors)
         return smaller
 
@@ -153,20 +117,15 @@ class PredictionErrors:
         ratio: Numbers = both / np.sqrt(first * second)
         return ratio
 
-    def _shares_and_losses(self) -> tuple[tuple[Numbers, Numbers], tuple[Numbers, Numbers]]:
-        """What the product gains by being surer, and what it loses by common errors, over either chain."""
-
-        def parts(errors: PredictionErrors) -> tuple[Numbers, Numbers]:
+    def _shares_and_losses(self) -> Iterator[tuple[Numbers, Numbers]]:
+        """What the product gains by being surer, and loses by common errors, over either chain."""
+        for errors in (self, self.swapped):
             first, second = errors.optimal_noises
             weight = _of_the_observation(first, errors.observation)
-            posterior = symmetric(weight @ first)
-            sum_of_both = second + posterior
+            sum_of_both = second + symmetric(weight @ first)
             share = 0.5 * (log_determinant(sum_of_both) - log_determinant(second))
             common = _solve(sum_of_both, weight @ (errors.process + errors.cross))
-            return share, np.trace(common, axis1=-2, axis2=-1)
-
-        (share, loss), (other_share, other_loss) = parts(self), parts(self.swapped)
-        return (share, other_share), (loss, other_loss)
+            yield share, np.trace(common, axis1=-2, axis2=-1)
 
 
 def cost(stated: Numbers, error: Numbers, process: Numbers, observation: Numbers) -> Numbers:
@@ -308,10 +267,8 @@ class StatedComparison:
     ----------
     nis_first, nis_second, nis_product
         normalised innovation squared, a dimension: 1 is consistent, more is overconfident, less is timid.
-    score_first, score_second, score_product
-        mean log density of the observed under each prediction, nats.
     score_gain
-        nats by which the product's score is above that of the better chain.
+        nats by which the product's mean log density of the observed is above that of the better chain.
     gain
         C(q) of the better chain less that of the product, nats. Scores judge predictions of the observed,
         this the posterior once it is observed.
@@ -320,9 +277,6 @@ class StatedComparison:
     nis_first: Interval[float]
     nis_second: Interval[float]
     nis_product: Interval[float]
-    score_first: Interval[float]
-    score_second: Interval[float]
-    score_product: Interval[float]
     score_gain: Interval[float]
     gain: Interval[float]
 
@@ -344,8 +298,6 @@ class Comparison:
         root mean squared error of either prediction, per coordinate, the observation's noise taken off.
     correlation, bearable_correlation
         of the errors, and that at which combining stops paying (infinite if it always pays).
-    worth_first, worth_second, worth_product
-        nats by which the posterior is nearer to the right one than without any prediction.
     gain_first, gain_second, gain
         C(q_1) - C(q*) and C(q_2) - C(q*), nats, with Lemma 1's noises, and the smaller one: positive if it
         pays.
@@ -353,8 +305,6 @@ class Comparison:
         whether Theorem 2's sufficient condition is met by the estimates.
     stated
         what the chains do as they state their covariances; `None` if these were not recorded.
-    verdict, reason
-        for the user, in a word and in a sentence.
     """
 
     count: int
@@ -367,21 +317,35 @@ class Comparison:
     rms_second: Interval[float]
     correlation: Interval[float]
     bearable_correlation: float
-    worth_first: Interval[float]
-    worth_second: Interval[float]
-    worth_product: Interval[float]
     gain_first: Interval[float]
     gain_second: Interval[float]
     gain: Interval[float]
     theorem_holds: bool
     stated: StatedComparison | None
-    verdict: Verdict = field(init=False)
-    reason: str = field(init=False)
 
-    def __post_init__(self) -> None:
-        verdict, reason = _judged(self)
-        object.__setattr__(self, "verdict", verdict)
-        object.__setattr__(self, "reason", reason)
+    @property
+    def verdict(self) -> Verdict:
+        """Whether combining pays, in a word."""
+        return _verdict(self.gain, self.groups)
+
+    @property
+    def reason(self) -> str:
+        """And in a sentence."""
+        bearable, gain = self.bearable_correlation, f"{self.gain:.2g} nats"
+        errors = (
+            f"Errors of {self.rms_first.estimate:.3g} and {self.rms_second.estimate:.3g} "
+            f"correlate {self.correlation.estimate:.2f}"
+        )
+        limit = (
+            f"combining pays below {bearable:.2f}" if np.isfinite(bearable) else "combining pays at any rate"
+        )
+        if self.groups < FEWEST_GROUPS:
+            return f"{errors}, gain {gain}, but only from {self.groups} independent groups"
+        if self.verdict == "helps":
+            return f"{errors} and {limit}: gain over the better chain {gain}"
+        if self.verdict == "does not help":
+            return f"{errors} and {limit}: the product is surer of common mistakes, gain {gain}"
+        return f"{errors}, {limit}, and the gain may be positive or negative: {gain}"
 
 
 def compare(
@@ -422,10 +386,6 @@ def compare(
     moments, noise, as_stated = np.split(sums.resampled(random, resamples), [4 * d**2, 5 * d**2], axis=1)
     errors = _without_noise(moments.reshape(-1, 2 * d, 2 * d), noise.reshape(-1, d, d))
     gain_first, gain_second = errors.gains
-    worth_first, worth_second = (
-        0.5 * (log_determinant(total + errors.observation) - log_determinant(total))
-        for total in errors.optimal_noises
-    )
     correlation = errors.correlation
     return Comparison(
         count=count,
@@ -438,9 +398,6 @@ def compare(
         rms_second=interval_of(_rms(errors.second)),
         correlation=interval_of(correlation),
         bearable_correlation=_bearable_correlation(float(correlation[0]), float(errors.bearable[0])),
-        worth_first=interval_of(worth_first),
-        worth_second=interval_of(worth_second),
-        worth_product=interval_of(worth_first + gain_first),
         gain_first=interval_of(gain_first),
         gain_second=interval_of(gain_second),
         gain=interval_of(np.minimum(gain_first, gain_second)),
@@ -529,27 +486,13 @@ def _summarised(means: Numbers) -> StatedComparison:
     better_score = np.maximum(scores[:, 0], scores[:, 1])
     better_cost = np.minimum(costs[:, 0], costs[:, 1])
     gains = scores[:, 2] - better_score, better_cost - costs[:, 2]
-    return StatedComparison(*map(interval_of, [*means[:, :6].T, *gains]))
+    return StatedComparison(*map(interval_of, [*means[:, :3].T, *gains]))
 
 
-def _judged(found: Comparison) -> tuple[Verdict, str]:
-    bearable = found.bearable_correlation
-    errors = (
-        f"Errors of {found.rms_first.estimate:.3g} and {found.rms_second.estimate:.3g} "
-        f"correlate {found.correlation.estimate:.2f}"
-    )
-    limit = f"combining pays below {bearable:.2f}" if np.isfinite(bearable) else "combining pays at any rate"
-    gain = f"{found.gain:.2g} nats"
-    if found.groups < FEWEST_GROUPS:
-        return "not sure", f"{errors}, gain {gain}, but only from {found.groups} independent groups"
-    if found.gain.low > 0:
-        return "helps", f"{errors} and {limit}: gain over the better chain {gain}"
-    if found.gain.high < 0:
-        return (
-            "does not help",
-            f"{errors} and {limit}: the product is surer of common mistakes, gain {gain}",
-        )
-    return "not sure", f"{errors}, {limit}, and the gain may be positive or negative: {gain}"
+def _verdict(gain: Interval[float], groups: int) -> Verdict:
+    if groups >= FEWEST_GROUPS and gain.low > 0:
+        return "helps"
+    return "does not help" if groups >= FEWEST_GROUPS and gain.high < 0 else "not sure"
 
 
 def _bearable_correlation(correlation: float, factor: float) -> float:
@@ -602,8 +545,6 @@ class ScoreComparison:
         mean log densities of what was observed, nats.
     gain
         that of the product less the larger one of the chains'; positive means that combining pays.
-    verdict, reason
-        for the user, in a word and in a sentence.
     """
 
     count: int
@@ -612,20 +553,17 @@ class ScoreComparison:
     second: Interval[float]
     product: Interval[float]
     gain: Interval[float]
-    verdict: Verdict = field(init=False)
-    reason: str = field(init=False)
 
-    def __post_init__(self) -> None:
-        found = f"the product scores {self.gain:.2g} nats above the better chain"
-        verdict: Verdict = "not sure"
-        if self.groups < FEWEST_GROUPS:
-            found += f", but only from {self.groups} independent groups"
-        elif self.gain.low > 0:
-            verdict = "helps"
-        elif self.gain.high < 0:
-            verdict = "does not help"
-        object.__setattr__(self, "verdict", verdict)
-        object.__setattr__(self, "reason", found[0].upper() + found[1:])
+    @property
+    def verdict(self) -> Verdict:
+        """Whether combining pays, in a word."""
+        return _verdict(self.gain, self.groups)
+
+    @property
+    def reason(self) -> str:
+        """And in a sentence."""
+        few = f", but only from {self.groups} independent groups" if self.groups < FEWEST_GROUPS else ""
+        return f"The product scores {self.gain:.2g} nats above the better chain{few}"
 
 
 def compare_scores(

@@ -565,15 +565,11 @@ class BasesChoice:
         the number that was chosen, and `(n,)` numbers that were tried.
     errors
         `(n,)` px: root mean square of a coordinate at withheld positions.
-    excess, excess_errors
-        `(n,)` px^2: by how much the mean square is above that of the best candidate; its standard error.
     """
 
     bases: int
     candidates: tuple[int, ...]
     errors: Numbers
-    excess: Numbers
-    excess_errors: Numbers
 
 
 def choose_bases(
@@ -609,7 +605,7 @@ def choose_bases(
     excess = away.sum(axis=1) / total
     spread = np.sqrt(len(blocks)) * away.std(axis=1, ddof=1) / total
     chosen = int(np.flatnonzero(excess <= spread)[0])
-    return BasesChoice(candidates[chosen], tuple(candidates), np.sqrt(means), excess, spread)
+    return BasesChoice(candidates[chosen], tuple(candidates), np.sqrt(means))
 
 
 def withheld(positions: Numbers, seed: int) -> NDArray[np.bool_]:
