@@ -180,16 +180,10 @@ def reconstruct(
 def structure_engine(
     frames: Sequence[Frame], coherence: Coherence = "second-order", association: Association = "dual-chain"
 ) -> CoordinateAscent:
-    """The engine with tracker and shape.
+    """The engine with tracker and shape of frames with images or with given points.
 
-    Parameters
-    ----------
-    frames
-        all of them, with images or with given points.
-    coherence
-        whether the camera moves smoothly.
-    association
-        whether the tracker receives the shape's messages and tracks that show one point become one.
+    `coherence` says whether the camera moves smoothly, `association` whether the tracker receives the
+    shape's messages and tracks that show one point become one.
     """
     dual = association == "dual-chain"
     model, points = _following(frames)
@@ -227,16 +221,10 @@ def tracks_of(solution: Solution) -> Numbers:
 def recursive_reconstruction(
     structure: Structure, cameras: Numbers, camera_covariances: Numbers, tracks: Numbers
 ) -> Reconstruction:
-    """What `RecursiveStructure` has found of its last shape.
+    """What `RecursiveStructure` has found of its last shape, which is `structure` at the end.
 
-    Parameters
-    ----------
-    structure
-        at the end.
-    cameras, camera_covariances
-        `(n_frames, 2, 4)` and `(n_frames, 4, 4)`, as they were after each frame; NaN where there was none.
-    tracks
-        `(n_frames, n_points, 2)` px where the points of the shape were seen, NaN where not.
+    Cameras `(n_frames, 2, 4)` and their covariances are those after each frame, NaN where there was none;
+    tracks `(n_frames, n_points, 2)` px are where points of the shape were seen.
     """
     known = np.asarray(np.isfinite(cameras).all(axis=(1, 2)))
     since = np.flatnonzero(~known)  # cameras before are of another shape

@@ -109,14 +109,8 @@ class PointStates:
     def at_rest(cls, positions: ArrayLike, variance: ArrayLike, speed: float) -> Self:
         """Points of which nobody knows how they move: as they begin.
 
-        Parameters
-        ----------
-        positions
-            `(n_points, 2)` px.
-        variance
-            px^2, of each coordinate: one for all points or `(n_points,)`.
-        speed
-            px/s, standard deviation of each coordinate's velocity.
+        Positions `(n_points, 2)` px have this variance px^2 (one for all, or `(n_points,)`), velocities the
+        standard deviation `speed` px/s, along each coordinate.
         """
         places = np.asarray(positions, np.float64).reshape(-1, 2)
         mean, covariance = np.zeros((len(places), STATE)), np.zeros((len(places), STATE, STATE))
@@ -165,22 +159,10 @@ def predict(states: PointStates, dt: float, acceleration: ArrayLike) -> PointSta
 def update(states: PointStates, information: ArrayLike, vector: ArrayLike) -> PointStates:
     """States after measurements exp(vector . z - z . information z / 2) of their positions z.
 
-    Covariances stay positive definite however sure or unsure states and measurements are, and measurements
-    need not determine both coordinates.
-
-    Parameters
-    ----------
-    states
-        of `n_points`.
-    information
-        `(n_points, 2, 2)` 1/px^2, symmetric, positive (semi-)definite; zeros leave a state exactly as it is.
-    vector
-        `(n_points, 2)` 1/px, information times measured position.
-
-    Raises
-    ------
-    ValueError
-        if the shapes do not fit.
+    Covariances stay positive definite however sure or unsure states and measurements are. `information`
+    `(n_points, 2, 2)` 1/px^2 is symmetric and need not determine both coordinates (zeros leave a state
+    exactly as it is), `vector` `(n_points, 2)` 1/px is information times measured position. Shapes that do
+    not fit are a `ValueError`.
     """
     _checked_states(states, 1)
     measured = _checked_measurements(information, vector, states.mean.shape[:-1])
@@ -196,24 +178,10 @@ def filter_tracks(
 ) -> PointStates:
     """States in all frames, each given the measurements up to it: `predict` and `update` from frame to frame.
 
-    A point that begins later, or is lost in between, has no information in the frames before. Its prior
-    should be so broad in the first frame that it does not matter when the point begins.
-
-    Parameters
-    ----------
-    prior
-        of `n_points`, in the first frame, before its measurement.
-    times
-        `(n_frames,)` s, not decreasing.
-    information, vector
-        `(n_frames, n_points, 2, 2)` 1/px^2 and `(n_frames, n_points, 2)` 1/px; see `update`.
-    acceleration
-        px^2/s^3; see `predict`.
-
-    Raises
-    ------
-    ValueError
-        if times decrease or the shapes do not fit.
+    A point that begins later, or is lost in between, has no information in the frames before. Its prior (in
+    the first frame, before its measurement) should be so broad that it does not matter when the point
+    begins. `times` `(n_frames,)` are s, information and vector have the frames in front; times that decrease
+    and shapes that do not fit are a `ValueError`.
     """
     n_points = _checked_states(prior, 1)
     seconds = _checked_times(times)

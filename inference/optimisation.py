@@ -23,14 +23,8 @@ Place = TypeVar("Place")
 class Damping:
     """How much is added to the diagonal of the normal equations, as a share of it.
 
-    Parameters
-    ----------
-    first
-        of the first step.
-    fall, rise
-        factors by which it falls after a step that was taken, and rises after one that was refused.
-    least, most
-        it falls no further than `least`; from `most` on a step is as good as none, and no more are tried.
+    It falls by a factor after a step that was taken, to `least`, and rises after one that was refused; from
+    `most` on no more are tried.
     """
 
     first: float = 1e-3
@@ -53,16 +47,12 @@ def levenberg_marquardt(
 
     Parameters
     ----------
-    start
-        anything that says where the loop is, with all that the problem wants to know again there.
     linearised
         the problem: it makes the normal equations of a place, and gives the step from there. That is called
         with a damping, and gives the place that is reached; `None` if the error is not lower there; and the
         place itself if no step is worth while.
     settled
         whether a step, from one place to another, has hardly lowered the error.
-    damping, most_steps
-        how it begins and changes; steps to be tried.
     patience
         settled steps in a row with which the loop ends: one may be short because it was damped.
     """

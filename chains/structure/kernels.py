@@ -167,33 +167,16 @@ def assign_tracks(
     shares,
     busy,
 ):
-    """Probabilities that tracks show points, track after track, each left out of what it is tested on.
+    """Probabilities that tracks show points, track after track in `order`, each without its own part.
 
-    Parameters
-    ----------
-    order
-        names tracks in turn.
-    tracks
-        observations by track.
-    information, vector
-        `(n, 3, 3)` and `(n, 3)` of each track; `prior_information` and `prior_vector` are those of any
-        point.
-    cameras, variance, far
-        a point is tried if the middle observation of the track, of that variance, is at most `far` squared
-        standard deviations from where cameras `(n_frames, 2, 4)` show it, or if the track was its own
-        before.
-    log_new
-        log prior odds that a track shows none of the points against that it shows a certain one.
-    hard
-        whether each track is a member of one point or none.
-    of_track, member, shares
-        memberships: edges `(n + 1,)`, points and probabilities, track by track.
-    busy
-        `(n_points, n_frames)`, how many of its observations each point has in a frame; changed in place.
-
-    Returns
-    -------
-    The new points and probabilities, in the order of the turns, and how many each turn has.
+    `information` `(n, 3, 3)` and `vector` `(n, 3)` are of each track, those of the prior of any point. A
+    point is tried if the middle observation of the track, of this variance, is at most `far` squared
+    standard deviations from where cameras show it, or if the track was its own before. `log_new` are the log
+    prior odds that a track shows none of the points against that it shows a certain one; `hard` makes each
+    track a member of one point or none. `of_track` `(n + 1,)`, `member` and `shares` are memberships, track
+    by track. `busy` `(n_points, n_frames)`, how many of its observations each point has in a frame, is
+    changed in place. Returns the new points and probabilities, in the order of the turns, and how many each
+    turn has.
     """
     edges, _, frame, x, y, weight = tracks
     n, n_points = information.shape[0], busy.shape[0]

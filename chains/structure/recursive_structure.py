@@ -108,18 +108,9 @@ def learned_noise(
 ) -> Numbers:
     """The motion's noise, `(3, 2)` as in `CameraMotion`, that explains a stretch of frames better.
 
-    Parameters
-    ----------
-    noise
-        to begin with; `None` where nothing is known of it.
-    information, vector
-        `(n, 4, 4)` and `(n, 2, 4)` of frames, as `update` takes them.
-    times
-        `(n,)` s, increasing, two or more; brought onto a grid of their median distance.
-    extent
-        px, about how large the shape appears.
-    rounds
-        of the smoother; none makes the likelihood of the stretch less.
+    `noise` is what to begin with, or `None`; `information` `(n, 4, 4)` and `vector` `(n, 2, 4)` are those of
+    frames at `times` `(n,)` s, two or more, which are brought onto a grid of their median distance; `extent`
+    px is about how large the shape appears. No round of the smoother makes the likelihood less.
     """
     step = float(np.median(np.diff(times)))
     back = np.round((times[-1] - times) / step).astype(np.int64)
@@ -245,17 +236,13 @@ class Registration:
     ----------
     motion, information, vector
         updated with the frame, and what that says, as `CameraMotion.update` takes it.
-    cameras, leverages
-        `(n, 2, 4)` and `(n,)`: for every known point the camera that the others show, and the variance
-        (px^2, in u and in v) that its uncertainty gives the point's position.
-    means, covariances
-        `(n, 2)` px and `(n, 2, 2)` px^2: where the point should be therefore, but for noise of one frame.
-    places
-        `(k,)` of the seen points among the known ones.
-    positions, variances
-        `(k, 2)` px and `(k,)` px^2: where they were seen, and the noise of that.
-    inliers
-        `(k,)` bool: not too far from where they should be.
+    cameras, leverages, means, covariances
+        for every known point the camera that the others show `(n, 2, 4)`, the variance (px^2, in u and in v)
+        that its uncertainty gives the point, and where the point should be therefore: `(n, 2)` px and `(n,
+        2, 2)` px^2.
+    places, positions, variances, inliers
+        `(k,)` of the seen points among the known ones, where they were seen, the noise of that, and whether
+        it is not too far from where they should be.
     """
 
     motion: CameraMotion
@@ -482,16 +469,8 @@ ROUNDS = 100  # of learning the noise of the camera's motion
 class Window:
     """Frames and what they show; when there are too many, every other one is dropped.
 
-    Parameters
-    ----------
-    identities
-        `(n,)` int64, increasing, of the points seen in them.
-    positions, variances
-        `(n_frames, n, 2)` px and `(n_frames, n)` px^2, 0 where not seen.
-    times
-        `(n_frames,)` s.
-    stride, skipped
-        one of how many frames is kept, and how many were left out since the last.
+    Of the points `identities` `(n,)`, increasing, positions `(n_frames, n, 2)` px and variances px^2 are 0
+    where not seen. One of `stride` frames is kept, and `skipped` were left out since the last.
     """
 
     identities: Identities
@@ -641,16 +620,9 @@ LOST = 0.5  # standard deviation of the camera, in extents of the shape's pictur
 @short_repr
 @dataclass(frozen=True, eq=False)
 class StructureState:
-    """A shape and its camera, or what was seen until there is one.
+    """A shape and its camera, or a window of frames that do not determine one yet.
 
-    Parameters
-    ----------
-    time, elapsed
-        s, of the state, and since the last frame that it was updated with.
-    window
-        frames that do not determine a shape yet.
-    structure
-        what is known; `None` as long as nothing is.
+    `time` and `elapsed` are s, of the state, and since the last frame that it was updated with.
     """
 
     time: float

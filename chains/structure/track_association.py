@@ -33,17 +33,11 @@ ROUNDING = 1e-12  # share of the squares of positions below which errors are rou
 
 @dataclass(frozen=True)
 class CorrelatedNoise:
-    """Errors of a track along one axis, as a sum of white noise and a first-order Gauss-Markov process.
+    """Errors of a track along one axis: white noise plus a first-order Gauss-Markov process, px^2.
 
-    A template that has slipped off its point stays off it for some frames. Taken for white, such errors make
-    a short track seem surer than it is.
-
-    Parameters
-    ----------
-    white, drift
-        px^2, variance of what is new in each frame, at weight 1, and of what stays.
-    memory
-        frames after which the correlation of what stays has fallen to 1/e.
+    A template that has slipped off its point stays off it for some frames (`memory`, in which the
+    correlation of drift falls to 1/e). Taken for white, such errors make a short track seem surer than it
+    is.
     """
 
     white: float
@@ -283,18 +277,10 @@ AT_ONCE = 0.05  # unions between two comparisons of all pairs, as a share of the
 
 @dataclass(frozen=True, eq=False)
 class TrackAssociation:
-    """Points and the tracks that show them.
+    """Cameras and points in a factorisation, and the tracks that show them, with their noise in px^2.
 
-    Parameters
-    ----------
-    factorisation
-        cameras and points.
-    point_of_track
-        `(n_tracks,)` int64; -1 where it is not sure enough what a track shows.
-    noise
-        errors of the tracks, px^2.
-    trusted
-        `(n_frames, n_tracks)` bool: positions that are taken to be right, and no outliers.
+    `point_of_track` `(n_tracks,)` is -1 where it is not sure enough what a track shows; `trusted`
+    `(n_frames, n_tracks)` are positions that are taken to be right.
     """
 
     factorisation: Factorisation
@@ -579,22 +565,10 @@ def unite_points(
 ) -> Indices:
     """Take points for one, the surest first, and condition all others on it.
 
-    Parameters
-    ----------
-    mean, covariance
-        `(n, 3)` and `(n, 3, n, 3)`, of the points' joint posterior.
-    apart
-        `(n, n)`, whether two points are different for sure (both were seen in one frame).
-    spread
-        `(3, 3)`, covariance of the difference of two different points.
-    log_new
-        by how much likelier than chance a union has to be.
-    margin
-        a union waits if another one that excludes it is likelier, or less likely by no more than this.
-
-    Returns
-    -------
-    `(n,)`, for each point the smallest number of those that it is one with.
+    Of the points' joint posterior, mean `(n, 3)` and covariance `(n, 3, n, 3)`. Points that are `apart` `(n,
+    n)` are different for sure, and differ by a draw of covariance `spread` `(3, 3)`. A union has to be
+    likelier than chance by `log_new`, and waits if another one that excludes it is likelier, or less likely
+    by no more than `margin`. Returns for each point the smallest number of those that it is one with.
     """
     n = len(mean)
     mean, covariance, apart = mean.copy(), covariance.copy(order="C"), apart.copy()

@@ -41,14 +41,9 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def save(path: str | Path, values: Mapping[str, Any], kinds: Mapping[str, Any]) -> None:
-    """Write `values`, which are of the given `kinds`.
+    """Write `values`, which are of the given `kinds`; an older file stays if that fails (`OSError`).
 
-    Raises
-    ------
-    ValueError, TypeError
-        if a value is not of its kind, so that it could not be read back.
-    OSError
-        if the file cannot be written; nothing is left behind and an older file stays as it was.
+    A `ValueError` or `TypeError` says if a value is not of its kind, so that it could not be read back.
     """
     arrays: Arrays = {}
     skeleton = json.dumps({"format": FORMAT, "values": _encode(values, arrays, "")})
@@ -74,15 +69,7 @@ class Contents:
 
 
 def read(path: str | Path) -> Contents:
-    """Read what `save` wrote; of which kinds it is, `load` is told.
-
-    Raises
-    ------
-    ValueError
-        in one line that names the file, if it is broken or of another format.
-    OSError
-        if the file cannot be opened.
-    """
+    """Read what `save` wrote; of which kinds it is, `load` is told. Errors are those of `load`."""
     path = Path(path)
     size = path.stat().st_size  # nothing is packed, so that a number takes a byte or more
     arrays = read_arrays(path, EXPECTED, most=size)
@@ -103,12 +90,8 @@ def read(path: str | Path) -> Contents:
 def load(file: str | Path | Contents, kinds: Mapping[str, Any]) -> dict[str, Any]:
     """The values that `save` wrote with the same `kinds`.
 
-    Raises
-    ------
-    ValueError
-        in one line that names the file, if it is broken, of another format, or holds other things.
-    OSError
-        if the file cannot be opened.
+    A `ValueError` in one line names the file if it is broken, of another format, or holds other things; an
+    `OSError` says if it cannot be opened.
     """
     contents = file if isinstance(file, Contents) else read(file)
     try:

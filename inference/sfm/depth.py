@@ -60,13 +60,12 @@ class Motion:
     ----------
     kind
         see `Kind`.
-    tracks, life
-        how many are seen at all, and the median number of frames in which one is; 0 without tracks.
-    per_frame
-        median px by which a point moves from a frame to the next; NaN where none is seen in two.
+    tracks, life, per_frame
+        how many are seen at all, median number of frames in which one is, and median px from a frame to the
+        next.
     parallax
-        px: root mean square distance between points and where the homographies have them that fit best,
-        median over pairs of pictures far apart; NaN where too few points are shared.
+        px: root mean square distance between points and where homographies have them, median over pairs of
+        pictures far apart; NaN where too few points are shared.
     """
 
     kind: Kind
@@ -130,16 +129,9 @@ def far_pairs(seen: NDArray[np.bool_]) -> list[tuple[int, int]]:
 def variance_over_shape(places: Numbers, residuals: Numbers, most: float = MOST) -> float:
     """Variance about homographies between pictures, in that about a shape in depth; NaN if it is not known.
 
-    Where homographies do as well, what was taken for depth is something else: of a plane, or a camera that
-    turns, the perspective.
-
-    Parameters
-    ----------
-    places, residuals
-        `(n_frames, n_points, 2)` px where points were seen, NaN where not, and what the shape in depth
-        leaves.
-    most
-        share of the points of a pair of pictures that counts, those that are explained best.
+    Where homographies do as well, what was taken for depth is something else. Places `(n_frames, n_points,
+    2)` px are NaN where not seen, residuals are what the shape leaves; of a pair of pictures `most` of the
+    points count.
     """
     seen = ~np.isnan(places[..., 0])
     left = in_depth = 0.0

@@ -196,17 +196,7 @@ OUTSIDE = 1e9  # residual of a point that the frame does not show
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """A level of the pyramid of the scene's picture: the points by which frames are registered.
-
-    Parameters
-    ----------
-    scale
-        px of the picture in one of this level's.
-    places, about
-        `(n, 2)` float32: in px of this level, and from the picture's middle in units of its radius.
-    values, gradients
-        `(n,)` and `(n, 2)` float32 of the band-passed picture.
-    """
+    """The points `(n,)` by which frames are registered on a level of the pyramid; `scale` px to one of its px."""
 
     scale: float
     places: Floats
@@ -383,14 +373,8 @@ _CAMERA = np.zeros(1, np.int64)  # the one thing that the Gaussians are about
 class View:
     """A factor about the map from the scene to the frame: a Gaussian over its parameters.
 
-    Parameters
-    ----------
-    size
-        `(height, width)` px of scene and frame.
-    where
-        of the six parameters of `AffineMap` (px); uniform where nothing is known.
-    scene
-        `(height, width[, 3])` float32, what the scene looks like; of the chain that knows the camera.
+    `size` is `(height, width)` px; `where` is uniform where nothing is known; `scene` `(height, width[, 3])`
+    float32, what the scene looks like, is of the chain that knows the camera.
     """
 
     size: tuple[int, int]

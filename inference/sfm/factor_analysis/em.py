@@ -151,13 +151,8 @@ LEAST_VARIANCE = 1e-12
 class CameraPrior:
     """What is known of cameras before any observation; learned by EM.
 
-    Parameters
-    ----------
-    variance
-        independent frames: `(2,)` variances of the numbers of M that multiply the shape, and of the
-        translation. With coherence: `(3, 2)`, the same of eps_1, eps_2 and eps_3 in eq. (19).
-    coherent
-        whether frames follow eq. (19).
+    Variances `(1, 2)` of independent frames' numbers of M that multiply the shape, and of the translation;
+    with coherence `(3, 2)`, the same of eps_1, eps_2 and eps_3 in eq. (19).
     """
 
     variance: Numbers
@@ -283,19 +278,9 @@ def expectation_maximisation(
 ) -> tuple[Posterior, list[float]]:
     """Improve a posterior until the bound of the log likelihood stands still.
 
-    Parameters
-    ----------
-    observations, posterior
-        what was seen, and the start.
-    iterations, tolerance
-        at most so many, and until they gain less than so many nats each, on average over ten.
-    accelerate
-        extrapolate the shape from the last iterations. Steps that lower the bound are taken back.
-
-    Returns
-    -------
-    posterior, history
-        and the bound at each iteration that counts, before its update of the points; it never falls.
+    At most so many iterations, and until they gain less than `tolerance` nats each. With `accelerate` the
+    shape is extrapolated from the last ones, and steps that lower the bound are taken back. Also returns the
+    bound at each iteration that counts, before its update of the points; it never falls.
     """
     sums, by_point = Sums(observations), observations.by_point
     log_weight = float(np.log(observations.by_frame.weight).sum())

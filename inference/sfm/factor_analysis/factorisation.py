@@ -68,22 +68,18 @@ def variable_projection(
     rank: int = RANK,
     enough: float = 0.0,
 ) -> LeastSquares:
-    """Lower the squared error as far as it goes.
+    """Lower the squared error as far as it goes, from cameras `(n_frames, 2, 4)`.
 
     Parameters
     ----------
     observations
         of points that are seen twice or more, in frames that show four or more; others are left alone.
-    cameras
-        `(n_frames, 2, 4)`, the start.
     damping
-        `FAR` or `NEAR`: how far that is from the optimum.
-    tolerance, most_steps
-        share of the error by which the last steps still lowered it; steps to be tried.
+        `FAR` or `NEAR`: how far the start is from the optimum.
+    tolerance, most_steps, enough
+        share of the error by which the last steps still lowered it; steps to be tried; error to stop at.
     rank
         2 for a flat shape, whose third axis is 0.
-    enough
-        stop as soon as the error is not above this.
     """
     by_point, by_frame = observations.by_point, observations.by_frame
     points = np.diff(by_point.edges) > 0
@@ -556,14 +552,8 @@ TRUSTED = 0.5  # probability from which a position is taken to be right
 class RobustFactorisation:
     """Cameras and shape, and which positions they were found from.
 
-    Parameters
-    ----------
-    factorisation
-        as of `factorise` with the weights `weights`.
-    weights
-        `(n_frames, n_points)`: those that were given, less where a position is likely wrong.
-    right
-        `(n_frames, n_points)`, probability that a position is right; 0 where nothing was seen.
+    `weights` `(n_frames, n_points)` are those that were given, less where a position is likely wrong, and
+    `right` the probability that it is not; 0 where nothing was seen.
     """
 
     factorisation: Factorisation

@@ -228,26 +228,12 @@ STATE = 12
 def smooth_cameras(information, vector, precision, noise, start_mean, start_variance):
     """Posterior of the cameras under eq. (19), and what it says of the motion's noise.
 
-    Parameters
-    ----------
-    information, vector
-        `(n_frames, 4, 4)` and `(n_frames, 4, 2)`, of the camera rows at noise variance 1.
-    precision
-        1 / noise variance of the observations.
-    noise
-        `(12,)` variances of eps_1, eps_2, eps_3.
-    start_mean, start_variance
-        `(12, 2)` and `(12,)` of the state in the first frame with information; those before are foreseen
-        back.
-
-    Returns
-    -------
-    cameras, covariance
-        `(n_frames, 2, 4)` and `(n_frames, 4, 4)`.
-    log_evidence
-        log integral of p(M) exp(sum of (vector . m - m . information m / 2) precision) dM.
-    squares, counts
-        `(12,)`: twice the derivative of the log evidence by `noise` is `squares - counts`, both positive.
+    `information` `(n_frames, 4, 4)` and `vector` `(n_frames, 4, 2)` are those of the camera rows at noise
+    variance 1, `precision` is 1 / that of the observations, `noise` `(12,)` variances of eps_1, eps_2,
+    eps_3. The start `(12, 2)`, `(12,)` is of the first frame with information; frames before are foreseen
+    backwards. Returns cameras `(n_frames, 2, 4)` and covariance `(n_frames, 4, 4)`; the log integral of p(M)
+    exp(sum of (vector . m - m . information m / 2) precision) dM; and `(12,)` squares and counts, both
+    positive, whose difference is twice its derivative by `noise`.
     """
     n_frames = information.shape[0]
     first = 0

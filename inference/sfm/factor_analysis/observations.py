@@ -73,20 +73,11 @@ def as_arrays(positions: ArrayLike, weights: ArrayLike | None) -> tuple[Numbers,
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """What was seen of points, moved and scaled so that numbers are around 1 whatever the units.
+    """What was seen of points, moved and scaled so that numbers are around 1, in two orders.
 
-    Parameters
-    ----------
-    by_frame, by_point
-        the same observations in two orders.
-    centre
-        `(2,)` px, the middle of all positions.
-    scale
-        px, root mean square of positions about the middle of their frame.
-    weight_unit
-        mean weight as given; in here the mean is 1.
-    known
-        share of the coordinates that were seen; others are only filled in, where a shape has them.
+    Px from the `centre` `(2,)` of all positions over their root mean square about their frame's middle,
+    `scale`; weights over their mean as given, `weight_unit`. `known` is the share of the coordinates that
+    were seen, others are filled in.
     """
 
     by_frame: Listed
@@ -187,19 +178,10 @@ LEAST_VIEWS = 2
 
 
 def determined(observations: Observations, *, apart: bool = False) -> tuple[Mask, Mask]:
-    """Frames `(n_frames,)` that show four points or more that are seen in two such frames or more; and those.
+    """Frames that show four points or more that two such frames or more show; and those points.
 
-    Parameters
-    ----------
-    observations
-        what was seen.
-    apart
-        whether frames may fall into sets that share too few points to be one structure.
-
-    Raises
-    ------
-    ValueError
-        if there are not enough of them, or they fall into such sets.
+    With `apart` frames may fall into sets that share too few points to be one structure. It is a
+    `ValueError` if they do otherwise, or if there are not enough of them.
     """
     frames = np.ones(observations.n_frames, bool)
     points = np.ones(observations.n_points, bool)

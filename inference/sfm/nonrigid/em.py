@@ -46,14 +46,10 @@ _TURNS = cross_matrices(np.eye(3))
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Positions, about their frame's middle and in units of their spread.
+    """Positions about their frame's middle and in units of their spread, 0 where not `seen` (1 or 0).
 
-    Parameters
-    ----------
-    positions, seen
-        `(n_frames, n_points, 2)`, 0 where not seen, and `(n_frames, n_points)`, 1 or 0.
-    patterns, pattern_of_frame
-        `(n_patterns, n_points)` the different rows of `seen`, and `(n_frames,)` which is a frame's.
+    `(n_frames, n_points, 2)`; `patterns` `(n_patterns, n_points)` are the different rows of `seen`, and
+    `pattern_of_frame` is which one a frame has.
     """
 
     positions: Numbers
@@ -88,16 +84,9 @@ class Tracks:
 class State:
     """Shape, poses and noise.
 
-    Parameters
-    ----------
-    bases
-        `(n_bases, n_points, 3)`, the mean shape first.
-    rotations, scales, translations
-        `(n_frames, 3, 3)`, `(n_frames,)`, `(n_frames, 2)`.
-    noise
-        variance of a coordinate.
-    damping
-        `(n_frames,)` of the next Gauss-Newton step, relative to the diagonal.
+    Bases `(n_bases, n_points, 3)`, the mean shape first; rotations `(n_frames, 3, 3)`, scales `(n_frames,)`,
+    translations `(n_frames, 2)`; variance of a coordinate; damping `(n_frames,)` of the next Gauss-Newton
+    step.
     """
 
     bases: Numbers

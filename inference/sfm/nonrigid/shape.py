@@ -85,13 +85,7 @@ def frame_covariances(bases: Numbers, poses: Poses, seen: NDArray[np.bool_], noi
 def basis_covariances(
     bases: Numbers, poses: Poses, weights: Numbers, spread: Numbers, seen: NDArray[np.bool_], noise: float
 ) -> Numbers:
-    """`(n_points, 3 n_bases, 3 n_bases)` given poses and weights, with the prior of EM.
-
-    Parameters
-    ----------
-    weights, spread
-        `(n_frames, n_modes)` means and `(n_frames, n_modes, n_modes)` covariances of the weights.
-    """
+    """`(n_points, 3 n_bases, 3 n_bases)` given poses and weights, from all frames that show the point."""
     axes = poses.sizes[:, None, None] * poses.rotations[:, :2]
     extended = np.concatenate([np.ones((len(weights), 1)), weights], axis=1)
     second = extended[:, :, None] * extended[:, None]
@@ -107,15 +101,7 @@ def basis_covariances(
 @short_repr
 @dataclass(frozen=True)
 class Rival:
-    """Another optimum, from another start, that explains the tracks nearly as well.
-
-    Parameters
-    ----------
-    log_likelihood_gap
-        nats, 0 or more: by how much it is less likely.
-    disagreement
-        how far its shapes are from those of the best one, as `shape_error` measures it.
-    """
+    """Another optimum: nats by which it is less likely, and how far its shapes are off (`shape_error`)."""
 
     log_likelihood_gap: float
     disagreement: float

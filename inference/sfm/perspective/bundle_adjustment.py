@@ -43,16 +43,10 @@ ACCURACY = 1e-4  # of the logarithm of the variance
 class StudentNoise:
     """Errors of positions in two coordinates, with heavy tails, by which outliers lose their weight.
 
-    With d the distance in px and g the weight of the observation, the density is
+    With d the distance in px, g the weight of the observation, s^2 the variance and nu the freedom, the
+    density is
 
         g / (2 pi s^2) (1 + g d^2 / (nu s^2))^(-(nu + 2) / 2).
-
-    Parameters
-    ----------
-    variance
-        s^2, px^2 at weight 1: of an error that is no outlier.
-    freedom
-        nu; large where the errors are normal.
     """
 
     variance: float
@@ -178,18 +172,10 @@ def adjust(
     most_steps: int = 100,
     tolerance: float = 0.1,
 ) -> Bundle:
-    """Go to the optimum from a start.
+    """Go to the optimum from cameras and shape `(n_points, 3)`.
 
-    Parameters
-    ----------
-    listed
-        observations by point, of `about`, those of a point in the order of their frames.
-    cameras, shape
-        the start; `shape` is `(n_points, 3)`.
-    focal_known
-        keep the focal length as it is.
-    most_steps, tolerance
-        at most so many, and until three in a row gain less than so many nats each.
+    Observations are by point, of `about`, in the order of frames. At most so many steps, and until three in
+    a row gain less than `tolerance` nats each.
     """
     squares = squares_of(listed, cameras, shape)
     noise = StudentNoise.of_errors(squares, listed.weight)

@@ -60,18 +60,9 @@ def grown(
 ) -> tuple[PerspectiveCameras, Numbers, Mask] | None:
     """Grow a structure as far as it goes; `None` if no pair of frames shows enough.
 
-    Parameters
-    ----------
-    places
-        `(n_frames, n_points, 2)` px from the principal point, NaN where nothing was seen.
-    focal, focal_known
-        px, with which to begin, and whether to keep it.
-
-    Returns
-    -------
-    cameras, shape, known
-        of all frames, those without `known (n_frames,)` standing where the known one before or after stands;
-        `(n_points, 3)`.
+    Places `(n_frames, n_points, 2)` are px from the principal point, NaN where nothing was seen; `focal` px
+    is what to begin with. Gives cameras of all frames, those without `known` `(n_frames,)` standing where
+    the nearest known one stands, and the shape `(n_points, 3)`.
     """
     growth = _Growth(places, focal, focal_known)
     if not growth.begin():
@@ -406,15 +397,7 @@ def _round(listed: Listed, start: Start, focal_known: bool, most_steps: int = 10
 
 @dataclass(frozen=True)
 class Lens:
-    """What is known of the camera of a film.
-
-    Parameters
-    ----------
-    size
-        `(height, width)` px of the picture; the principal point is its middle.
-    focal
-        focal length, px; `None` where it is not known.
-    """
+    """The camera of a film: `(height, width)` px of the picture, and focal length in px if known."""
 
     size: tuple[int, int]
     focal: float | None = None
@@ -512,15 +495,8 @@ def perspective_structure(
 ) -> PerspectiveStructure | None:
     """Find cameras, focal length and shape; `None` if no start is found.
 
-    Parameters
-    ----------
-    positions, weights
-        `(n_frames, n_points, 2)` px and `(n_frames, n_points)`, as of `factorise`; each point is seen
-        somewhere.
-    affine
-        the same with affine cameras, to begin with; those frames and points count that it determines.
-    lens
-        of the camera.
+    Positions and weights are those of `factorise`, each point is seen somewhere; `affine` is the same with
+    affine cameras, to begin with, and those frames and points count that it determines.
     """
     known, n_points = affine.frames, positions.shape[1]
     frames, points = np.nonzero(weights[known] > 0)
