@@ -196,7 +196,7 @@ OUTSIDE = 1e9  # residual of a point that the frame does not show
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """The points `(n,)` by which frames are registered on a level of the pyramid; `scale` px to one of its px."""
+    """The points by which frames are registered on a level of the pyramid, of `scale` px a pixel."""
 
     scale: float
     places: Floats
