@@ -35,13 +35,7 @@ from .job import WHOLE_FILM, BackgroundJob, Camera
 from .job import Engine as EngineName
 from .moving_camera import MOVES, CameraWatch
 from .page import RunRecord, background_page, drawn_of
-from .parameters import (
-    SECTIONS,
-    Parameters,
-    build_chain,
-    other_chains,
-    read_parameters,
-)
+from .parameters import SECTIONS, Parameters, build_chain, other_chains, read_parameters
 from .predictions import Predictions
 from .whole_film import read_whole, warmed_up
 

@@ -72,9 +72,7 @@ class BackgroundJob(FilmJob):
     zones: Path | None = None
     chain: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = ()
 
-    BOUNDS: ClassVar[Bounds] = {
-        "warm_up": (lambda seconds: 0 < seconds < math.inf, "seconds, more than 0"),
-    }
+    BOUNDS: ClassVar[Bounds] = {"warm_up": (lambda seconds: 0 < seconds < math.inf, "seconds, more than 0")}
     EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = (
         ("--chain", "--engine stand-alone"),
         ("--detections", "--camera moving"),

@@ -170,10 +170,7 @@ LARGEST = 1e9
 NEAREST = 1e-3
 """px, between places that differ."""
 
-KEYS = {
-    "zone": ("name", "polygon"),
-    "line": ("name", "from", "to", "left_to_right", "right_to_left"),
-}
+KEYS = {"zone": ("name", "polygon"), "line": ("name", "from", "to", "left_to_right", "right_to_left")}
 OPTIONS = ("units", "still_after", "patience")
 UNITS = ("px", "relative")
 

@@ -173,10 +173,7 @@ class FaceDrawing:
         rotation = row["mean_rotation"]
         points = [x, y, covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]]
         pose = [rotation.ravel(), row["mean_translation"], row["mean_morphs"]]
-        numbers = [
-            *np.round(angles(rotation), 4),
-            error,
-        ]
+        numbers = [*np.round(angles(rotation), 4), error]
         return {
             "points": np.stack(points, axis=1).astype(np.float32),
             "pose": np.concatenate(pose)[None].astype(np.float32),

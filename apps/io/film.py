@@ -33,9 +33,7 @@ class Film(LazyFrames):
     """
 
     def __init__(
-        self,
-        open_again: Callable[[], Source],
-        passing: Callable[[Iterator[Frame]], Iterator[Frame]] = iter,
+        self, open_again: Callable[[], Source], passing: Callable[[Iterator[Frame]], Iterator[Frame]] = iter
     ) -> None:
         self._open_again = open_again
         self._passing = passing

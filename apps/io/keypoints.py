@@ -16,17 +16,7 @@ from ...models.core.short_repr import short_repr
 from .detections import check_not_live, last_frame, with_found
 from .point_files import FARTHEST
 from .sources.open_source import Source
-from .tables import (
-    Column,
-    Pictures,
-    Row,
-    csv_rows,
-    digest,
-    first_line,
-    json_rows,
-    read_json,
-    rows_of_frame,
-)
+from .tables import Column, Pictures, Row, csv_rows, digest, first_line, json_rows, read_json, rows_of_frame
 
 Array = NDArray[np.float64]
 
