@@ -142,21 +142,16 @@ def _in_folder(folder: Path, kinds: frozenset[str]) -> Iterator[Found]:
         yield Found(os.path.abspath(folder))
         return
     films += [
-        path for path in inside if path.is_dir() and not _is_of_run(path) and images_among(path.iterdir())
+        path for path in inside if path.is_dir() and not _holds(path, OF_RUN) and images_among(path.iterdir())
     ]
     if not films:
         raise FileNotFoundError(f"{folder}: the folder holds no images and no films")
     yield from (Found(os.path.abspath(path)) for path in in_natural_order(films))
 
 
-def _is_of_run(folder: Path) -> bool:
-    """Whether a run has written here, whose pictures and videos are no films to take."""
-    return _holds(folder, OF_RUN)
-
-
 def _is_result(path: Path) -> bool:
     """Whether a file or folder is of a run's results, or over those of a batch."""
-    if _is_of_run(path) or _is_of_run(path.parent):
+    if _holds(path, OF_RUN) or _holds(path.parent, OF_RUN):
         return True
     return path.name in OF_BATCH and _holds(path.parent, OF_BATCH)
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ...inference.sfm.perspective.structure import PerspectiveStructure
-from ...models.files import write_atomically
+from ...models.files import write_text
 
 FILES = ("cameras.txt", "images.txt", "points3D.txt")
 HALF = 0.5
@@ -41,7 +41,7 @@ def write_colmap(
     cameras, (height, width) = found.cameras, found.size
     middle = (cameras.principal + HALF).tolist()
     lens = f"1 SIMPLE_PINHOLE {width} {height} {cameras.focal:.10g} {middle[0]:g} {middle[1]:g}"
-    _write(folder / FILES[0], ["# CAMERA_ID MODEL WIDTH HEIGHT F CX CY", lens])
+    write_text(folder / FILES[0], f"# CAMERA_ID MODEL WIDTH HEIGHT F CX CY\n{lens}\n")
 
     seen = observed & found.frame_determined[:, None]
     turns = Rotation.from_matrix(cameras.rotations).as_quat(canonical=True)[:, [3, 0, 1, 2]]
@@ -55,7 +55,7 @@ def write_colmap(
         lines.append(
             " ".join(f"{x:.4f} {y:.4f} {point + 1}" for (x, y), point in zip(places_here, shown, strict=True))
         )
-    _write(folder / FILES[1], lines)
+    write_text(folder / FILES[1], "\n".join([*lines, ""]))
 
     place_in_image = np.cumsum(seen, axis=1) - 1
     lines = ["# POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID POINT2D_IDX)"]
@@ -66,9 +66,4 @@ def write_colmap(
         colour = " ".join(str(value) for value in colours[point, ::-1].tolist())
         track = " ".join(f"{images[t][0]} {place_in_image[t, point]}" for t in frames)
         lines.append(f"{point + 1} {where} {colour} {errors[frames, point].mean():.4f} {track}")
-    _write(folder / FILES[2], lines)
-
-
-def _write(path: Path, lines: Sequence[str]) -> None:
-    with write_atomically(path) as unfinished:
-        unfinished.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    write_text(folder / FILES[2], "\n".join([*lines, ""]))

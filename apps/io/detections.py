@@ -63,10 +63,8 @@ class Detections:
         `(n,)` float64; `None` if the file tells none.
     class_index, class_names
         `(n,)` int32 into the names, and `(n_classes,)` text; `None` and none if the file tells none.
-    place
-        `(n,)` int64: where each stands in the file, in units of
-    unit
-        for instance "line".
+    place, unit
+        `(n,)` int64: where each stands in the file, in units such as "line".
     looked
         the frames on which the detector ran, whether it found something there or not.
     """

@@ -306,22 +306,8 @@ def with_keypoints(
 ) -> Iterator[Frame]:
     """Frames with the points that a detector of poses or hands finds in them.
 
-    Parameters
-    ----------
-    frames
-        in order, as `open_source` gives them; one without an image stays without points.
-    detector
-        is called with a frame. It returns what `GivenKeypoints.of` takes, or `None`: it has not looked.
-        `Keypoints` of a file are such a detector.
-    every
-        it is called for every so many frames with an image, the first among them.
-
-    Raises
-    ------
-    ValueError
-        if `every` is below 1; or naming the frame, if what the detector returns are no points.
-    TypeError
-        if the detector cannot be called, or what comes are no frames.
+    Parameters and errors are those of `with_boxes`, but the detector returns what `GivenKeypoints.of` takes;
+    `Keypoints` of a file are such a detector.
     """
     return with_found(
         frames, detector, every, lambda frame, found: replace(frame, keypoints=GivenKeypoints.of(found))

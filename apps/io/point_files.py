@@ -101,7 +101,7 @@ def read_points(path: str | Path, *, half: bool = False) -> NDArray[np.float64]:
 
 
 def read_shapes(path: str | Path) -> NDArray[np.float64]:
-    """Read shapes in space over time: where every point is in every frame.
+    """Read shapes in space over time: where every point is in every frame, `(n_frames, n_points, 3)`, finite.
 
     Parameters
     ----------
@@ -110,17 +110,10 @@ def read_shapes(path: str | Path) -> NDArray[np.float64]:
         in a `.mat` file: `X (3, n_points, n_frames)`, or `P3_gt (3 n_frames, n_points)`, all x before all y
         before all z.
 
-    Returns
-    -------
-    NDArray[np.float64]
-        `(n_frames, n_points, 3)`, in the file's unit, finite.
-
     Raises
     ------
     ValueError
         naming what came and what was expected, if it is no such file or array.
-    OSError
-        if the file cannot be read.
     """
     path = Path(path)
     arrays = read_arrays(path, EXPECTED_SHAPES)

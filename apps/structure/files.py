@@ -157,15 +157,22 @@ def point_colours(frames: Sequence[Frame], found: Reconstruction) -> NDArray[np.
     """The median colour of every point where it was seen, `(n_points, 3)` BGR; grey where there is none."""
     samples = np.full((len(frames), found.n_points, 3), np.nan, np.float32)
     for frame, places, seen, colours in zip(frames, found.places, found.observed, samples, strict=True):
-        if frame.image is None:
-            continue
-        height, width = frame.image.shape[:2]
-        points = np.flatnonzero(seen)
-        columns, rows = np.rint(places[points]).astype(np.int64).T
-        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-        values = frame.image[rows[inside], columns[inside]]
-        colours[points[inside]] = values if values.ndim == 2 else values[:, None]
+        if frame.image is not None:
+            near = np.rint(np.where(seen[:, None], places, -1))
+            inside = ((near >= 0) & (near < frame.image.shape[1::-1])).all(axis=1)
+            colours[inside] = colours_at(frame, places[inside])
     coloured = ~np.isnan(samples[:, :, 0]).all(axis=0)
     result = np.full((found.n_points, 3), GREY, np.uint8)
     result[coloured] = np.rint(np.nanmedian(samples[:, coloured], axis=0))
     return result
+
+
+def colours_at(frame: Frame, places: Numbers) -> NDArray[np.uint8]:
+    """`(n, 3)` BGR of the picture at places `(n, 2)` px; grey where there is no picture."""
+    colours = np.full((len(places), 3), GREY, np.uint8)
+    if frame.image is not None and len(places):
+        height, width = frame.image.shape[:2]
+        columns, rows = np.rint(places).astype(np.int64).T
+        values = frame.image[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
+        colours[:] = values if values.ndim == 2 else values[:, None]
+    return colours

@@ -20,7 +20,7 @@ from ..view.film import Film, Row
 from ..view.overlay import Draw, PointsOverlay
 from ..view.page import Page
 from .diagnosis import no_depth
-from .files import GREY, write_cameras, write_ply, write_tracks
+from .files import GREY, colours_at, write_cameras, write_ply, write_tracks
 from .job import StructureJob
 from .page import facts_of, in_words, nothing_page, structure_page
 
@@ -61,7 +61,7 @@ class RecursiveRun(Application[StructureJob]):
             camera, covariance = structure.motion.camera, structure.motion.camera_covariance
         return Columns(
             {"camera": camera, "camera_covariance": covariance},
-            {"id": seen.identities, "place": seen.positions, "colour": _colours(frame, seen.positions)},
+            {"id": seen.identities, "place": seen.positions, "colour": colours_at(frame, seen.positions)},
             drawn=partial(_drawn, structure, seen.identities, seen.positions),
             live={"points": len(seen.identities), "of the shape": 0 if structure is None else len(structure)},
         )
@@ -130,17 +130,6 @@ def _drawn(structure: Structure | None, identities: NDArray[np.int64], places: N
         "points": np.concatenate([places, expected]).astype(np.float32),
         "seen": np.arange(len(identities) + len(hidden)) < len(identities),
     }
-
-
-def _colours(frame: Frame, places: Numbers) -> NDArray[np.uint8]:
-    """`(n, 3)` BGR of the picture at places; grey where there is none."""
-    colours = np.full((len(places), 3), GREY, np.uint8)
-    if frame.image is not None and len(places):
-        height, width = frame.image.shape[:2]
-        columns, rows = np.rint(places).astype(np.int64).T
-        values = frame.image[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
-        colours[:] = values if values.ndim == 2 else values[:, None]
-    return colours
 
 
 def _of_identities(log: RowLog, identities: NDArray[np.int64]) -> tuple[Numbers, NDArray[np.uint8]]:

@@ -8,7 +8,6 @@ import os
 import re
 import threading
 import warnings
-import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -68,7 +67,7 @@ def _decoded(path: Path, flags: int) -> NDArray[Any] | None:
         raise ValueError(f"{path}: has {path.stat().st_size} bytes, more than a picture may have")
     data = path.read_bytes()
     with quiet_libraries():
-        if not _is_complete(data) or not _is_small_enough(data, path):
+        if not _has_its_end(data) or not _is_small_enough(data, path):
             return None
         try:
             return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -77,10 +76,11 @@ def _decoded(path: Path, flags: int) -> NDArray[Any] | None:
 
 
 def _is_small_enough(data: bytes, path: Path) -> bool:
-    """Refuse a picture whose header states too many pixels; tell whether it has a header that can be read."""
+    """Refuse a picture whose header states too many pixels; tell whether header and check sums are right."""
     try:
         with Image.open(io.BytesIO(data), formats=_FORMATS) as picture:  # reads the header only
             n_pixels = picture.width * picture.height
+            picture.verify()  # of a PNG, all check sums and the end
     except Image.DecompressionBombError:  # above Pillow's own bound, which is above ours
         n_pixels = MOST_PIXELS + 1
     except MemoryError:
@@ -92,32 +92,20 @@ def _is_small_enough(data: bytes, path: Path) -> bool:
     return True
 
 
-def _is_complete(data: bytes) -> bool:
-    """Tell whether a JPEG or PNG has its end (and a PNG its check sums); other data pass.
+def _has_its_end(data: bytes) -> bool:
+    """Tell whether a JPEG has its end; other data pass.
 
     The decoders of some OpenCV versions fill up what a truncated file lacks, and report on standard error.
     """
-    if data.startswith(b"\xff\xd8"):
-        position = 2
-        while data[position : position + 1] == b"\xff" and len(data) >= position + 4:
-            # Walking the segments steps over thumbnails, which have an end marker of their own.
-            if data[position + 1] == 0xDA:
-                return data.find(b"\xff\xd9", position) >= 0
-            position += 2 + int.from_bytes(data[position + 2 : position + 4], "big")
-        return False
-    if data.startswith(b"\x89PNG\r\n\x1a\n"):
-        position = 8
-        while len(data) >= position + 12:
-            length = int.from_bytes(data[position : position + 4], "big")
-            kind_and_content = memoryview(data)[position + 4 : position + 8 + length]
-            check_sum = data[position + 8 + length : position + 12 + length]
-            if int.from_bytes(check_sum, "big") != zlib.crc32(kind_and_content) or len(check_sum) < 4:
-                return False
-            if bytes(kind_and_content[:4]) == b"IEND":
-                return True
-            position += 12 + length
-        return False
-    return len(data) > 0
+    if not data.startswith(b"\xff\xd8"):
+        return len(data) > 0
+    position = 2
+    while data[position : position + 1] == b"\xff" and len(data) >= position + 4:
+        # Walking the segments steps over thumbnails, which have an end marker of their own.
+        if data[position + 1] == 0xDA:
+            return data.find(b"\xff\xd9", position) >= 0
+        position += 2 + int.from_bytes(data[position + 2 : position + 4], "big")
+    return False
 
 
 SCALED = "Pictures of 16 bits a channel are scaled to 8: 65535 becomes 255."
