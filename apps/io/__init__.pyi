@@ -4,7 +4,7 @@ from .ground_truth import BoxTruth, MaskTruth, read_ground_truth
 from .keypoints import Keypoints, read_keypoints, with_keypoints
 from .point_files import frames_of_tracks, read_points
 from .sources.open_source import Source, open_source
-from .tracks import TrackTableWriter, TrackWriter, read_tracks
+from .tracks import TrackWriter, read_tracks
 
 __all__ = [
     "BoxTruth",
@@ -13,7 +13,6 @@ __all__ = [
     "MaskTruth",
     "MaskWriter",
     "Source",
-    "TrackTableWriter",
     "TrackWriter",
     "frames_of_tracks",
     "open_source",

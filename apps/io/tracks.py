@@ -105,17 +105,6 @@ class TrackWriter(LineWriter):
         )
 
 
-class TrackTableWriter(LineWriter):
-    """`tracks.csv`, with the columns of `COLUMNS`; seen is 1 or 0, a velocity that is not known is empty."""
-
-    def __init__(self, path: str | Path, resume_after: int = 0) -> None:
-        super().__init__(path, HEADER, resume_after)
-
-    def write(self, number: int, time: float, tracks: Sequence[TrackedObject]) -> None:
-        """Append the objects of frame `number` (from 1) at `time` (s)."""
-        self.append(table_lines(number, time, columns_of(tracks)))
-
-
 def columns_of(tracks: Sequence[TrackedObject]) -> dict[str, NDArray[Any]]:
     """The columns of `COLUMNS` but frame and time, `(n,)` an object."""
     rows = [(track.identity, *track.box, track.confidence, *track.velocity, track.seen) for track in tracks]

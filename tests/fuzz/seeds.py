@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rsmcm.apps.evaluation.predictions import FILE, PairRecord, ScoreRecord, write_predictions
-from rsmcm.apps.io.tracks import TABLE, TrackedBox, TrackTableWriter
+from rsmcm.apps.io.files import LineWriter
+from rsmcm.apps.io.tracks import HEADER, TABLE, TrackedBox, columns_of, table_lines
 from rsmcm.inference import RecursiveBP
 from rsmcm.inference.validity import RecordedPredictions
 from rsmcm.models.body.upper_body import JOINTS
@@ -274,10 +275,10 @@ def _predictions(folder: Path) -> list[Files]:
 
 
 def _exports(folder: Path) -> list[Files]:
-    with TrackTableWriter(folder / TABLE) as table:
+    with LineWriter(folder / TABLE, HEADER) as table:
         for number in (1, 2, 3):
             tracks = [TrackedBox(who, (5.0 * who, 6.0, 20.0, 30.0)) for who in range(1, number)]
-            table.write(number, number / 25, tracks)
+            table.append(table_lines(number, number / 25, columns_of(tracks)))
     summary = {"size": [WIDTH, HEIGHT], "rate": 25.0, "first_frame": 1, "last_frame": 3}
     summary |= {"source": "film.mp4", "frames": 3, "parameters": {"step": 1}}
     masks = {f"foreground/bin00000{number}.png": _encoded("png", _picture()) for number in (1, 2, 3)}

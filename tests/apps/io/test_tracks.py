@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rsmcm.apps.exports import read_tracks_table
-from rsmcm.apps.io import TrackTableWriter
 from rsmcm.apps.io.tracks import COLUMNS, HEADER, TrackedBox, TrackWriter, read_tracks
 
 from ...support.film import Box
+from ...support.tables import TrackTableWriter
 
 
 def test_tracks_are_written_as_mot_has_them(tmp_path: Path) -> None:
