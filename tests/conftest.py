@@ -1,6 +1,7 @@
 """Fixtures that several test files share, and commands as a user runs them."""
 
 import json
+import math
 import os
 import re
 import resource
@@ -15,12 +16,21 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from rsmcm.apps.command_line import main
+from rsmcm.apps.runs import progress
 
 from .support.browser import Browser, browsing
 
 # A busy machine, or the first call of a compiled loop, says nothing about what is tested.
 settings.register_profile("any-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any-machine")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_lines_of_progress() -> Iterator[None]:
+    """However slow a busy machine is, a command of this process says nothing between its own lines."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(progress, "SPARSE_SECONDS", math.inf)
+        yield
 
 
 @pytest.fixture(scope="session")
