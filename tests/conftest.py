@@ -96,6 +96,8 @@ class Command:
             text=True,
             timeout=120,
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most)),
+            # Python would leave files of compiled modules that are cut off at the limit
+            env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
         )
         assert done.returncode == 2
         _assert_one_line(done.stderr)

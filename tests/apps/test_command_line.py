@@ -2,7 +2,6 @@
 
 import json
 import os
-import resource
 import shlex
 import shutil
 import signal
@@ -25,7 +24,7 @@ from rsmcm.apps.io.files import PLAYABLE, SegmentedVideo
 from rsmcm.apps.runs.parallel import in_parallel
 from rsmcm.apps.scenes import sleeping_man
 
-from ..conftest import modified
+from ..conftest import Command, modified
 
 SIZE = (64, 48)
 COMMAND = [sys.executable, "-m", "rsmcm.apps.command_line"]
@@ -420,19 +419,7 @@ def test_output_that_is_no_folder(scene: Path, tmp_path: Path, capfd: pytest.Cap
 
 
 def test_a_full_disk(scene: Path, tmp_path: Path) -> None:
-    """A limit of the size of files stands for it; the process is its own, for what is printed and left."""
-    out = tmp_path / "out"
-    done = subprocess.run(
-        [*COMMAND, "background", str(scene / "input"), "--out", str(out)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),
-    )
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1, done.stderr
-    assert str(out) in done.stderr
-    assert not [path for path in out.rglob("*") if "partial" in path.name or "unfinished" in path.name]
+    Command("background").on_a_full_disk(tmp_path / "out", 20_000, scene / "input")
 
 
 def test_control_c(scene: Path, tmp_path: Path) -> None:
