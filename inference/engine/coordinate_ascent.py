@@ -27,6 +27,7 @@ from .protocols import (
     Message,
     MessageType,
     Named,
+    PerFrame,
     Smoothed,
     TrajectoryType,
     name_of,
@@ -175,7 +176,7 @@ class TimeSlices:
         return node.uniform() if frame.missing else node.evidence(frame, prior)
 
 
-class _IncomingOverTime(Sequence[BatchIncoming]):
+class _IncomingOverTime(PerFrame[BatchIncoming]):
     """What reaches a chain at all times."""
 
     def __init__(self, slices: TimeSlices, chain: str) -> None:
@@ -184,15 +185,8 @@ class _IncomingOverTime(Sequence[BatchIncoming]):
     def __len__(self) -> int:
         return len(self._slices.frames)
 
-    @overload
-    def __getitem__(self, time: int) -> BatchIncoming: ...
-    @overload
-    def __getitem__(self, time: slice) -> Sequence[BatchIncoming]: ...
-    def __getitem__(self, time: int | slice) -> BatchIncoming | Sequence[BatchIncoming]:
-        numbers = range(len(self))[time]  # which raises IndexError beyond the end
-        if isinstance(numbers, range):
-            return [_BatchIncoming(self._slices, self._chain, number) for number in numbers]
-        return _BatchIncoming(self._slices, self._chain, numbers)
+    def _at(self, number: int) -> BatchIncoming:
+        return _BatchIncoming(self._slices, self._chain, number)
 
 
 class _BatchIncoming(BatchIncoming):

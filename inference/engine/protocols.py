@@ -333,6 +333,21 @@ def _members(protocol: type) -> list[str]:
     return [name for base in bases for name in vars(base) if not name.startswith("_")]
 
 
+class PerFrame(Sequence[Result]):
+    """One thing a frame, which is worked out when it is asked for."""
+
+    @abstractmethod
+    def _at(self, number: int) -> Result: ...
+
+    @overload
+    def __getitem__(self, time: int) -> Result: ...
+    @overload
+    def __getitem__(self, time: slice) -> Sequence[Result]: ...
+    def __getitem__(self, time: int | slice) -> Result | Sequence[Result]:
+        numbers = range(len(self))[time]  # which raises IndexError beyond the end
+        return self._at(numbers) if isinstance(numbers, int) else [self._at(number) for number in numbers]
+
+
 class LazyFrames(Sequence[Frame]):
     """Frames in order of time that are made when they are asked for, best one after the other.
 

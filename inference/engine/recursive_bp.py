@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import inf
 from pathlib import Path
-from typing import Any, Generic, TypeVar, get_type_hints, overload
+from typing import Any, TypeVar, get_type_hints, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from .protocols import (
     Message,
     MessageType,
     Named,
+    PerFrame,
     Results,
     name_of,
     require,
@@ -61,9 +62,9 @@ class TimeSlice:
         self._products: dict[tuple[str, Factors], Any] = {}
 
     def send(self, sender: str, feature: str) -> None:
-        """Send a message that follows from what has been sent by now, unless it is the one sent before."""
+        """Send a message that follows from what has been sent by now."""
         if sender == IMAGE:
-            if self.frame.missing or (IMAGE, feature) in self._sent:
+            if self.frame.missing:
                 return
             incoming = {feature: self._ahead(feature) if self.model.features[feature].searches else ()}
         else:
@@ -72,9 +73,7 @@ class TimeSlice:
             if wanted != Cavity.OTHERS:
                 image = self._sent.get((IMAGE, feature))
                 incoming[feature] = () if image is None or wanted == Cavity.NOTHING else (image,)
-        before = self._sent.get((sender, feature))
-        if before is None or before.incoming != incoming:
-            self._sent[sender, feature] = Sent(sender, feature, incoming)
+        self._sent[sender, feature] = Sent(sender, feature, incoming)
 
     def incoming(self, chain: str) -> Incoming:
         """All that reaches the chain by now except for its own messages, worked out."""
@@ -320,27 +319,21 @@ class RecursiveBP:
     ----------
     model
         as it is now: later connections need a new engine.
-    sweeps
-        how often the messages are exchanged. One is enough, and exact, for chains that ignore their cavity;
-        with more, chains that use it see the latest messages of the others.
 
     Raises
     ------
     ValueError
-        if the model has no chain or has a loop, or `sweeps` is below 1.
+        if the model has no chain or has a loop.
     TypeError
         if one of the chains cannot filter.
     """
 
-    def __init__(self, model: MultiChain, sweeps: int = 1) -> None:
+    def __init__(self, model: MultiChain) -> None:
         require_model(model)
         for name, chain in model.chains.items():
             require(f"chain {name!r}", chain, Chain)
-        if sweeps < 1:
-            raise ValueError(f"sweeps: got {sweeps}, expected 1 or more")
         model.check_complete()
         self.model = model.copy()
-        self.sweeps = sweeps
         self._schedule = self.model.schedule()
 
     def __repr__(self) -> str:
@@ -391,7 +384,7 @@ class RecursiveBP:
         else:
             raise ValueError(f"state: got chains {', '.join(state.states)}, expected {', '.join(chains)}")
         time_slice = TimeSlice(self.model, predictions, frame)
-        for sender, feature in self._schedule * self.sweeps:
+        for sender, feature in self._schedule:
             time_slice.send(sender, feature)
         incoming = {name: time_slice.incoming(name) for name in chains}
         updated = side_by_side(
@@ -474,7 +467,7 @@ def _require_states(method: str, before: Mapping[str, Any], after: Mapping[str, 
             raise TypeError(f"chain {name!r}: {method} gave None, expected a state")
 
 
-class ForwardPass(Sequence[MessageType], Generic[MessageType]):
+class ForwardPass(PerFrame[MessageType]):
     """What a filter says in each frame, worked out when it is asked for.
 
     Asked for forwards, a frame costs one step of the filter; asked for an earlier frame, it begins again. It
@@ -508,17 +501,10 @@ class ForwardPass(Sequence[MessageType], Generic[MessageType]):
     def __len__(self) -> int:
         return len(self._incoming)
 
-    @overload
-    def __getitem__(self, time: int) -> MessageType: ...
-    @overload
-    def __getitem__(self, time: slice) -> Sequence[MessageType]: ...
-    def __getitem__(self, time: int | slice) -> MessageType | Sequence[MessageType]:
-        numbers = range(len(self))[time]  # which raises IndexError beyond the end
-        if isinstance(numbers, range):
-            return [self[number] for number in numbers]
-        if numbers < self._next - 1:
+    def _at(self, number: int) -> MessageType:
+        if number < self._next - 1:
             self._state, self._next = self._start, 0
-        while self._next <= numbers:
+        while self._next <= number:
             self._belief = self._engine.step(self._state, self._incoming[self._next].frame)
             self._state = self._belief.state
             self._next += 1
