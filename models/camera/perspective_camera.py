@@ -52,6 +52,11 @@ class PerspectiveCameras:
     principal: Numbers
 
     @property
+    def arrays(self) -> tuple[Numbers, Numbers, Numbers, float]:
+        """What loops take: rotations, scales, shifts and curvature."""
+        return self.rotations, self.scales, self.shifts, self.curvature
+
+    @property
     def focal(self) -> float:
         """Focal length, px; infinite for a camera far away."""
         return 1 / self.curvature if self.curvature else np.inf

@@ -28,8 +28,9 @@ def homogeneous(shape: Numbers) -> Numbers:
     return np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
 
 
-def shape_moments(shape: Numbers, covariance: Numbers) -> Numbers:
+def shape_moments(shape: Numbers, covariance: Numbers | None = None) -> Numbers:
     """Give E[s s^T], s = (S, 1), as ten numbers `(n_points, 10)`."""
+    covariance = np.zeros((len(shape), 3, 3)) if covariance is None else covariance
     moments = np.empty((len(shape), 10))
     x, y, z = shape.T
     for place, j, k, product in ((0, 0, 0, x * x), (1, 0, 1, x * y), (2, 0, 2, x * z), (4, 1, 1, y * y)):
@@ -40,8 +41,9 @@ def shape_moments(shape: Numbers, covariance: Numbers) -> Numbers:
     return moments
 
 
-def camera_moments(cameras: Numbers, covariance: Numbers) -> Numbers:
+def camera_moments(cameras: Numbers, covariance: Numbers | None = None) -> Numbers:
     """Give E[m m^T] summed over the rows of u and v, as ten numbers `(n_frames, 10)`."""
+    covariance = np.zeros((len(cameras), 4, 4)) if covariance is None else covariance
     second = np.einsum("tcj,tck->tjk", cameras, cameras) + 2 * covariance
     moments: Numbers = second[:, UPPER[0], UPPER[1]]
     return moments
@@ -328,5 +330,5 @@ def expectation_maximisation(
 
 def _camera_error(sums: Sums, covariance: Numbers, shape: Numbers) -> float:
     """Expected squared error that comes of the cameras' covariances."""
-    information, _ = sums.of_frames(shape, shape_moments(shape, np.zeros((len(shape), 3, 3))))
+    information, _ = sums.of_frames(shape, shape_moments(shape))
     return 2 * float(np.sum(information * covariance))

@@ -83,13 +83,12 @@ def variable_projection(
     """
     by_point, by_frame = observations.by_point, observations.by_frame
     points = np.diff(by_point.edges) > 0
-    certain = np.zeros((len(points), RANK, RANK))
 
     def linearised(at: LeastSquares) -> Callable[[float], LeastSquares | None]:
         if at.error <= enough:
             return lambda damping: at
         gradient = camera_gradient(by_point, at.cameras, at.shape)
-        information, _ = frame_moments(by_frame, at.shape, shape_moments(at.shape, certain))
+        information, _ = frame_moments(by_frame, at.shape, shape_moments(at.shape))
         scale = float(np.einsum("tjj->", information)) / (4 * len(at.cameras))
 
         def step(damping: float) -> LeastSquares | None:
@@ -195,8 +194,7 @@ def around_optimum(observations: Observations, part: Observations, found: LeastS
     cameras, shape = found.cameras, found.shape
     noise = max(found.error / max(freedom(part), 1.0), LEAST_VARIANCE**2)
     points, frames = np.diff(part.by_point.edges) > 0, np.diff(part.by_frame.edges) > 0
-    certain = np.zeros((len(cameras), 4, 4))
-    information, _, _ = point_moments(part.by_point, cameras, camera_moments(cameras, certain))
+    information, _, _ = point_moments(part.by_point, cameras, camera_moments(cameras))
     good = points
     for _ in range(2):  # the first spread is that of points which may be anywhere
         mean, change = whitening(shape[good])
@@ -210,7 +208,7 @@ def around_optimum(observations: Observations, part: Observations, found: LeastS
     prior = first_prior(cameras[frames], coherent=False)
     leverages = point_leverages(part.by_frame, cameras, covariance / noise)
     others = part.by_frame._replace(weight=part.by_frame.weight * (1 - leverages))
-    information, _ = frame_moments(others, shape, shape_moments(shape, np.zeros_like(covariance)))
+    information, _ = frame_moments(others, shape, shape_moments(shape))
     camera_covariance, _ = invert_information(information, np.full(4, LEAST_VARIANCE), 1 / noise)
     posterior = Posterior(cameras, camera_covariance, shape, covariance, noise, prior)
     return _completed(observations, posterior, frames, points)

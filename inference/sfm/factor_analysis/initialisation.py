@@ -196,8 +196,7 @@ def _clearness(observations: Observations, first: int, length: int, members: Ind
 def _resect(observations: Observations, known: _Known, terms: "_Terms") -> bool:
     """Add frames whose camera the known points determine about as well as that of the best one left."""
     part = observations.only(~known.frames, known.points)
-    certain = np.zeros((len(known.shape), RANK, RANK))
-    information, vector = frame_moments(part.by_frame, known.shape, shape_moments(known.shape, certain))
+    information, vector = frame_moments(part.by_frame, known.shape, shape_moments(known.shape))
     strength = np.linalg.eigvalsh(information)[:, 0]
     strength[np.diff(part.by_frame.edges) < terms.points] = 0
     chosen = strength >= max(terms.strength, 0.5 * strength.max(initial=0))
@@ -215,10 +214,7 @@ def _foresee(known: _Known) -> None:
 def _intersect(observations: Observations, known: _Known, terms: "_Terms") -> bool:
     """Add points that known cameras determine well enough."""
     part = observations.only(known.frames, ~known.points)
-    certain = np.zeros((len(known.cameras), 4, 4))
-    information, vector, _ = point_moments(
-        part.by_point, known.cameras, camera_moments(known.cameras, certain)
-    )
+    information, vector, _ = point_moments(part.by_point, known.cameras, camera_moments(known.cameras))
     strength = np.linalg.eigvalsh(information)[:, 0]
     chosen = (np.diff(part.by_point.edges) >= VIEWS) & (strength * terms.spread**2 > known.noise)
     if chosen.any():
@@ -234,10 +230,9 @@ def _refine(observations: Observations, known: _Known, rounds: int) -> None:
     all_frames = np.ones(len(known.cameras), bool)
     views = part.by_frame if known.prior is None else observations.only(all_frames, known.points).by_frame
     resected = np.diff(views.edges) >= LEAST_POINTS
-    certain = np.zeros((len(known.shape), RANK, RANK)), np.zeros((len(known.cameras), 4, 4))
     for _ in range(rounds):
         cameras, shape = whitened(known.cameras, known.shape, points)
-        information, vector = frame_moments(views, shape, shape_moments(shape, certain[0]))
+        information, vector = frame_moments(views, shape, shape_moments(shape))
         if known.prior is None:
             covariance, _ = invert_information(information[resected], np.full(4, RIDGE), 1.0)
             cameras[resected] = (covariance @ vector[resected]).transpose(0, 2, 1)
@@ -246,7 +241,7 @@ def _refine(observations: Observations, known: _Known, rounds: int) -> None:
             known.prior = estimate_cameras(information, vector, noise, known.prior).better
             estimate = estimate_cameras(information, vector, noise, known.prior)
             cameras, known.camera_covariance = estimate.cameras, estimate.covariance
-        information, vector, _ = point_moments(part.by_point, cameras, camera_moments(cameras, certain[1]))
+        information, vector, _ = point_moments(part.by_point, cameras, camera_moments(cameras))
         covariance, _ = invert_information(information[points], np.full(RANK, RIDGE), 1.0)
         shape[points] = np.einsum("ijk,ik->ij", covariance, vector[points])
         known.cameras, known.shape = cameras, shape

@@ -157,9 +157,7 @@ def freedom(listed: Listed, *, focal_known: bool) -> int:
 
 def squares_of(listed: Listed, cameras: PerspectiveCameras, shape: Numbers) -> Numbers:
     """Squared distances `(n,)` px^2 between observations and where they should be."""
-    squares: Numbers = squared_distances(
-        listed, cameras.rotations, cameras.scales, cameras.shifts, cameras.curvature, shape, NEAREST, BEHIND
-    )
+    squares: Numbers = squared_distances(listed, *cameras.arrays, shape, NEAREST, BEHIND)
     return squares
 
 
@@ -208,28 +206,14 @@ def adjust(
 
 def retriangulated(listed: Listed, found: Bundle) -> Numbers:
     """Points `(n_points, 3)` for the cameras of a bundle, none of them less likely than its own."""
-    cameras, noise, shape = found.cameras, found.noise, found.shape.copy()
-    triangulate(
-        listed, cameras.rotations, cameras.scales, cameras.shifts, cameras.curvature, shape,
-        noise.variance, noise.freedom, NEAREST, BEHIND,
-    )  # fmt: skip
+    noise, shape = found.noise, found.shape.copy()
+    triangulate(listed, *found.cameras.arrays, shape, noise.variance, noise.freedom, NEAREST, BEHIND)
     return shape
 
 
 def sums_of(listed: Listed, weights: Numbers, cameras: PerspectiveCameras, shape: Numbers) -> Sums:
     """Normal equations at the weights `(n,)` of observations."""
-    return Sums(
-        *normal_equations(
-            listed,
-            weights,
-            cameras.rotations,
-            cameras.scales,
-            cameras.shifts,
-            cameras.curvature,
-            shape,
-            NEAREST,
-        )
-    )
+    return Sums(*normal_equations(listed, weights, *cameras.arrays, shape, NEAREST))
 
 
 def reduced(
@@ -380,10 +364,7 @@ def gauge_of(cameras: PerspectiveCameras) -> Numbers:
 
 def predicted(found: Bundle, covariance: BundleCovariance) -> tuple[Numbers, Numbers]:
     """Positions `(n_frames, n_points, 2)` px of all points in all frames, and their covariances px^2."""
-    cameras = found.cameras
-    positions, _ = cameras.seen(found.shape)
-    covariances: Numbers = prediction_covariances(
-        cameras.rotations, cameras.scales, cameras.shifts, cameras.curvature, found.shape,
-        covariance.cameras, covariance.points, covariance.points_and_cameras,
-    )  # fmt: skip
+    positions, _ = found.cameras.seen(found.shape)
+    known = covariance.cameras, covariance.points, covariance.points_and_cameras
+    covariances: Numbers = prediction_covariances(*found.cameras.arrays, found.shape, *known)
     return positions, covariances
