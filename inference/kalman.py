@@ -120,6 +120,11 @@ class PointStates:
         return cls(mean, covariance)
 
     @property
+    def arrays(self) -> tuple[Numbers, Numbers]:
+        """Mean and covariance as loops take them."""
+        return _plain(self.mean), _plain(self.covariance)
+
+    @property
     def position(self) -> Numbers:
         """`(..., n_points, 2)` px."""
         return self.mean[..., :2]
@@ -141,18 +146,11 @@ def predict(states: PointStates, dt: float, acceleration: ArrayLike) -> PointSta
     all points or `(n_points,)`: by so much a velocity's variance grows in a second. A negative `dt`, or
     shapes that do not fit, are a `ValueError`.
     """
-    if not dt >= 0:
-        raise ValueError(f"dt: got {dt} s, expected 0 or more")
+    _check(dt)
     n_points = _checked_states(states, 1)
     moved = _empty_like(states)
-    kalman_kernels.predict_states(
-        _plain(states.mean),
-        _plain(states.covariance),
-        float(dt),
-        _per_point(acceleration, n_points),
-        moved.mean,
-        moved.covariance,
-    )
+    noise = _per_point(acceleration, n_points)
+    kalman_kernels.predict_states(*states.arrays, float(dt), noise, *moved.arrays)
     return moved
 
 
@@ -167,9 +165,7 @@ def update(states: PointStates, information: ArrayLike, vector: ArrayLike) -> Po
     _checked_states(states, 1)
     measured = _checked_measurements(information, vector, states.mean.shape[:-1])
     after = _empty_like(states)
-    kalman_kernels.update_states(
-        _plain(states.mean), _plain(states.covariance), *measured, after.mean, after.covariance
-    )
+    kalman_kernels.update_states(*states.arrays, *measured, *after.arrays)
     return after
 
 
@@ -189,15 +185,8 @@ def filter_tracks(
     filtered = PointStates(
         np.empty((len(seconds), n_points, STATE)), np.empty((len(seconds), n_points, STATE, STATE))
     )
-    kalman_kernels.filter_states(
-        _plain(prior.mean),
-        _plain(prior.covariance),
-        seconds,
-        *measured,
-        _per_point(acceleration, n_points),
-        filtered.mean,
-        filtered.covariance,
-    )
+    noise = _per_point(acceleration, n_points)
+    kalman_kernels.filter_states(*prior.arrays, seconds, *measured, noise, *filtered.arrays)
     return filtered
 
 
@@ -213,14 +202,8 @@ def smooth(filtered: PointStates, times: ArrayLike, acceleration: ArrayLike) -> 
     if len(seconds) != len(filtered):
         raise ValueError(f"times: got {len(seconds)} for states in {len(filtered)} frames, expected as many")
     smoothed = _empty_like(filtered)
-    kalman_kernels.smooth_states(
-        seconds,
-        _plain(filtered.mean),
-        _plain(filtered.covariance),
-        _per_point(acceleration, n_points),
-        smoothed.mean,
-        smoothed.covariance,
-    )
+    noise = _per_point(acceleration, n_points)
+    kalman_kernels.smooth_states(seconds, *filtered.arrays, noise, *smoothed.arrays)
     return smoothed
 
 

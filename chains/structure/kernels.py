@@ -151,22 +151,9 @@ def same_point_gains(mean, covariance, apart, spread, gains):
 
 @compiled
 def assign_tracks(
-    order,
-    tracks,
-    information,
-    vector,
-    prior_information,
-    prior_vector,
-    cameras,
-    variance,
-    far,
-    log_new,
-    hard,
-    of_track,
-    member,
-    shares,
-    busy,
-):
+    order, tracks, information, vector, prior_information, prior_vector, cameras, variance, far, log_new,
+    hard, of_track, member, shares, busy,
+):  # fmt: skip
     """Probabilities that tracks show points, track after track in `order`, each without its own part.
 
     `information` `(n, 3, 3)` and `vector` `(n, 3)` are of each track, those of the prior of any point. A

@@ -140,15 +140,9 @@ def covariance_of_points(
     tracks, n_points, n_frames = observations.by_point, len(fit.shape), observations.n_frames
     cameras = observations.scaled(fit.cameras)
     own, cross = camera_coupling(
-        tracks,
-        point_of_track,
-        homogeneous(fit.shape),
-        cameras,
-        noise.white,
-        noise.drift,
-        noise.decay,
+        tracks, point_of_track, homogeneous(fit.shape), cameras, noise.white, noise.drift, noise.decay,
         LEAST_CORRELATION,
-    )
+    )  # fmt: skip
     information, _, _, _ = noise.information(tracks, cameras)
     whole = np.tile(np.eye(3), (n_points, 1, 1))
     np.add.at(whole, point_of_track, information)
@@ -415,22 +409,11 @@ class _Association:
         n, n_points = membership.shape
         odds = max((alone + 1) / (n - alone + 1), NEW_POINT / (1 - NEW_POINT))
         points, shares, counts = assign_tracks(
-            order,
-            tracks,
-            information,
-            vector,
-            prior,
-            prior @ mean,
-            np.ascontiguousarray(self._cameras),
-            noise.white + noise.drift,
-            FAR,
-            float(np.log(n_points * odds)),
-            hard,
-            membership.indptr.astype(np.int64),
-            membership.indices.astype(np.int64),
-            membership.data,
+            order, tracks, information, vector, prior, prior @ mean, np.ascontiguousarray(self._cameras),
+            noise.white + noise.drift, FAR, float(np.log(n_points * odds)), hard,
+            membership.indptr.astype(np.int64), membership.indices.astype(np.int64), membership.data,
             pooled(membership, self._seen),
-        )
+        )  # fmt: skip
         own = np.repeat(order, counts[order])
         return csr_array((shares, (own, points)), shape=membership.shape)
 

@@ -547,19 +547,10 @@ def _add_outer(out, a, b, s0, s1, s2):
 
 @compiled
 def reduced_step(
-    by_point,
-    by_frame,
-    cameras,
-    shape,
-    inverses,
-    information,
-    preconditioner,
-    gradient,
-    damping,
-    accuracy,
+    by_point, by_frame, cameras, shape, inverses, information, preconditioner, gradient, damping, accuracy,
     most,
-):
-    """Gauss-Newton step of the cameras `(n_frames, 2, 4)` with points eliminated, by conjugate gradients.
+):  # fmt: skip
+    """Gauss-Newton step of the cameras `(n_frames, 2, 4)`, points eliminated, by conjugate gradients.
 
     The matrix is never formed: a product with it goes through both lists of observations once. It leaves out
     how the eliminated points' own directions turn (Kaufman). `shape` and `inverses` are those that

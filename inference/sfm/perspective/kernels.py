@@ -124,15 +124,8 @@ def eliminated(by_point, inverses, mixed, mixed_border, point_vector, matrix, ve
             run = 0
             while run <= k:  # frames of a point are in order
                 end = min(until[run], k + 1)
-                _take_out(
-                    lifted,
-                    lines,
-                    CAMERA * run,
-                    CAMERA * (end - run),
-                    matrix,
-                    row,
-                    CAMERA * other[first + run],
-                )
+                columns = CAMERA * run, CAMERA * (end - run)
+                _take_out(lifted, lines, *columns, matrix, row, CAMERA * other[first + run])
                 run = end
 
 
