@@ -99,19 +99,15 @@ class CameraMotion:
 
 
 def learned_noise(
-    noise: Numbers | None,
-    information: Numbers,
-    vector: Numbers,
-    times: Numbers,
-    extent: float,
-    rounds: int = 1,
+    noise: Numbers | None, evidence: "CameraEvidence", extent: float, rounds: int = 1
 ) -> Numbers:
     """The motion's noise, `(3, 2)` as in `CameraMotion`, that explains a stretch of frames better.
 
-    `noise` is what to begin with, or `None`; `information` `(n, 4, 4)` and `vector` `(n, 2, 4)` are those of
-    frames at `times` `(n,)` s, two or more, which are brought onto a grid of their median distance; `extent`
-    px is about how large the shape appears. No round of the smoother makes the likelihood less.
+    `noise` is what to begin with, or `None`; of two frames or more, brought onto a grid of their median
+    distance. `extent` px is about how large the shape appears. No round of the smoother makes the likelihood
+    less.
     """
+    information, vector, times = evidence.information, evidence.vector, evidence.times
     step = float(np.median(np.diff(times)))
     back = np.round((times[-1] - times) / step).astype(np.int64)
     recent = back < 2 * len(times)  # a long gap ends the stretch
@@ -163,6 +159,9 @@ class CameraEvidence:
     information: Numbers
     vector: Numbers
     times: Numbers
+
+
+PER_POINT = ("identities", "shape", "shape_covariance", "unseen", "innovations")
 
 
 @short_repr
@@ -218,14 +217,7 @@ class Structure:
 
     def only(self, kept: NDArray[np.intp]) -> "Structure":
         """Some of the points, by place."""
-        return replace(
-            self,
-            identities=self.identities[kept],
-            shape=self.shape[kept],
-            shape_covariance=self.shape_covariance[kept],
-            unseen=self.unseen[kept],
-            innovations=self.innovations[kept],
-        )
+        return replace(self, **{name: getattr(self, name)[kept] for name in PER_POINT})
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,15 +336,10 @@ def add_points(structure: Structure, seen: ObservedPoints) -> Structure:
     noise += _leverage(motion, homogeneous(shape))
     cameras = np.tile(motion.camera, (count, 1, 1))
     shape, covariance = intersect(shape, covariance, cameras, seen.positions[new], noise)
-    together = replace(
-        structure,
-        identities=np.concatenate([structure.identities, seen.identities[new]]),
-        shape=np.concatenate([structure.shape, shape]),
-        shape_covariance=np.concatenate([structure.shape_covariance, covariance]),
-        unseen=np.concatenate([structure.unseen, np.zeros(count)]),
-        innovations=np.concatenate([structure.innovations, np.zeros((count, 2))]),
-    )
-    return together.only(np.argsort(together.identities))
+    added = seen.identities[new], shape, covariance, np.zeros(count), np.zeros((count, 2))
+    parts = zip(PER_POINT, added, strict=True)
+    whole = {name: np.concatenate([getattr(structure, name), part]) for name, part in parts}
+    return replace(structure, **whole).only(np.argsort(whole["identities"]))
 
 
 def intersect(
@@ -443,7 +430,7 @@ def _with_learned_noise(structure: Structure, found: Registration, elapsed: floa
     )
     noise = structure.motion.noise
     if len(evidence.times) > 1:
-        noise = learned_noise(noise, evidence.information, evidence.vector, evidence.times, structure.extent)
+        noise = learned_noise(noise, evidence, structure.extent)
     return replace(
         structure,
         noise_scale=scale,
@@ -548,7 +535,8 @@ def first_structure(window: Window) -> Structure | None:
         for where, precision, noise in zip(positions, precisions, of_shape, strict=True)
     ]
     information, vector = (np.array(parts) for parts in zip(*of_camera, strict=True))
-    motion_noise = learned_noise(None, information, vector, times, extent, ROUNDS)
+    evidence = CameraEvidence(information, vector, times)
+    motion_noise = learned_noise(None, evidence, extent, ROUNDS)
     motion = CameraMotion.vague(extent, motion_noise)
     for k in range(len(times)):
         if k:
@@ -564,7 +552,7 @@ def first_structure(window: Window) -> Structure | None:
         shape_covariance=covariance,
         unseen=now - last_seen,
         motion=motion,
-        evidence=CameraEvidence(information, vector, times),
+        evidence=evidence,
         extent=extent,
         noise_scale=scale,
         innovations=np.zeros_like(shape[:, :2]),

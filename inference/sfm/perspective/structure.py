@@ -470,13 +470,9 @@ class PerspectiveStructure:
 
     def of_points(self, points: Mask) -> Self:
         """The same with some points only."""
-        return replace(
-            self,
-            shape=self.shape[points],
-            shape_covariance=self.shape_covariance[points],
-            positions=self.positions[:, points],
-            covariances=self.covariances[:, points],
-        )
+        kept = {name: getattr(self, name)[points] for name in ("shape", "shape_covariance")}
+        kept |= {name: getattr(self, name)[:, points] for name in ("positions", "covariances")}
+        return replace(self, **kept)
 
     def better_than(self, affine: AffineFit) -> bool:
         """Whether it explains the positions better than affine cameras do, by Schwarz's criterion (BIC).

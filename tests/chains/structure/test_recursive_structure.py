@@ -209,9 +209,10 @@ def test_noise_of_the_motion_is_learned() -> None:
             vectors.append(positions.T @ points / 0.01)
         information = np.tile(points.T @ points / 0.01, (300, 1, 1))
         times = DT * np.arange(300)
-        found = learned_noise(None, information, np.array(vectors), times, 100.0, 200)
+        evidence = CameraEvidence(information, np.array(vectors), times)
+        found = learned_noise(None, evidence, 100.0, 200)
         assert 0.1 < found[order, 0] / rates[order, 0] < 10
-        more = learned_noise(found, information, np.array(vectors), times, 100.0)
+        more = learned_noise(found, evidence, 100.0)
         np.testing.assert_allclose(more[order], found[order], rtol=0.1)
 
 
