@@ -41,19 +41,12 @@ MOST_JUMPS = 1 - 1e-6
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Ancestors:
-    """Weighted poses of the frame before.
+    """Weighted poses of the frame before."""
 
-    Parameters
-    ----------
-    poses, weights
-        k of them; `(k,)`, with sum 1.
-    elapsed
-        s since then.
-    """
-
+    # k of them; `(k,)`, with sum 1
     poses: BodyPoses
     weights: Array
-    elapsed: float
+    elapsed: float  # s since then
 
 
 @short_repr

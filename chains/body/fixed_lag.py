@@ -53,20 +53,13 @@ class ArmProposal:
 
     p(arm) = NEXT mean_s vMF(arm; next, s) + (1 - NEXT) sum_k v_k vMF(arm; arm_k, BREADTH),
     v_k ~ p(next | arm_k)
-
-    Parameters
-    ----------
-    centres, near
-        `(k, 2, 3)` arms of the filter, `(n, 2, 3)` of the next frame.
-    shares
-        `(n, k)`, with sums 1.
-    concentrations, scaled
-        of both segments, `(2,)` about the centres, and `(4, 2)` about the next frame's.
     """
 
+    # `(k, 2, 3)` arms of the filter, `(n, 2, 3)` of the next frame
     centres: Array
     near: Array
-    shares: Array
+    shares: Array  # `(n, k)`, with sums 1
+    # of both segments, `(2,)` about the centres, and `(4, 2)` about the next frame's
     concentrations: Array
     scaled: Array
 
@@ -115,20 +108,9 @@ def moved_between(
 
     Half of the moves are of whole arms, half are small ones.
 
-    Parameters
-    ----------
-    poses
-        n of them, which may have been drawn from `samples`.
-    past
-        of the frame before.
-    samples
-        what the filter knows of this frame.
-    later, elapsed
-        `n` poses of the next frame; s from this one to it.
-    log_likelihood
-        of this frame's image.
-    moves
-        of every pose.
+    `poses`: n of them, which may have been drawn from `samples`; `past`: of the frame before; `samples`: what
+    the filter knows of this frame; `later`, `elapsed` `n` poses of the next frame; s from this one to it;
+    `log_likelihood`: of this frame's image; `moves`: of every pose.
     """
     n = len(poses)
 
@@ -200,21 +182,13 @@ MOVES, MOVES_AHEAD = 8, 2
 @short_repr
 @dataclass(frozen=True, eq=False)
 class TimedSamples:
-    """Weighted poses of a frame.
+    """Weighted poses of a frame."""
 
-    Parameters
-    ----------
-    number, time
-        of the frame; s.
-    samples
-        its poses.
-    evidence
-        of an answer, what the frame says of which hand is which (see `Labelling`).
-    """
-
+    # of the frame; s
     number: int
     time: float
-    samples: BodySamples
+    samples: BodySamples  # its poses
+    # of an answer, what the frame says of which hand is which (see `Labelling`)
     evidence: ExchangeEvidence = NOTHING_SAID
 
     def ancestors(self, time: float) -> Ancestors:
@@ -225,31 +199,17 @@ class TimedSamples:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class WaitingFrame:
-    """What is remembered of a frame.
+    """What is remembered of a frame."""
 
-    Parameters
-    ----------
-    number, time
-        of the frame; s.
-    samples
-        what the filter knew, thinned.
-    exchanged
-        some of the same poses with the names of the hands exchanged.
-    evidence
-        whether these are right.
-    image
-        what the likelihood asks of it; `None` for a missing one, and once it is answered.
-    log_odds
-        nats, once it is answered: that these are right, by all frames up to it.
-    """
-
+    # of the frame; s
     number: int
     time: float
-    samples: BodySamples
-    exchanged: BodyPoses
-    evidence: ExchangeEvidence
+    samples: BodySamples  # what the filter knew, thinned
+    exchanged: BodyPoses  # some of the same poses with the names of the hands exchanged
+    evidence: ExchangeEvidence  # whether these are right
+    # what the likelihood asks of it; `None` for a missing one, and once it is answered
     image: BodyImage | None = None
-    log_odds: float | None = None
+    log_odds: float | None = None  # nats, once it is answered: that these are right, by all frames up to it
 
     def named(self, share: float) -> BodySamples:
         """The samples, with names exchanged in a share of them."""
@@ -268,21 +228,11 @@ class WaitingFrame:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class WaitingFrames:
-    """What fixed-lag smoothing has to remember: the frames that are not answered yet.
+    """What fixed-lag smoothing has to remember: the frames that are not answered yet."""
 
-    Parameters
-    ----------
-    frames
-        in the order of time.
-    past
-        the frame before them, which is answered; `None` at the beginning.
-    random
-        generator of the draws to come.
-    """
-
-    frames: tuple[WaitingFrame, ...]
-    past: WaitingFrame | None
-    random: np.random.Generator
+    frames: tuple[WaitingFrame, ...]  # in the order of time
+    past: WaitingFrame | None  # the frame before them, which is answered; `None` at the beginning
+    random: np.random.Generator  # generator of the draws to come
 
 
 class FixedLag:
@@ -468,44 +418,22 @@ class PartFilter(Protocol[State]):
 @short_repr
 @dataclass(frozen=True, eq=False)
 class PoseTrajectory:
-    """Poses in all frames.
+    """Poses in all frames."""
 
-    Parameters
-    ----------
-    samples
-        of each frame; `None` before the first one with an image.
-    times
-        `(n,)` s.
-    exchanged
-        `(n,)`: probability that the names of the hands are still exchanged, by the whole film.
-    log_prior
-        mean log density of a frame's poses under those of the frame before.
-    """
-
-    samples: list[BodySamples | None]
-    times: Array
-    exchanged: Array
-    log_prior: float
+    samples: list[BodySamples | None]  # of each frame; `None` before the first one with an image
+    times: Array  # `(n,)` s
+    exchanged: Array  # `(n,)`: probability that the names of the hands are still exchanged, by the whole film
+    log_prior: float  # mean log density of a frame's poses under those of the frame before
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class FleshTrajectory:
-    """Head and hands in all frames.
+    """Head and hands in all frames."""
 
-    Parameters
-    ----------
-    tracks
-        of each frame; `None` before the first one with an image.
-    times
-        `(n,)` s.
-    log_prior
-        nats: 0, since a tracker that assigns has no density over its trajectories.
-    """
-
-    tracks: list[FleshTracks | None]
-    times: Array
-    log_prior: float = 0.0
+    tracks: list[FleshTracks | None]  # of each frame; `None` before the first one with an image
+    times: Array  # `(n,)` s
+    log_prior: float = 0.0  # nats: 0, since a tracker that assigns has no density over its trajectories
 
 
 def filtered(

@@ -21,30 +21,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class MovingParts:
-    """Gaussians over position and velocity in the picture, any number of them.
+    """Gaussians over position and velocity in the picture, any number of them."""
 
-    Parameters
-    ----------
-    means
-        `(..., 4)`: x, y px and their velocities px/s.
-    covariances
-        `(..., 4, 4)`, in the same order, positive definite.
-    """
-
-    means: Array
-    covariances: Array
+    means: Array  # `(..., 4)`: x, y px and their velocities px/s
+    covariances: Array  # `(..., 4, 4)`, in the same order, positive definite
 
     def moved(self, dt: float, speeds: ArrayLike, velocity_time: float) -> Self:
         """Parts `dt` s later, whose velocities are Ornstein-Uhlenbeck processes; exact for any `dt`.
 
-        Parameters
-        ----------
-        dt
-            s.
-        speeds
-            `(...)` px/s, standard deviation of a velocity's components in the long run.
-        velocity_time
-            s, time constant of velocities.
+        `dt`: s; `speeds` `(...)` px/s, standard deviation of a velocity's components in the long run;
+        `velocity_time` s, time constant of velocities.
         """
         motion = ornstein_uhlenbeck_velocity(dt, velocity_time).along(2)
         return type(self)(*motion.moved(self.means, self.covariances, np.square(speeds)))
@@ -100,26 +86,16 @@ NEVER = -1e9
 
 @dataclass(frozen=True, eq=False)
 class Things:
-    """What is detected in a picture.
+    """What is detected in a picture."""
 
-    Parameters
-    ----------
-    labels
-        `(k,)` int64.
-    means, covariances
-        `(k, 2)` px, `(k, 2, 2)` px^2.
-    log_ratios
-        `(n_parts, k)` nats: how much more probable a thing is if it is a part right there, than anything
-        else in the picture's area; minus infinity if it cannot be the part. Per px^-2.
-    found
-        `(n_parts,)`: chance that a part is detected.
-    """
-
-    labels: NDArray[np.int64]
+    labels: NDArray[np.int64]  # `(k,)` int64
+    # `(k, 2)` px, `(k, 2, 2)` px^2
     means: Array
     covariances: Array
+    # `(n_parts, k)` nats: how much more probable a thing is if it is a part right there, than anything else
+    # in the picture's area; minus infinity if it cannot be the part. Per px^-2.
     log_ratios: Array
-    found: Array
+    found: Array  # `(n_parts,)`: chance that a part is detected
 
     @property
     def chances(self) -> Array:
@@ -159,19 +135,11 @@ class PartOptions:
     """What each part may be under each of H hypotheses, and where it is then.
 
     With k things, options are: each of them, not seen, hidden where each of them is.
-
-    Parameters
-    ----------
-    log_masses
-        `(H, n_parts, 2k + 1)` nats.
-    shares
-        `(H, n_parts, 2, 2k + 1)`: probability that a part went on, or is elsewhere in reach.
-    means, covariances
-        `(H, n_parts, 2, 2k + 1, 2)` px and `(..., 2, 2)` px^2 in these cases.
     """
 
-    log_masses: Array
-    shares: Array
+    log_masses: Array  # `(H, n_parts, 2k + 1)` nats
+    shares: Array  # `(H, n_parts, 2, 2k + 1)`: probability that a part went on, or is elsewhere in reach
+    # `(H, n_parts, 2, 2k + 1, 2)` px and `(..., 2, 2)` px^2 in these cases
     means: Array
     covariances: Array
 
@@ -187,14 +155,9 @@ class PartOptions:
     ) -> Self:
         """All of them.
 
-        Parameters
-        ----------
-        went_on, elsewhere
-            predictions `(H, n_parts)`.
-        trust, visible
-            `(H, n_parts)`: probabilities that the first holds, and that a part is not hidden.
-        radii
-            `(k,)` px: standard deviations of Gaussian windows in which a part is hidden by a thing.
+        `went_on`, `elsewhere`: predictions `(H, n_parts)`; `trust`, `visible` `(H, n_parts)`: probabilities
+        that the first holds, and that a part is not hidden; `radii` `(k,)` px: standard deviations of
+        Gaussian windows in which a part is hidden by a thing.
         """
         n_hypotheses, n_parts = trust.shape
         k = len(things.labels)
@@ -233,21 +196,11 @@ class PartOptions:
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """Joint answers for all parts, each of a hypothesis.
+    """Joint answers for all parts, each of a hypothesis."""
 
-    Parameters
-    ----------
-    hypotheses
-        `(m,)`.
-    options
-        `(m, n_parts)`.
-    log_masses
-        `(m,)` nats.
-    """
-
-    hypotheses: Numbers
-    options: Numbers
-    log_masses: Array
+    hypotheses: Numbers  # `(m,)`
+    options: Numbers  # `(m, n_parts)`
+    log_masses: Array  # `(m,)` nats
 
     @classmethod
     def best(
@@ -264,20 +217,11 @@ class Answers:
         A thing is one part's image. Where a part is hidden by a thing, that is another part, or was there
         before.
 
-        Parameters
-        ----------
-        log_hypotheses
-            `(H,)`.
-        log_masses
-            `(H, n_parts, 2k + 1)` as in `PartOptions`, three parts.
-        log_known
-            `(H, k)` nats: that a thing which is no part was there before.
-        gains
-            `(H, k)` nats: how much more probable it is as such than as something new.
-        beside
-            `(n_parts, k, k)`: of a part that is one thing, the same for another one as more of that part.
-        same
-            `(k, k)`: things that are too close to be two parts.
+        `log_hypotheses` `(H,)`; `log_masses` `(H, n_parts, 2k + 1)` as in `PartOptions`, three parts;
+        `log_known` `(H, k)` nats: that a thing which is no part was there before; `gains` `(H, k)` nats: how
+        much more probable it is as such than as something new; `beside` `(n_parts, k, k)`: of a part that is
+        one thing, the same for another one as more of that part; `same` `(k, k)`: things that are too close
+        to be two parts.
         """
         n_hypotheses, n_parts, n_options = log_masses.shape
         k = n_options // 2
@@ -353,14 +297,8 @@ def log_sides(right: Array, since: Array, shoulder_width: float) -> Array:
     A hand is before its own shoulder, give or take half of their distance. As a hand stays where it is, the
     same look again counts only as far as it was forgotten.
 
-    Parameters
-    ----------
-    right
-        `(H, k)` px: how far things are to the right of the head.
-    since
-        `(H, 2)` s since the hands were seen.
-    shoulder_width
-        px.
+    `right` `(H, k)` px: how far things are to the right of the head; `since` `(H, 2)` s since the hands were
+    seen; `shoulder_width`: px.
     """
     odds = right * 4 / shoulder_width
     own = np.log(2) - np.logaddexp(0.0, np.stack([-odds, odds], axis=1))
@@ -370,16 +308,8 @@ def log_sides(right: Array, since: Array, shoulder_width: float) -> Array:
 def ratios_beside(places: Array, radii: Array, number: float, densities: Array) -> Array:
     """`(n_parts, k, k)`: of a part that is one thing, how much more probable another is as more of that part.
 
-    Parameters
-    ----------
-    places
-        `(k, 2)` px of things.
-    radii
-        `(n_parts,)` px: standard deviations of other things of a part about it.
-    number
-        of these, on average.
-    densities
-        `(k,)` of something new there, per px^2.
+    `places` `(k, 2)` px of things; `radii` `(n_parts,)` px: standard deviations of other things of a part
+    about it; `number`: of these, on average; `densities` `(k,)` of something new there, per px^2.
     """
     squares = ((places[:, None] - places) ** 2).sum(axis=2)
     width = radii[:, None, None] ** 2

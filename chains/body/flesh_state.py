@@ -36,21 +36,11 @@ SUREST = 0.99
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Clutter:
-    """Things at rest under each of H hypotheses, which keep numbers of their own.
+    """Things at rest under each of H hypotheses, which keep numbers of their own."""
 
-    Parameters
-    ----------
-    places
-        `(H, n, 2)` px.
-    variances
-        `(H, n)` px^2, along each axis.
-    chances
-        `(H, n)`: probability that the thing is still there; 0 of none.
-    """
-
-    places: Array
-    variances: Array
-    chances: Array
+    places: Array  # `(H, n, 2)` px
+    variances: Array  # `(H, n)` px^2, along each axis
+    chances: Array  # `(H, n)`: probability that the thing is still there; 0 of none
 
     @classmethod
     def none(cls, n_hypotheses: int) -> Self:
@@ -71,39 +61,23 @@ class Clutter:
 
 @dataclass(frozen=True, eq=False)
 class ClutterMatch:
-    """Which things in a picture are which clutter, under each hypothesis, if they are no part of the body.
+    """Which things in a picture are which clutter, under each hypothesis, if they are no part of the body."""
 
-    Parameters
-    ----------
-    clutter
-        before the picture.
-    means, variances
-        `(k, 2)` px and `(k,)` px^2 of the things in the picture.
-    new
-        `(k,)`: whether a thing may be clutter.
-    pairs
-        `(H, k)`: number of the clutter, -1 for something new.
-    gains
-        `(H, k)` nats: how much more probable the thing is as that clutter than as something new; 0 for that.
-    """
-
-    clutter: Clutter
+    clutter: Clutter  # before the picture
+    # `(k, 2)` px and `(k,)` px^2 of the things in the picture
     means: Array
     variances: Array
-    new: NDArray[np.bool_]
-    pairs: NDArray[np.intp]
+    new: NDArray[np.bool_]  # `(k,)`: whether a thing may be clutter
+    pairs: NDArray[np.intp]  # `(H, k)`: number of the clutter, -1 for something new
+    # `(H, k)` nats: how much more probable the thing is as that clutter than as something new; 0 for that
     gains: Array
 
     @classmethod
     def of(cls, clutter: Clutter, means: Array, variances: Array, densities: Array, jitter: float) -> Self:
         """Things and clutter that fit each other best.
 
-        Parameters
-        ----------
-        densities
-            `(k,)` of something new, per px^2; infinite for what is never clutter.
-        jitter
-            px, standard deviation with which clutter is found again.
+        `densities` `(k,)` of something new, per px^2; infinite for what is never clutter; `jitter` px,
+        standard deviation with which clutter is found again.
         """
         n_hypotheses, n_clutter = clutter.chances.shape
         new = np.isfinite(densities)
@@ -151,12 +125,8 @@ class ClutterMatch:
 
         What a part is, or what is within a `radius` of it, is not clutter; clutter there is covered.
 
-        Parameters
-        ----------
-        hypotheses
-            `(m,)`, which each of them continues.
-        parts
-            `(m, n_parts, 2)` px: where parts are seen; not a number for one that is not.
+        `hypotheses` `(m,)`, which each of them continues; `parts` `(m, n_parts, 2)` px: where parts are seen;
+        not a number for one that is not.
         """
         before, pairs = self.clutter.take(hypotheses), self.pairs[hypotheses]
         taken = _near(self.means[None], parts, radius)
@@ -208,43 +178,20 @@ LEAST_WEIGHT = 1e-5
 @short_repr
 @dataclass(frozen=True, eq=False)
 class FleshTracks:
-    """Weighted hypotheses of head, left hand and right hand, in each of which parts are Gaussians.
+    """Weighted hypotheses of head, left hand and right hand, in each of which parts are Gaussians."""
 
-    Parameters
-    ----------
-    size
-        `(height, width)` px of the picture.
-    patience
-        s after which a part that is not confirmed is lost.
-    log_weights
-        `(H,)`, of weights that sum to 1; the best one first.
-    means
-        `(H, 3, 4)`: x, y px and their velocities px/s.
-    covariances
-        `(H, 3, 4, 4)`, in the same order.
-    visible
-        `(H, 3)`: probability that a part is not hidden just now.
-    since
-        `(H, 3)` s since a part was last confirmed by a detection; infinite before the first time.
-    things
-        `(H, 3)` int64: number of the detection in the last picture that a part was, or was hidden by; -1 for
-        none.
-    clutter
-        what else there is.
-    elapsed
-        s since the last update.
-    """
-
-    size: tuple[int, int]
-    patience: float
-    log_weights: Array
-    means: Array
-    covariances: Array
-    visible: Array
-    since: Array
+    size: tuple[int, int]  # `(height, width)` px of the picture
+    patience: float  # s after which a part that is not confirmed is lost
+    log_weights: Array  # `(H,)`, of weights that sum to 1; the best one first
+    means: Array  # `(H, 3, 4)`: x, y px and their velocities px/s
+    covariances: Array  # `(H, 3, 4, 4)`, in the same order
+    visible: Array  # `(H, 3)`: probability that a part is not hidden just now
+    since: Array  # `(H, 3)` s since a part was last confirmed by a detection; infinite before the first time
+    # `(H, 3)` int64: number of the detection in the last picture that a part was, or was hidden by; -1 for
+    # none
     things: NDArray[np.int64]
-    clutter: Clutter
-    elapsed: float = 0.0
+    clutter: Clutter  # what else there is
+    elapsed: float = 0.0  # s since the last update
 
     @cached_property
     def weights(self) -> Array:
@@ -382,14 +329,8 @@ def anywhere(
 
     Positions have the moments of a uniform distribution over the picture, and over a disc.
 
-    Parameters
-    ----------
-    size
-        `(height, width)` px of the picture.
-    speeds
-        `(3,)` px/s, standard deviations of velocities.
-    heads, trust
-        `(H,)` heads, and the probabilities that they are there.
+    `size` `(height, width)` px of the picture; `speeds` `(3,)` px/s, standard deviations of velocities;
+    `heads`, `trust` `(H,)` heads, and the probabilities that they are there.
     """
     height, width = size
     means, covariances = np.zeros((len(trust), 3, 4)), np.zeros((len(trust), 3, 4, 4))

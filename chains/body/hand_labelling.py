@@ -67,24 +67,12 @@ NEAR = 3.0
 @short_repr
 @dataclass(frozen=True, eq=False)
 class HandLabels:
-    """Whether left and right are exchanged in each frame of a film.
+    """Whether left and right are exchanged in each frame of a film."""
 
-    Parameters
-    ----------
-    numbers
-        `(n,)` of the frames.
-    probabilities
-        `(n,)`, of an exchange: given the whole film.
-    exchanged
-        `(n,)`: the most probable sequence, without stretches that are not sure.
-    so_far
-        `(n,)` nats: log odds of an exchange given the film up to the frame.
-    """
-
-    numbers: NDArray[np.int64]
-    probabilities: Array
-    exchanged: Mask
-    so_far: Array
+    numbers: NDArray[np.int64]  # `(n,)` of the frames
+    probabilities: Array  # `(n,)`, of an exchange: given the whole film
+    exchanged: Mask  # `(n,)`: the most probable sequence, without stretches that are not sure
+    so_far: Array  # `(n,)` nats: log odds of an exchange given the film up to the frame
 
     @property
     def shares(self) -> Array:
@@ -95,17 +83,10 @@ class HandLabels:
 @short_repr
 @dataclass(frozen=True)
 class ExchangeEvidence:
-    """What one frame says of the names of the hands.
+    """What one frame says of the names of the hands."""
 
-    Parameters
-    ----------
-    log_odds
-        nats: that they are exchanged against that they are not.
-    confusable
-        probability that the hands are so near each other in the picture that they could be confused.
-    """
-
-    log_odds: float = 0.0
+    log_odds: float = 0.0  # nats: that they are exchanged against that they are not
+    # probability that the hands are so near each other in the picture that they could be confused
     confusable: float = 0.0
 
 
@@ -114,19 +95,12 @@ NOTHING_SAID = ExchangeEvidence()
 
 @dataclass(eq=False)
 class Labelling:
-    """Gathers what frames say of the names of the hands: a few numbers each.
+    """Gathers what frames say of the names of the hands: a few numbers each."""
 
-    Parameters
-    ----------
-    numbers, times
-        of the frames so far; s.
-    evidence
-        of each.
-    """
-
+    # of the frames so far; s
     numbers: list[int] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
-    evidence: list[ExchangeEvidence] = field(default_factory=list)
+    evidence: list[ExchangeEvidence] = field(default_factory=list)  # of each
 
     def add(self, number: int, time: float, evidence: ExchangeEvidence) -> None:
         """Take in a frame, later than those before."""
@@ -185,12 +159,9 @@ def hand_labels(
 ) -> HandLabels:
     """Labels of all frames by what each says.
 
-    Parameters
-    ----------
-    numbers, times, log_odds, confusable
-        `(n,)`, of frames in the order of time, and their `ExchangeEvidence`.
-    known
-        nats: log odds of the first frame, given all up to it; `None` where it is the first of all.
+    `numbers`, `times`, `log_odds`, `confusable` `(n,)`, of frames in the order of time, and their
+    `ExchangeEvidence`; `known` nats: log odds of the first frame, given all up to it; `None` where it is the
+    first of all.
     """
     n = len(times)
     if not n:

@@ -68,23 +68,12 @@ def _products_to_row(i, body, ancestors, nearest, arms, ancestor_arms, weights, 
 def mixture_values(body, ancestors, least, arms, ancestor_arms, weights, concentrations, floors, values):
     """Sum over ancestors of weight, Gaussian of the body's place and the kernels of both arms.
 
-    Parameters
-    ----------
-    body, ancestors
-        `(n, d)`, `(d, k)`: what moves like a Gaussian, in units in which half the squared distance is the
-        exponent.
-    least
-        `(n,)`: smallest squared distance of each; exponents are taken relative to it.
-    arms, ancestor_arms
-        `(n, 12)`, `(12, k)`: unit vectors, left upper arm, left forearm, right upper arm, right forearm.
-    weights
-        `(k,)` of the ancestors.
-    concentrations
-        `(2,)` of von Mises and Fisher's density, of upper arms and forearms.
-    floors
-        `(n, 2)`: density of an arm that jumped, by the peak of that of one that did not.
-    values
-        `(n,)` filled in.
+    `body`, `ancestors` `(n, d)`, `(d, k)`: what moves like a Gaussian, in units in which half the squared
+    distance is the exponent; `least` `(n,)`: smallest squared distance of each; exponents are taken relative
+    to it; `arms`, `ancestor_arms` `(n, 12)`, `(12, k)`: unit vectors, left upper arm, left forearm, right
+    upper arm, right forearm; `weights` `(k,)` of the ancestors; `concentrations` `(2,)` of von Mises and
+    Fisher's density, of upper arms and forearms; `floors` `(n, 2)`: density of an arm that jumped, by the
+    peak of that of one that did not; `values` `(n,)` filled in.
     """
     row = np.empty(ancestors.shape[1], np.float32)
     for i in range(len(body)):
@@ -101,12 +90,8 @@ def mixture_values(body, ancestors, least, arms, ancestor_arms, weights, concent
 def draw_terms(body, ancestors, least, arms, ancestor_arms, weights, concentrations, floors, points, chosen):
     """For each pose draw a term of the sum of `mixture_values` in proportion to its value.
 
-    Parameters
-    ----------
-    points
-        `(n,)`, evenly drawn from 0 to 1.
-    chosen
-        `(n,)` indices, filled in; all others as of `mixture_values`.
+    `points` `(n,)`, evenly drawn from 0 to 1; `chosen` `(n,)` indices, filled in; all others as of
+    `mixture_values`.
     """
     row = np.empty(ancestors.shape[1], np.float32)
     for i in range(len(body)):
@@ -131,18 +116,10 @@ def draw_terms(body, ancestors, least, arms, ancestor_arms, weights, concentrati
 def closeness_to(hands, sides, means, precisions, least, choice, closeness):
     """By how much more readily each pose is chosen for a target.
 
-    Parameters
-    ----------
-    hands
-        `(n, 2, 2)` px: left and right.
-    sides, means, precisions
-        `(k,)`, `(k, 2)`, `(k, 2, 2)` of the targets and of how far away hands may be.
-    least
-        how readily one is chosen that is anywhere, over one that is there.
-    choice
-        `(n,)`: probabilities with which poses are chosen without a target.
-    closeness
-        `(k, n)` written, with means of 1 under `choice`.
+    `hands` `(n, 2, 2)` px: left and right; `sides`, `means`, `precisions` `(k,)`, `(k, 2)`, `(k, 2, 2)` of
+    the targets and of how far away hands may be; `least`: how readily one is chosen that is anywhere, over
+    one that is there; `choice` `(n,)`: probabilities with which poses are chosen without a target;
+    `closeness` `(k, n)` written, with means of 1 under `choice`.
     """
     for k in range(len(sides)):
         side = sides[k]
@@ -161,14 +138,9 @@ def closeness_to(hands, sides, means, precisions, least, choice, closeness):
 def choose(choice, closeness, counts, shifts, chosen):
     """Draw poses for each target by systematic resampling, and at last some for none.
 
-    Parameters
-    ----------
-    choice, closeness
-        `(n,)`, `(k, n)` as of `closeness_to`.
-    counts, shifts
-        `(k + 1,)`: how many are drawn, and numbers from 0 to 1 that say where their steps begin.
-    chosen
-        `(sum of counts,)` indices, written.
+    `choice`, `closeness` `(n,)`, `(k, n)` as of `closeness_to`; `counts`, `shifts` `(k + 1,)`: how many are
+    drawn, and numbers from 0 to 1 that say where their steps begin; `chosen` `(sum of counts,)` indices,
+    written.
     """
     n, place = len(choice), 0
     for k in range(len(counts)):
@@ -192,23 +164,11 @@ def choose(choice, closeness, counts, shifts, chosen):
 def guided_values(hands, chosen, walks, completions, sides, means, precisions, heights, closeness, values):
     """Log densities of poses some of which were drawn with a hand at a target, given their ancestors.
 
-    Parameters
-    ----------
-    hands
-        `(n, 2, 2)` px: left and right.
-    chosen
-        `(n,)` of the ancestors.
-    walks, completions
-        `(n, 2)` nats of each arm: its density if the dynamics moved it, and that of all but its hand's place
-        if it was put in place.
-    sides, means, precisions
-        `(k,)`, `(k, 2)`, `(k, 2, 2)` of the targets.
-    heights
-        `(k + 1,)`: share of the draws times peak of the density; at last the share of those without target.
-    closeness
-        `(k, n_ancestors)` as of `closeness_to`.
-    values
-        `(n,)` filled in.
+    `hands` `(n, 2, 2)` px: left and right; `chosen` `(n,)` of the ancestors; `walks`, `completions` `(n, 2)`
+    nats of each arm: its density if the dynamics moved it, and that of all but its hand's place if it was put
+    in place; `sides`, `means`, `precisions` `(k,)`, `(k, 2)`, `(k, 2, 2)` of the targets; `heights`
+    `(k + 1,)`: share of the draws times peak of the density; at last the share of those without target;
+    `closeness` `(k, n_ancestors)` as of `closeness_to`; `values` `(n,)` filled in.
     """
     n = len(hands)
     totals, limits = np.empty(n), np.empty(n)
@@ -257,18 +217,9 @@ def _spread(points, order, first, end, variances):
 def cut(points, narrow, most, rounds, numbers):
     """Cut points in two, again and again, where and along which axis they are widest.
 
-    Parameters
-    ----------
-    points
-        `(n, d)`.
-    narrow
-        variance along an axis below which nothing is cut.
-    most
-        pieces.
-    rounds
-        in which the middle between two halves is found, each of which is nearer to its own mean.
-    numbers
-        `(n,)` int64 written: the piece of each point.
+    `points` `(n, d)`; `narrow`: variance along an axis below which nothing is cut; `most`: pieces; `rounds`:
+    in which the middle between two halves is found, each of which is nearer to its own mean; `numbers` `(n,)`
+    int64 written: the piece of each point.
     """
     n, d = points.shape
     order, kept = np.arange(n), np.empty(n, np.int64)
@@ -419,17 +370,9 @@ def hand_terms(parts, roots, elbows, centre, surround, scales, hand, bare, out):
     outer one. What head, neck and the other hand explain counts for neither; two hands at one place see the
     same skin, which counts once. Bare forearms explain skin as well.
 
-    Parameters
-    ----------
-    parts, roots, elbows
-        `(n, 3, 2)`, `(n, 2)` and `(n, 2, 2)` px.
-    centre, surround
-        maps of skin, from 0 to 1, in the inner and the outer window; `scales` `(2,)` are their entries a px,
-        along x and y.
-    hand
-        a `HandModel`.
-    bare
-        whether forearms are bare.
+    `parts`, `roots`, `elbows` `(n, 3, 2)`, `(n, 2)` and `(n, 2, 2)` px; `centre`, `surround`: maps of skin,
+    from 0 to 1, in the inner and the outer window; `scales` `(2,)` are their entries a px, along x and y;
+    `hand`: a `HandModel`; `bare`: whether forearms are bare.
     """
     full, none, hidden = _f4(hand.scores[0]), _f4(hand.scores[1]), _f4(hand.scores[2])
     inner, outer = _f4(hand.windows[0]), _f4(hand.windows[1])
@@ -535,19 +478,11 @@ def arm_terms(joints, arms, scales, points, weights, torso, missing, out):
 
     Before the trunk, whose clothes are those of the arms, nothing is told.
 
-    Parameters
-    ----------
-    joints
-        `(n, 8, 2)` px.
-    arms
-        map of the log odds of an arm's colour; `scales` `(2,)` are its entries a px.
-    points, weights
-        `(2, k)` and `(2,)`: places on upper arm and forearm as shares of their length, and what each counts.
-    torso
-        `(3,)`: share of the shoulders' distance that the trunk is broad, how far above the shoulders it
-        reaches in that distance, and px over which its border is blurred.
-    missing
-        chance that an arm does not look like that.
+    `joints` `(n, 8, 2)` px; `arms`: map of the log odds of an arm's colour; `scales` `(2,)` are its entries a
+    px; `points`, `weights` `(2, k)` and `(2,)`: places on upper arm and forearm as shares of their length,
+    and what each counts; `torso` `(3,)`: share of the shoulders' distance that the trunk is broad, how far
+    above the shoulders it reaches in that distance, and px over which its border is blurred; `missing`:
+    chance that an arm does not look like that.
     """
     broad, above, blur = _f4(torso[0]), _f4(torso[1]), _f4(torso[2])
     across, down, hidden = _f4(scales[0]), _f4(scales[1]), _f4(missing)
@@ -614,18 +549,10 @@ def blob_terms(parts, elbows, blobs, costs, reach, bare, out):
 def edge_features(edges, directions, nearness, cosine, sine, steps, block, features, coarse):
     """What is to be known of the edge near each pixel, and its means over blocks of pixels.
 
-    Parameters
-    ----------
-    edges, directions
-        `(height, width)` float32: px and rad.
-    nearness, cosine, sine
-        `(k,)` float32: tables over distances, and over directions; `steps` are their entries a px and a rad.
-    block
-        px: side of a block.
-    features
-        `(height, width, 3)` float32, written: nearness, cosine and sine.
-    coarse
-        float32, written: over blocks the means of nearness, nearness times cosine, nearness times sine.
+    `edges`, `directions` `(height, width)` float32: px and rad; `nearness`, `cosine`, `sine` `(k,)` float32:
+    tables over distances, and over directions; `steps` are their entries a px and a rad; `block` px: side of
+    a block; `features` `(height, width, 3)` float32, written: nearness, cosine and sine; `coarse` float32,
+    written: over blocks the means of nearness, nearness times cosine, nearness times sine.
     """
     height, width = edges.shape
     last = len(nearness) - 1
@@ -1046,14 +973,9 @@ def trace(roots, torsos, necks, arms, pose, solid, shapes, bounds, lines, least)
 
     A part is looked up only for parts that come within its bounds.
 
-    Parameters
-    ----------
-    roots, torsos, necks, arms
-        `(n, 2)`, `(n, 3)`, `(n, 3)`, `(n, 2, 2, 3)` as in `BodyPoses`, of which one `pose` is traced.
-    shapes, bounds
-        `(8, NUMBERS)` and `(8, 4)` float32, to work in.
-    lines, least
-        `(rows, ROW, LANES)` and `(rows, LANES)` float32, written.
+    `roots`, `torsos`, `necks`, `arms` `(n, 2)`, `(n, 3)`, `(n, 3)`, `(n, 2, 2, 3)` as in `BodyPoses`, of
+    which one `pose` is traced; `shapes`, `bounds` `(8, NUMBERS)` and `(8, 4)` float32, to work in; `lines`,
+    `least` `(rows, ROW, LANES)` and `(rows, LANES)` float32, written.
     """
     torso, firsts = solid.torso, solid.firsts
     put_body(roots, torsos, necks, arms, pose, solid.lengths, torso, shapes, bounds)
@@ -1098,19 +1020,11 @@ def outlines(roots, torsos, necks, arms, solid, places, points, normals, visible
 def outline_terms(roots, torsos, necks, arms, solid, ratios, worth, directions, hidden, out):
     """Log likelihood ratios of outlines against edges, added to `out` `(n,)`.
 
-    Parameters
-    ----------
-    roots, torsos, necks, arms
-        as of `trace`. What of an outline is hidden or outside of the picture says nothing.
-    ratios
-        `(height, width, 3)` float32: how much more likely an edge is so near to an outline than anywhere,
-        and cosine and sine of twice the angle of that edge's normal.
-    worth
-        number of independent points that each is worth.
-    directions
-        twice the angle scatters about the outline's by a von Mises density; its concentration and I_0 of it.
-    hidden
-        probability that a point shows no edge.
+    `roots`, `torsos`, `necks`, `arms`: as of `trace`. What of an outline is hidden or outside of the picture
+    says nothing. `ratios` `(height, width, 3)` float32: how much more likely an edge is so near to an outline
+    than anywhere, and cosine and sine of twice the angle of that edge's normal; `worth`: number of
+    independent points that each is worth; `directions`: twice the angle scatters about the outline's by a von
+    Mises density; its concentration and I_0 of it; `hidden`: probability that a point shows no edge.
     """
     height, width = _f4(ratios.shape[0]), _f4(ratios.shape[1])
     flat = ratios.reshape(-1)

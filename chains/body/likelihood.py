@@ -52,24 +52,13 @@ _RIM = np.float32(0.06)
 
 @dataclass(frozen=True, eq=False)
 class Silhouettes:
-    """Outlines of the parts of `n` bodies, `m` points each.
+    """Outlines of the parts of `n` bodies, `m` points each."""
 
-    Parameters
-    ----------
-    points
-        `(n, m, 2)` px, float32: x to the right, y down.
-    normals
-        `(n, m, 2)` float32: of unit length, out of the part.
-    visible
-        `(n, m)`: not hidden by another part; ends of limbs that are inside their neighbours are hidden too.
-    part
-        `(m,)`: number of the part in `OUTLINE_PARTS`, the same for all poses.
-    """
-
-    points: Floats
-    normals: Floats
+    points: Floats  # `(n, m, 2)` px, float32: x to the right, y down
+    normals: Floats  # `(n, m, 2)` float32: of unit length, out of the part
+    # `(n, m)`: not hidden by another part; ends of limbs that are inside their neighbours are hidden too
     visible: NDArray[np.bool_]
-    part: NDArray[np.intp]
+    part: NDArray[np.intp]  # `(m,)`: number of the part in `OUTLINE_PARTS`, the same for all poses
 
 
 def silhouettes(body: UpperBody, poses: BodyPoses) -> Silhouettes:
@@ -238,14 +227,9 @@ class BodyLikelihood:
     edges for the outline, as in the paper, which gives no formulas. Here each term is the log ratio of how
     likely the cue is under the pose to how likely it is anywhere in the picture, with a chance that the cue
     fails: a hand without skin, as is expected in every fifth frame, loses a few nats and no more.
-
-    Parameters
-    ----------
-    body
-        lengths and widths.
     """
 
-    body: UpperBody
+    body: UpperBody  # lengths and widths
 
     def __call__(self, image: BodyImage) -> "ImageLikelihood":
         """The likelihood of this image, ready for any number of poses; its maps are worked out once."""
@@ -263,25 +247,14 @@ class BodyLikelihood:
 
 @dataclass(frozen=True, eq=False)
 class ImageLikelihood:
-    """The maps of one image in which poses are looked up.
+    """The maps of one image in which poses are looked up."""
 
-    Parameters
-    ----------
-    body, image
-        which are compared.
-    skin
-        of hands, see `skin_maps`; `None` without colour.
-    head
-        skin of the head, if no face is detected, see `head_map`.
-    edges
-        see `edge_ratios`.
-    """
-
+    # which are compared
     body: UpperBody
     image: BodyImage
-    skin: tuple[Map, Map] | None
-    head: Map | None
-    edges: Map
+    skin: tuple[Map, Map] | None  # of hands, see `skin_maps`; `None` without colour
+    head: Map | None  # skin of the head, if no face is detected, see `head_map`
+    edges: Map  # see `edge_ratios`
 
     def __call__(self, poses: BodyPoses) -> Array:
         """log p(image | pose) `(n,)` nats, up to a constant."""
@@ -383,12 +356,8 @@ def skin_maps(skin: Map, hand: float) -> tuple[Map, Map]:
     It grows with the log odds from where they are even: what is only rather like skin, such as beige
     trousers, counts for little, and what is unlike it for nothing, however much.
 
-    Parameters
-    ----------
-    skin
-        `(height, width)` float32 nats: log odds.
-    hand
-        px: radius. The maps have an entry each fifth of it, or each px.
+    `skin` `(height, width)` float32 nats: log odds. `hand` px: radius. The maps have an entry each fifth of
+    it, or each px.
     """
     shrink = min(CELLS / hand, 1.0)
     share = _share(skin, shrink)
@@ -401,12 +370,7 @@ def skin_maps(skin: Map, hand: float) -> tuple[Map, Map]:
 def head_map(skin: Map, body: UpperBody) -> Map:
     """How much more skin there is in a head's place than around it, 1 for an ellipse of nothing else.
 
-    Parameters
-    ----------
-    skin
-        `(height, width)` float32 nats: log odds.
-    body
-        of the head.
+    `skin` `(height, width)` float32 nats: log odds; `body`: of the head.
     """
     shrink = min(CELLS / body.hand, 1.0)
     share = _share(skin, shrink)
@@ -437,17 +401,9 @@ def edge_ratios(image: BodyImage, spread: float, around: float) -> Map:
     more edge says little, one across the stripes much. Of the density of directions there, its first
     harmonic is taken.
 
-    Parameters
-    ----------
-    spread
-        px: standard deviation of edges about an outline.
-    around
-        px: standard deviation of the window in which edges are counted.
-
-    Returns
-    -------
-    NDArray
-        `(height, width, 3)` float32: the ratio, cosine and sine of twice the angle of the edge's normal.
+    `spread` px: standard deviation of edges about an outline; `around` px: standard deviation of the window
+    in which edges are counted. Returns `(height, width, 3)` float32: the ratio, cosine and sine of twice the
+    angle of the edge's normal.
     """
     height, width = image.size
     reach = max(float(image.edges.max()), 1.0)

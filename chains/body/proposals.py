@@ -35,21 +35,11 @@ LEAST_DEPTH = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Poses and the density from which they were drawn.
+    """Poses and the density from which they were drawn."""
 
-    Parameters
-    ----------
-    poses
-        all within reach and limits.
-    log_density
-        `(n,)` nats, in the measure of `BodyDynamics.log_density_anywhere`.
-    tried
-        how many were drawn, those that are impossible among them.
-    """
-
-    poses: BodyPoses
-    log_density: Array
-    tried: float
+    poses: BodyPoses  # all within reach and limits
+    log_density: Array  # `(n,)` nats, in the measure of `BodyDynamics.log_density_anywhere`
+    tried: float  # how many were drawn, those that are impossible among them
 
 
 @dataclass(frozen=True)
@@ -58,14 +48,9 @@ class LikelihoodSampler:
 
     Torso and neck are drawn as they are in the long run; depth of a hand, from its shoulder, and swivel of an
     elbow evenly over all that the arm can reach.
-
-    Parameters
-    ----------
-    dynamics
-        of the body.
     """
 
-    dynamics: BodyDynamics
+    dynamics: BodyDynamics  # of the body
 
     @property
     def body(self) -> UpperBody:
@@ -77,10 +62,7 @@ class LikelihoodSampler:
     ) -> Proposal:
         """Draw `n` poses, or as many as turn out to be possible in so many rounds of `n`.
 
-        Parameters
-        ----------
-        mixtures
-            of head, left and right hand; proper, without flat components.
+        `mixtures`: of head, left and right hand; proper, without flat components.
         """
         found: list[BodyPoses] = []
         while sum(map(len, found)) < n and len(found) < rounds:
@@ -153,22 +135,13 @@ HANDS = (4, 7)
 
 @dataclass(frozen=True, eq=False)
 class Guided:
-    """Draws of poses.
+    """Draws of poses."""
 
-    Parameters
-    ----------
-    poses
-        n of them, all possible; none, if no draw was.
-    log_weights
-        `(n,)` of the prediction p(x_t | past): what it says of a pose and its ancestor together, over the
-        density of their draw; normalised.
-    ancestors
-        `(n,)` int64: of each, the pose of the past that it was drawn from.
-    """
-
-    poses: BodyPoses
+    poses: BodyPoses  # n of them, all possible; none, if no draw was
+    # `(n,)` of the prediction p(x_t | past): what it says of a pose and its ancestor together, over the
+    # density of their draw; normalised
     log_weights: Array
-    ancestors: NDArray[np.int64]
+    ancestors: NDArray[np.int64]  # `(n,)` int64: of each, the pose of the past that it was drawn from
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,15 +175,9 @@ class _Targets:
 
 @dataclass(frozen=True)
 class GuidedSampler:
-    """Draws poses from weighted poses of the frame before and from mixtures of places of the hands.
+    """Draws poses from weighted poses of the frame before and from mixtures of places of the hands."""
 
-    Parameters
-    ----------
-    dynamics
-        of the body.
-    """
-
-    dynamics: BodyDynamics
+    dynamics: BodyDynamics  # of the body
 
     @property
     def body(self) -> UpperBody:
@@ -226,13 +193,8 @@ class GuidedSampler:
     ) -> Guided:
         """Draw `n` poses and leave out those that are impossible.
 
-        Parameters
-        ----------
-        past
-            k weighted poses of the frame before, which are drawn from all `Strata`.
-        said
-            of head and hands, with the shares, of sum 1, of the poses that these guide; flat components guide
-            nobody.
+        `past`: k weighted poses of the frame before, which are drawn from all `Strata`; `said`: of head and
+        hands, with the shares, of sum 1, of the poses that these guide; flat components guide nobody.
         """
         body, dynamics, elapsed = self.body, self.dynamics, past.elapsed
         with np.errstate(divide="ignore"):
@@ -382,29 +344,16 @@ ANEW = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Weighted samples of p(x_t | past), each with the pose it goes back to.
+    """Weighted samples of p(x_t | past), each with the pose it goes back to."""
 
-    Parameters
-    ----------
-    dynamics, size, elapsed
-        of the body; `(height, width)` px of the picture; s since the frame before.
-    poses
-        n of them, all possible.
-    log_weights
-        `(n,)`; they sum to 1 once others have `weighed` them.
-    ancestors
-        n poses of the frame before; those that begin anew are their own.
-    anew
-        `(n,)`: which ones do.
-    """
-
+    # of the body; `(height, width)` px of the picture; s since the frame before
     dynamics: BodyDynamics
     size: tuple[int, int]
     elapsed: float
-    poses: BodyPoses
-    log_weights: Array
-    ancestors: BodyPoses
-    anew: NDArray[np.bool_]
+    poses: BodyPoses  # n of them, all possible
+    log_weights: Array  # `(n,)`; they sum to 1 once others have `weighed` them
+    ancestors: BodyPoses  # n poses of the frame before; those that begin anew are their own
+    anew: NDArray[np.bool_]  # `(n,)`: which ones do
 
     @classmethod
     def at_first(

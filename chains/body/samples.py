@@ -33,37 +33,21 @@ LEAST_SPREAD = 1.0
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BodySamples:
-    """Weighted poses.
+    """Weighted poses."""
 
-    Parameters
-    ----------
-    poses
-        n of them.
-    log_weights
-        `(n,)`, of weights that sum to 1.
-    size
-        `(height, width)` px of the picture.
-    random
-        generator of the draws to come.
-    ancestors
-        of a prediction, poses of the frame before, and some of them with exchanged hands; `poses` are draws
-        of their mixture. `None` in a posterior, before the first frame, and where they are not kept.
-    before, elapsed
-        of a prediction, the samples from which it was made, and s since then.
-    log_evidence
-        nats: log of the mean likelihood of the frame, up to a constant; 0 without an image.
-    stationary
-        whether the frame said nothing of any part, so that the poses are only predicted.
-    """
-
-    poses: BodyPoses
-    log_weights: Array
-    size: tuple[int, int]
-    random: np.random.Generator
+    poses: BodyPoses  # n of them
+    log_weights: Array  # `(n,)`, of weights that sum to 1
+    size: tuple[int, int]  # `(height, width)` px of the picture
+    random: np.random.Generator  # generator of the draws to come
+    # of a prediction, poses of the frame before, and some of them with exchanged hands; `poses` are draws of
+    # their mixture. `None` in a posterior, before the first frame, and where they are not kept.
     ancestors: Ancestors | None = None
+    # of a prediction, the samples from which it was made, and s since then
     before: "BodySamples | None" = None
     elapsed: float = 0.0
+    # nats: log of the mean likelihood of the frame, up to a constant; 0 without an image
     log_evidence: float = 0.0
+    # whether the frame said nothing of any part, so that the poses are only predicted
     stationary: bool = False
 
     @classmethod
@@ -144,18 +128,12 @@ def stationary(state: BodySamples, log_factors: Array) -> BodySamples:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BodyMoments:
-    """Means and covariances of weighted poses.
+    """Means and covariances of weighted poses."""
 
-    Parameters
-    ----------
-    joints, joint_covariances
-        `(8, 3)` px and `(8, 3, 3)` px^2, in the order of `models.body.upper_body.JOINTS`.
-    angles, angle_covariances
-        `(16,)` and `(16, 16)`, px and rad, of `BodyPoses.angles`.
-    """
-
+    # `(8, 3)` px and `(8, 3, 3)` px^2, in the order of `models.body.upper_body.JOINTS`
     joints: Array
     joint_covariances: Array
+    # `(16,)` and `(16, 16)`, px and rad, of `BodyPoses.angles`
     angles: Array
     angle_covariances: Array
 

@@ -23,37 +23,19 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class ClickedJoints:
-    """Where joints are in a few frames.
+    """Where joints are in a few frames."""
 
-    Parameters
-    ----------
-    path
-        of their file.
-    frames
-        `(n_frames,)` int64: numbers of the frames, from 1, in order.
-    places
-        `(n_frames, 8, 2)` px, in the order of `JOINTS`, NaN where a joint was not clicked.
-    """
-
-    path: Path
-    frames: NDArray[np.int64]
-    places: Array
+    path: Path  # of their file
+    frames: NDArray[np.int64]  # `(n_frames,)` int64: numbers of the frames, from 1, in order
+    places: Array  # `(n_frames, 8, 2)` px, in the order of `JOINTS`, NaN where a joint was not clicked
 
 
 @dataclass(frozen=True, eq=False)
 class MarkedFace:
-    """A face that somebody has marked in one frame, as a detector that finds it there and nowhere else.
+    """A face that somebody has marked in one frame, as a detector that finds it there and nowhere else."""
 
-    Parameters
-    ----------
-    box
-        `(4,)` px: x, y, width, height.
-    number
-        of the frame.
-    """
-
-    box: Array
-    number: int
+    box: Array  # `(4,)` px: x, y, width, height
+    number: int  # of the frame
 
     def __call__(self, frame: Frame) -> Array:
         """Boxes `(1, 4)` px in that frame, `(0, 4)` in all others."""
@@ -62,21 +44,11 @@ class MarkedFace:
 
 @dataclass(frozen=True, eq=False)
 class BodyStart:
-    """What is known of a person before the track starts.
+    """What is known of a person before the track starts."""
 
-    Parameters
-    ----------
-    parts
-        the feature node, with the person's skin colour and a detector.
-    body
-        lengths of the segments.
-    origin
-        where the lengths come from, in a sentence.
-    """
-
-    parts: BodyParts
-    body: UpperBody
-    origin: str
+    parts: BodyParts  # the feature node, with the person's skin colour and a detector
+    body: UpperBody  # lengths of the segments
+    origin: str  # where the lengths come from, in a sentence
 
     def head_in(self, frame: Frame) -> Array | None:
         """`(2,)` px: the centre of the face that the detector finds in a frame; `None` if there is none."""
@@ -96,30 +68,18 @@ class BodyStart:
 
 @dataclass(frozen=True, eq=False)
 class SavedPerson:
-    """A `BodyStart` as it is saved: detectors of faces are made anew from their settings.
+    """A `BodyStart` as it is saved: detectors of faces are made anew from their settings."""
 
-    Parameters
-    ----------
-    head_height
-        px.
-    skin, static_skin, bare, others, clothes
-        as of `BodyParts`.
-    face_height
-        px, size for which a detector of faces searches; `None` for any.
-    marked
-        the face that somebody has marked in place of a detector.
-    body, origin
-        as of `BodyStart`.
-    """
-
-    head_height: float
+    head_height: float  # px
+    # as of `BodyParts`
     skin: SkinColour | None
     static_skin: NDArray[np.float32] | None
     bare: float
     others: OtherFaces | None
     clothes: ClothesColour | None
-    face_height: float | None
-    marked: MarkedFace | None
+    face_height: float | None  # px, size for which a detector of faces searches; `None` for any
+    marked: MarkedFace | None  # the face that somebody has marked in place of a detector
+    # as of `BodyStart`
     body: UpperBody
     origin: str
 
@@ -175,26 +135,11 @@ def start_from_faces(
 ) -> BodyStart:
     """Find a person's face in some images, and learn size and colour from it.
 
-    Parameters
-    ----------
-    name
-        of the source.
-    images
-        `(height, width[, 3])` uint8 BGR, one at least.
-    detector
-        model file of YuNet; OpenCV's cascade without it.
-    clicked
-        joints from which the lengths are taken.
-    head
-        x, y, width, height px of the person's head in the first image; without it, it is the person whose
-        face is largest.
-
-    Raises
-    ------
-    ValueError
-        if there is no face or no detector, or the joints do not tell lengths that a person has.
-    FileNotFoundError
-        if there is no such model file.
+    `name`: of the source; `images` `(height, width[, 3])` uint8 BGR, one at least; `detector`: model file of
+    YuNet; OpenCV's cascade without it; `clicked`: joints from which the lengths are taken; `head`: x, y,
+    width, height px of the person's head in the first image; without it, it is the person whose face is
+    largest. Raises `ValueError` if there is no face or no detector, or the joints do not tell lengths that a
+    person has; `FileNotFoundError` if there is no such model file.
     """
     try:
         faces = default_faces(detector)
@@ -219,21 +164,10 @@ def start_from_head(
 ) -> BodyStart:
     """Learn size and colour from the head that somebody has marked in a frame.
 
-    Parameters
-    ----------
-    first
-        the frame, which has an image.
-    head
-        x, y, width, height px: from chin to the top of the skull, and across.
-    images
-        of the same size, from all over the clip.
-    clicked
-        joints from which the lengths are taken.
-
-    Raises
-    ------
-    ValueError
-        if the head is not in the picture, or the joints do not tell lengths that a person has.
+    `first`: the frame, which has an image; `head`: x, y, width, height px: from chin to the top of the skull,
+    and across; `images`: of the same size, from all over the clip; `clicked`: joints from which the lengths
+    are taken. Raises `ValueError` if the head is not in the picture, or the joints do not tell lengths that a
+    person has.
     """
     image = first.image
     if image is None:
@@ -308,21 +242,10 @@ def start_from_keypoints(
 ) -> BodyStart:
     """Learn size, lengths and colour from the points of the largest person in a frame.
 
-    Parameters
-    ----------
-    first
-        the frame, which has an image, and of which `shows_whom` holds.
-    keypoints
-        of the whole film.
-    images
-        of the same size, from all over the film.
-    clicked
-        joints from which the lengths are taken, if there are any.
-
-    Raises
-    ------
-    ValueError
-        if the points do not tell how large the person is, or the head is not in the picture.
+    `first`: the frame, which has an image, and of which `shows_whom` holds; `keypoints`: of the whole film;
+    `images`: of the same size, from all over the film; `clicked`: joints from which the lengths are taken, if
+    there are any. Raises `ValueError` if the points do not tell how large the person is, or the head is not
+    in the picture.
     """
     given = first.keypoints
     assert given is not None
@@ -353,19 +276,8 @@ def with_lengths(start: BodyStart, joints: Array) -> BodyStart:
 def followed(keypoints: FilmKeypoints, first: int, head: Array | None = None) -> Array:
     """Joints of one person in some frames, from a frame on: of who is nearest to where the head was before.
 
-    Parameters
-    ----------
-    keypoints
-        of the film.
-    first
-        number of the first frame.
-    head
-        `(2,)` px: where the person's head is there; the largest person, if it is not known.
-
-    Returns
-    -------
-    NDArray
-        `(n, 8, 2)` px, NaN where a joint was not found.
+    `keypoints`: of the film; `first`: number of the first frame; `head` `(2,)` px: where the person's head is
+    there; the largest person, if it is not known. Returns `(n, 8, 2)` px, NaN where a joint was not found.
     """
     found = []
     for number, given in keypoints.frames():

@@ -117,24 +117,12 @@ class AtOnce:
 
 @dataclass(frozen=True, eq=False)
 class Tempered:
-    """Samples of the posterior.
+    """Samples of the posterior."""
 
-    Parameters
-    ----------
-    poses
-        n of them.
-    log_weights
-        `(n,)`, normalised.
-    log_evidence
-        log of the mean of the likelihood under the prior.
-    accepted
-        share of moves.
-    """
-
-    poses: BodyPoses
-    log_weights: Array
-    log_evidence: float
-    accepted: float
+    poses: BodyPoses  # n of them
+    log_weights: Array  # `(n,)`, normalised
+    log_evidence: float  # log of the mean of the likelihood under the prior
+    accepted: float  # share of moves
 
 
 def temper(
@@ -153,20 +141,11 @@ def temper(
     with weight; samples are drawn again, from all `Strata`, and moved by Metropolis steps that keep prior
     times likelihood^b as it is.
 
-    Parameters
-    ----------
-    poses, log_weights
-        m samples of the prior, with weights of sum 1.
-    log_prior
-        of poses and the numbers of the samples, 0 to m - 1, that they go back to: up to a constant of such a
-        number, minus infinity where a pose is impossible.
-    log_likelihood
-        of poses.
-    n
-        samples that are left.
-    looked_at
-        samples of the prior for which all of a likelihood in stages is worked out, chosen by the first one
-        (`preselected`); without, all of them.
+    `poses`, `log_weights`: m samples of the prior, with weights of sum 1; `log_prior`: of poses and the
+    numbers of the samples, 0 to m - 1, that they go back to: up to a constant of such a number, minus
+    infinity where a pose is impossible; `log_likelihood`: of poses; `n`: samples that are left; `looked_at`:
+    samples of the prior for which all of a likelihood in stages is worked out, chosen by the first one
+    (`preselected`); without, all of them.
     """
     staged = log_likelihood if isinstance(log_likelihood, StagedLikelihood) else AtOnce(log_likelihood)
     first, owners = staged.first(poses), np.arange(len(poses))
@@ -217,10 +196,7 @@ def preselected(
     Sums with the new weights have the expectation of those with the old ones, whatever the first look, so
     that what is expensive in a likelihood is worked out only where the rest of it is good.
 
-    Parameters
-    ----------
-    first_look
-        `(m,)` nats.
+    `first_look` `(m,)` nats.
     """
     choice = Strata.of(body, poses).balanced(log_weights + first_look)
     chosen = systematic(choice, n, random)

@@ -61,33 +61,20 @@ OTHER_TONES = 0.2
 
 @dataclass(frozen=True, eq=False)
 class BackgroundContrast:
-    """The background of a frame, one for all experts or one for each.
+    """The background of a frame, one for all experts or one for each."""
 
-    Parameters
-    ----------
-    box
-        of the picture, outside of which nothing is known.
-    log_ratio
-        `(n_maps, height, width)` float32: nats by which the background explains the pixel better than
-        anything would, times `trust`.
-    trust
-        `(n_maps, height, width)` float32, from 0, nothing is known of the background there, to 1.
-    border
-        `(n_maps, height, width)` float32: nats by which the background explains the pixel better than the
-        object's usual tones do, times `trust`, as they count in a row of pixels.
-    unit
-        `(height, width)` float32 of the whole picture: log by which a density of the values in which textures
-        are compared exceeds the uniform one.
-    everywhere
-        `(n_maps,)`: sum of `log_ratio` over the whole picture, where there is a map for each.
-    """
-
-    box: Box
+    box: Box  # of the picture, outside of which nothing is known
+    # `(n_maps, height, width)` float32: nats by which the background explains the pixel better than anything
+    # would, times `trust`
     log_ratio: Map
-    trust: Map
+    trust: Map  # `(n_maps, height, width)` float32, from 0, nothing is known of the background there, to 1
+    # `(n_maps, height, width)` float32: nats by which the background explains the pixel better than the
+    # object's usual tones do, times `trust`, as they count in a row of pixels
     border: Map
+    # `(height, width)` float32 of the whole picture: log by which a density of the values in which textures
+    # are compared exceeds the uniform one
     unit: Map
-    everywhere: Array
+    everywhere: Array  # `(n_maps,)`: sum of `log_ratio` over the whole picture, where there is a map for each
 
     @classmethod
     def of(cls, box: Box, ratio: Map, trust: Map, tones: Map, unit: Map, everywhere: Array) -> Self:
@@ -99,21 +86,12 @@ class BackgroundContrast:
 
 @dataclass(frozen=True, eq=False)
 class OccludedBackground:
-    """A background, and which of the object's surface hides it.
+    """A background, and which of the object's surface hides it."""
 
-    Parameters
-    ----------
-    contrast
-        of the frame.
-    surface
-        the whole mesh with texels, whatever the object's texture is known on.
-    covering
-        `(n_experts, n_texels)` bool: texels of it that are in front, also those that are seen at a grazing
-        angle; held while poses change. Empty before `around`.
-    """
-
-    contrast: BackgroundContrast
-    surface: TexturedObject
+    contrast: BackgroundContrast  # of the frame
+    surface: TexturedObject  # the whole mesh with texels, whatever the object's texture is known on
+    # `(n_experts, n_texels)` bool: texels of it that are in front, also those that are seen at a grazing
+    # angle; held while poses change. Empty before `around`.
     covering: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), np.bool_))
 
     def around(self, poses: Poses) -> "OccludedBackground":
@@ -170,15 +148,9 @@ def units(image: NDArray[np.uint8], size: float, *, local_mean: bool) -> Map:
 
 @dataclass(frozen=True, eq=False)
 class SharedBackground:
-    """What a background that is shared through `PixelLabels` says of the picture.
+    """What a background that is shared through `PixelLabels` says of the picture."""
 
-    Parameters
-    ----------
-    message
-        of the others to the feature, with image and background.
-    """
-
-    message: PixelMessage
+    message: PixelMessage  # of the others to the feature, with image and background
 
     @cached_property
     def ratio(self) -> Map:
@@ -251,18 +223,10 @@ LEAST_RATIO = -9.0
 @short_repr
 @dataclass(frozen=True, eq=False)
 class ExpertBackground:
-    """What each expert believes of the background, a Gaussian a pixel.
+    """What each expert believes of the background, a Gaussian a pixel."""
 
-    Parameters
-    ----------
-    mean
-        `(n_experts, height, width)` float32, raw grey levels.
-    variance
-        `(n_experts, height, width)` float32, after the last picture.
-    """
-
-    mean: Map
-    variance: Map
+    mean: Map  # `(n_experts, height, width)` float32, raw grey levels
+    variance: Map  # `(n_experts, height, width)` float32, after the last picture
 
     @classmethod
     def unknown(cls, n_experts: int, size: tuple[int, int]) -> Self:
@@ -343,21 +307,12 @@ STRENGTH = 100.0
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """Pixels that an object covers.
+    """Pixels that an object covers."""
 
-    Parameters
-    ----------
-    box
-        that holds the object, with a margin.
-    inside
-        `(n_experts, height, width)`: 1 where the object covers the pixel as an expert sees it, else 0.
-    share
-        `(height, width)` float32 of the box: probability that the object covers the pixel.
-    """
-
-    box: Box
+    box: Box  # that holds the object, with a margin
+    # `(n_experts, height, width)`: 1 where the object covers the pixel as an expert sees it, else 0
     inside: NDArray[np.uint8]
-    share: Map
+    share: Map  # `(height, width)` float32 of the box: probability that the object covers the pixel
 
     @classmethod
     def of(

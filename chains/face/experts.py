@@ -44,18 +44,10 @@ class PoseLikelihood(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Where each expert's belief has its mode.
+    """Where each expert's belief has its mode."""
 
-    Parameters
-    ----------
-    poses
-        the modes.
-    precision
-        `(n_experts, dimension, dimension)`: second derivatives of minus its log there.
-    """
-
-    poses: Poses
-    precision: Array
+    poses: Poses  # the modes
+    precision: Array  # `(n_experts, dimension, dimension)`: second derivatives of minus its log there
 
     @property
     def covariance(self) -> Array:
@@ -164,27 +156,13 @@ def _parts(poses: Poses) -> kernels.PoseArrays:
 
 @dataclass(frozen=True, eq=False)
 class Particles:
-    """Experts after a frame.
+    """Experts after a frame."""
 
-    Parameters
-    ----------
-    poses
-        theirs.
-    log_weights
-        `(n,)`, normalised.
-    parents
-        `(n,)`: the expert of the frame before whose history and texture each has.
-    log_evidence
-        nats: log p(y_t | y_1:t-1) of the effective pixels.
-    covariance
-        `(n, dimension, dimension)`: Laplace's, of what each one's parent believed.
-    """
-
-    poses: Poses
-    log_weights: Array
-    parents: NDArray[np.int64]
-    log_evidence: float
-    covariance: Array
+    poses: Poses  # theirs
+    log_weights: Array  # `(n,)`, normalised
+    parents: NDArray[np.int64]  # `(n,)`: the expert of the frame before whose history and texture each has
+    log_evidence: float  # nats: log p(y_t | y_1:t-1) of the effective pixels
+    covariance: Array  # `(n, dimension, dimension)`: Laplace's, of what each one's parent believed
 
 
 def log_likelihood(
@@ -239,24 +217,12 @@ def propagated(log_weights: Array, modes: Modes, prior: PosePrior, log_likelihoo
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Samples of what experts believe, from which the next particles are drawn.
+    """Samples of what experts believe, from which the next particles are drawn."""
 
-    Parameters
-    ----------
-    poses
-        `n_experts * n_samples` of them.
-    owner
-        expert of each.
-    log_proposal
-        log pi of each, in the tangent coordinates of its mode.
-    covariance
-        `(n_experts, dimension, dimension)`: Laplace's, before it is widened by alpha.
-    """
-
-    poses: Poses
-    owner: NDArray[np.int64]
-    log_proposal: Array
-    covariance: Array
+    poses: Poses  # `n_experts * n_samples` of them
+    owner: NDArray[np.int64]  # expert of each
+    log_proposal: Array  # log pi of each, in the tangent coordinates of its mode
+    covariance: Array  # `(n_experts, dimension, dimension)`: Laplace's, before it is widened by alpha
 
 
 def sampled(modes: Modes, n_samples: int, spread: float, random: np.random.Generator) -> Proposal:

@@ -38,69 +38,35 @@ Array = NDArray[np.float64]
 @short_repr
 @dataclass(frozen=True, eq=False)
 class GFlowState:
-    """Experts: each a history of poses, of which the last is kept, and the texture that follows from it.
+    """Experts: each a history of poses, of which the last is kept, and the texture that follows from it."""
 
-    Parameters
-    ----------
-    poses
-        of the experts.
-    log_weights
-        `(n_experts,)`, normalised.
-    texture
-        of every expert.
-    trusted
-        poses in the last picture that left no doubt.
-    size
-        px: of the object at the start.
-    elapsed
-        s since the last picture.
-    frames_seen
-        pictures until now.
-    log_evidence
-        nats: log p(y_t | y_1:t-1) of the last picture, of its effective pixels.
-    fit
-        share of the picture's variance under the object that the predicted texture explained, from -1 to 1:
-        -log(1 - fit) / 2 nats a pixel is the evidence for the texture over a broad alternative, a Gaussian
-        with the picture's own mean and variance there, where the noise is not taken for known.
-    trust
-        what the tracker believes of itself.
-    since_resampling
-        s since experts were resampled.
-    random
-        source of all draws.
-    covariance
-        `(n_experts, dimension, dimension)`: of what each expert believed of its pose, by Laplace's method.
-    known
-        `(height, width)` float32, from 0 to 1: how well the background of each pixel is known, where another
-        chain predicts it; `None` without one.
-    background
-        of every expert, where each has its own.
-    motion
-        `(n_experts, dimension)` per second: last change of each expert's pose, where there was one.
-    visible
-        `(n_experts, n_texels)`: texels that the object in the poses does not hide itself; `None` where that
-        has not been found out.
-    remembered
-        texture of the best expert as it was lost, where an object with a new one is on trial.
-    """
-
-    poses: Poses
-    log_weights: Array
-    texture: Texture
-    trusted: Poses
-    size: float
-    elapsed: float
-    frames_seen: int
-    log_evidence: float
+    poses: Poses  # of the experts
+    log_weights: Array  # `(n_experts,)`, normalised
+    texture: Texture  # of every expert
+    trusted: Poses  # poses in the last picture that left no doubt
+    size: float  # px: of the object at the start
+    elapsed: float  # s since the last picture
+    frames_seen: int  # pictures until now
+    log_evidence: float  # nats: log p(y_t | y_1:t-1) of the last picture, of its effective pixels
+    # share of the picture's variance under the object that the predicted texture explained, from -1 to 1:
+    # -log(1 - fit) / 2 nats a pixel is the evidence for the texture over a broad alternative, a Gaussian with
+    # the picture's own mean and variance there, where the noise is not taken for known
     fit: float
-    trust: Trust
-    since_resampling: float
-    random: np.random.Generator
+    trust: Trust  # what the tracker believes of itself
+    since_resampling: float  # s since experts were resampled
+    random: np.random.Generator  # source of all draws
+    # `(n_experts, dimension, dimension)`: of what each expert believed of its pose, by Laplace's method
     covariance: Array
+    # `(height, width)` float32, from 0 to 1: how well the background of each pixel is known, where another
+    # chain predicts it; `None` without one
     known: NDArray[np.float32] | None = None
-    background: ExpertBackground | None = None
+    background: ExpertBackground | None = None  # of every expert, where each has its own
+    # `(n_experts, dimension)` per second: last change of each expert's pose, where there was one
     motion: Array | None = None
+    # `(n_experts, n_texels)`: texels that the object in the poses does not hide itself; `None` where that has
+    # not been found out
     visible: NDArray[np.bool_] | None = None
+    # texture of the best expert as it was lost, where an object with a new one is on trial
     remembered: Texture | None = None
 
     @classmethod
@@ -153,54 +119,24 @@ COVERING_TEXELS = 1500
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """A picture seen with particles and the textures that they remember.
+    """A picture seen with particles and the textures that they remember."""
 
-    Parameters
-    ----------
-    particles
-        poses.
-    texture
-        predicted, of every particle.
-    observed
-        `(n, n_levels, n_texels)` grey levels of the picture.
-    visible, inside
-        `(n, n_texels)`: texels that the object does not hide itself, and those that are seen in the picture.
-    fit
-        as of `GFlowState`.
-    """
-
-    particles: Particles
-    texture: Texture
-    observed: NDArray[np.float32]
+    particles: Particles  # poses
+    texture: Texture  # predicted, of every particle
+    observed: NDArray[np.float32]  # `(n, n_levels, n_texels)` grey levels of the picture
+    # `(n, n_texels)`: texels that the object does not hide itself, and those that are seen in the picture
     visible: Mask
     inside: Mask
-    fit: float
+    fit: float  # as of `GFlowState`
 
 
 @dataclass(frozen=True, eq=False)
 class PoseFilter:
-    """What a picture makes of experts.
+    """What a picture makes of experts."""
 
-    Parameters
-    ----------
-    surface
-        shape and texels.
-    noise
-        of the texels.
-    dynamics, levels, local_mean, effective_pixels, samples, spread, resample_interval, recover, occlusion
-        as of `GFlow`.
-    own_background
-        whether each expert has a map of the background.
-    tracked
-        `(n_tracked,)` numbers of the vertices whose places messages of points tell.
-    texture_given
-        whether the texture is known before the first picture.
-    finder
-        who is asked where the object is, or `None`.
-    """
-
-    surface: TexturedObject
-    noise: TexelNoise
+    surface: TexturedObject  # shape and texels
+    noise: TexelNoise  # of the texels
+    # the next nine as of `GFlow`
     dynamics: PoseDynamics
     levels: int
     local_mean: bool
@@ -210,10 +146,10 @@ class PoseFilter:
     resample_interval: float
     recover: bool
     occlusion: bool
-    own_background: bool
-    tracked: NDArray[np.int64]
-    texture_given: bool
-    finder: Finder | None = None
+    own_background: bool  # whether each expert has a map of the background
+    tracked: NDArray[np.int64]  # `(n_tracked,)` numbers of the vertices whose places messages of points tell
+    texture_given: bool  # whether the texture is known before the first picture
+    finder: Finder | None = None  # who is asked where the object is, or `None`
 
     @cached_property
     def _whole(self) -> TexturedObject | None:

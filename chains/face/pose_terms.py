@@ -88,18 +88,10 @@ class PoseDynamics:
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """p(u_t | u_s) of experts, each with its own earlier pose: Gaussian in a change from the expected pose.
+    """p(u_t | u_s) of experts, each with its own earlier pose: Gaussian in a change from the expected one."""
 
-    Parameters
-    ----------
-    mean
-        the expected poses.
-    variance
-        `(dimension,)` of a change from them.
-    """
-
-    mean: Poses
-    variance: Array
+    mean: Poses  # the expected poses
+    variance: Array  # `(dimension,)` of a change from them
 
     @classmethod
     def after(cls, previous: Poses, dynamics: PoseDynamics, size: float, elapsed: float) -> "PosePrior":
@@ -149,21 +141,13 @@ class PoseEvidence(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PointTerms:
-    """Points of the surface that are known to be at a place: sum of (x_i - t_i)' I_i (x_i - t_i) / 2.
+    """Points of the surface that are known to be at a place: sum of (x_i - t_i)' I_i (x_i - t_i) / 2."""
 
-    Parameters
-    ----------
-    bases
-        `(n, n_points, n_bases, 3)`: the points as linear combinations of the morph coefficients, those of
-        each expert, or one row for all.
-    targets
-        `(n, n_points, 2)` px.
-    information
-        `(n, n_points, 3)` 1/px^2: the elements xx, xy and yy of I, all 0 where nothing is known.
-    """
-
+    # `(n, n_points, n_bases, 3)`: the points as linear combinations of the morph coefficients, those of each
+    # expert, or one row for all
     bases: Array
-    targets: Array
+    targets: Array  # `(n, n_points, 2)` px
+    # `(n, n_points, 3)` 1/px^2: the elements xx, xy and yy of I, all 0 where nothing is known
     information: Array
 
     def around(self, poses: Poses, level: int) -> Self:
@@ -221,24 +205,12 @@ NOISE = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """Evidence of the outline.
+    """Evidence of the outline."""
 
-    Parameters
-    ----------
-    model
-        shape.
-    edges
-        of its triangles.
-    contrast
-        what is known of the background.
-    effective_pixels
-        number of independent pixels that the object's pixels are worth.
-    """
-
-    model: MorphableModel
-    edges: MeshEdges
-    contrast: BackgroundContrast
-    effective_pixels: float
+    model: MorphableModel  # shape
+    edges: MeshEdges  # of its triangles
+    contrast: BackgroundContrast  # what is known of the background
+    effective_pixels: float  # number of independent pixels that the object's pixels are worth
 
     def around(self, poses: Poses, level: int) -> PointTerms:
         """Points of the outlines in `poses`, known along their normals where the background ends.

@@ -43,16 +43,9 @@ def apart(poses: Poses, motion: Array, walk: Array, random: np.random.Generator)
     They go on by different shares of their last motion, and most of them step aside, too. What they believe
     is not touched by it: all climb on the same likelihood and prior, each from a place of its own.
 
-    Parameters
-    ----------
-    poses
-        of the experts in the picture before.
-    motion
-        `(n, dimension)`: how each would have moved until now, had it gone on.
-    walk
-        `(dimension,)` variances of the motion.
-    random
-        to draw from; it is moved on.
+    `poses`: of the experts in the picture before; `motion` `(n, dimension)`: how each would have moved until
+    now, had it gone on; `walk` `(dimension,)` variances of the motion; `random`: to draw from; it is moved
+    on.
     """
     n, dimension = motion.shape
     share = np.linspace(0.0, FARTHEST_AHEAD, n)[random.permutation(n)]
@@ -66,18 +59,9 @@ def likely_places(
 ) -> Poses:
     """The `n` poses, of a grid of places, sizes and turns, whose coarse texture fits the picture best.
 
-    Parameters
-    ----------
-    misfit
-        of poses, `(n,)`, infinite where nothing of them is in the picture.
-    size
-        `(height, width)` px of the picture.
-    last
-        the pose in which it was seen last, which gives turns and shape.
-    middle
-        `(2,)` px of the object in that pose.
-    n
-        how many.
+    `misfit`: of poses, `(n,)`, infinite where nothing of them is in the picture; `size` `(height, width)` px
+    of the picture; `last`: the pose in which it was seen last, which gives turns and shape; `middle` `(2,)`
+    px of the object in that pose; `n`: how many.
     """
     height, width = size
     step = STEP * float(last.sizes[0])
@@ -159,18 +143,10 @@ class Finder(Protocol):
 @short_repr
 @dataclass(frozen=True, eq=False)
 class DetectedFace(PickledByFields):
-    """A face that a detector finds.
+    """A face that a detector finds."""
 
-    Parameters
-    ----------
-    model
-        of the person.
-    detector
-        of faces.
-    """
-
-    model: MorphableModel
-    detector: PartDetector
+    model: MorphableModel  # of the person
+    detector: PartDetector  # of faces
 
     @cached_property
     def _here(self) -> PartDetector:
@@ -216,18 +192,10 @@ class DetectedFace(PickledByFields):
 
 @dataclass(frozen=True, eq=False)
 class UprightView:
-    """A part of a picture, turned and scaled.
+    """A part of a picture, turned and scaled."""
 
-    Parameters
-    ----------
-    matrix
-        `(2, 3)`: from places of the picture to those of the view, px.
-    size
-        `(width, height)` px of the view.
-    """
-
-    matrix: Array
-    size: tuple[int, int]
+    matrix: Array  # `(2, 3)`: from places of the picture to those of the view, px
+    size: tuple[int, int]  # `(width, height)` px of the view
 
     @classmethod
     def of(cls, middle: Array, turn: float, scale: float, size: tuple[int, int]) -> Self:
@@ -294,27 +262,15 @@ ROUNDING = 1e-6
 @short_repr
 @dataclass(frozen=True)
 class Trust:
-    """Belief of a tracker in itself.
+    """Belief of a tracker in itself."""
 
-    Parameters
-    ----------
-    usual
-        running mean of the fit over the last second in which there was no doubt; 1 before anything was seen.
-    doubt
-        s for which the fit has been too low; 0 without a doubt.
-    trial
-        s for which an object that a detector has shown must still be seen; 0 where none is on trial.
-    relocations
-        how often the object was lost and found again.
-    searches
-        pictures in which it was looked for since it was lost.
-    """
-
+    # running mean of the fit over the last second in which there was no doubt; 1 before anything was seen
     usual: float = 1.0
-    doubt: float = 0.0
+    doubt: float = 0.0  # s for which the fit has been too low; 0 without a doubt
+    # s for which an object that a detector has shown must still be seen; 0 where none is on trial
     trial: float = 0.0
-    relocations: int = 0
-    searches: int = 0
+    relocations: int = 0  # how often the object was lost and found again
+    searches: int = 0  # pictures in which it was looked for since it was lost
 
     @property
     def lost(self) -> bool:

@@ -31,27 +31,15 @@ of what the first one saw was confirmed, and most faces of 23 px in others were.
 
 @dataclass(frozen=True, eq=False)
 class FaceStart:
-    """A face in one frame.
+    """A face in one frame."""
 
-    Parameters
-    ----------
-    model
-        that person's own.
-    pose
-        one, of that model.
-    points
-        on its surface at the landmarks that are there, which are met exactly in this pose.
-    present
-        `(n_landmarks,)` bool: which of the given landmarks these are.
-    fit_error
-        px: root mean square distance of the landmarks from the model's points before they were attached;
-        `None` without landmarks.
-    """
-
-    model: MorphableModel
-    pose: Poses
+    model: MorphableModel  # that person's own
+    pose: Poses  # one, of that model
+    # on its surface at the landmarks that are there, which are met exactly in this pose
     points: SurfacePoints
-    present: NDArray[np.bool_]
+    present: NDArray[np.bool_]  # `(n_landmarks,)` bool: which of the given landmarks these are
+    # px: root mean square distance of the landmarks from the model's points before they were attached; `None`
+    # without landmarks
     fit_error: float | None
 
     @property
@@ -136,10 +124,7 @@ def _points_of(
 def start_from_box(model: MorphableModel, box: BoundingBox) -> FaceStart:
     """Place the typical shape upright in the box `(x, y, width, height)` px of a face.
 
-    Raises
-    ------
-    ValueError
-        if the box is empty.
+    Raises `ValueError` if the box is empty.
     """
     _, _, width, height = box
     if not (width > 0 and height > 0):

@@ -21,18 +21,10 @@ USUAL_RATE = 25.0
 
 @dataclass(frozen=True)
 class TexelNoise:
-    """Noises of the texture (G-flow paper eq. 1, 4).
+    """Noises of the texture (G-flow paper eq. 1, 4)."""
 
-    Parameters
-    ----------
-    rendering
-        sigma_w^2, squared grey levels: of a texel as the picture shows it.
-    process
-        Psi_v, squared grey levels per second: by which a texel changes.
-    """
-
-    rendering: float
-    process: float
+    rendering: float  # sigma_w^2, squared grey levels: of a texel as the picture shows it
+    process: float  # Psi_v, squared grey levels per second: by which a texel changes
 
     def __post_init__(self) -> None:
         if not (self.rendering >= 0 and self.process >= 0 and self.rendering + self.process > 0):
@@ -47,10 +39,7 @@ class TexelNoise:
 
         sigma_w^2 = (1 - K) tau, and Psi = K^2 tau from one frame to the next of `USUAL_RATE`.
 
-        Raises
-        ------
-        ValueError
-            if the gain is not from 0 to 1 or the temperature not above 0.
+        Raises `ValueError` if the gain is not from 0 to 1 or the temperature not above 0.
         """
         if not (0 <= gain <= 1 and temperature > 0):
             raise ValueError(
@@ -120,20 +109,11 @@ class LearnedGain:
     large beside what noise makes of a prediction, slowly where they are small. A texel of a shape that is
     only nearly right is seen next to its place for many frames; what this leaves in the correlation is taken
     off, or else every texel would end at flow, whose drift no texel can see.
-
-    Parameters
-    ----------
-    log_odds
-        `(n_experts, n_texels)` float32 of the gain.
-    last
-        `(n_experts, n_texels)` float32 grey levels: the last innovation, 0 if the texel was hidden.
-    power
-        `(n_experts, n_texels)` float32: running mean of innovations' square.
     """
 
-    log_odds: Map
-    last: Map
-    power: Map
+    log_odds: Map  # `(n_experts, n_texels)` float32 of the gain
+    last: Map  # `(n_experts, n_texels)` float32 grey levels: the last innovation, 0 if the texel was hidden
+    power: Map  # `(n_experts, n_texels)` float32: running mean of innovations' square
 
     @classmethod
     def first(cls, n_experts: int, n_texels: int) -> Self:
@@ -182,16 +162,10 @@ class LastingTexture:
     seen, which forgets with the square of the gain, so that flow (gain 1) remains flow. The first picture
     counts for as many as the filter remembers, 1 / gain: where texels lie on the object was given there, and
     in each later one the texture so far has said so, errors included.
-
-    Parameters
-    ----------
-    mean
-        `(n_experts, n_texels)` float32 grey levels.
-    looks
-        `(n_experts, n_texels)` float32: pictures of the usual rate that it rests on; 0 if never seen.
     """
 
-    mean: Map
+    mean: Map  # `(n_experts, n_texels)` float32 grey levels
+    # `(n_experts, n_texels)` float32: pictures of the usual rate that it rests on; 0 if never seen
     looks: Map
 
     def of(self, parents: NDArray[np.int64]) -> Self:
@@ -221,24 +195,12 @@ class LastingTexture:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """Texture of every expert: independent Gaussians of its texels.
+    """Texture of every expert: independent Gaussians of its texels."""
 
-    Parameters
-    ----------
-    mean
-        `(n_experts, n_levels, n_texels)` float32 grey levels, on each level of the picture.
-    variance
-        `(n_experts, n_texels)` float32, squared grey levels, common to the levels.
-    learned
-        where gains are learned.
-    lasting
-        what the finest level returns to; `None` for a walk at random.
-    """
-
-    mean: Map
-    variance: Map
-    learned: LearnedGain | None = None
-    lasting: LastingTexture | None = None
+    mean: Map  # `(n_experts, n_levels, n_texels)` float32 grey levels, on each level of the picture
+    variance: Map  # `(n_experts, n_texels)` float32, squared grey levels, common to the levels
+    learned: LearnedGain | None = None  # where gains are learned
+    lasting: LastingTexture | None = None  # what the finest level returns to; `None` for a walk at random
 
     @classmethod
     def unknown(cls, n_experts: int, n_levels: int, n_texels: int, *, learn: bool) -> Self:
@@ -333,13 +295,9 @@ class Texture:
 def explained(observed: Map, mean: Map, visible: NDArray[np.bool_], seen: NDArray[np.bool_]) -> Map:
     """Share of the picture's variance that a predicted texture explains, `(n,)` from -1 to 1.
 
-    Parameters
-    ----------
-    observed, mean
-        `(n, n_levels, n_texels)` grey levels: as the picture shows the texels, and as they were predicted, on
-        the finest level, which counts, and others.
-    visible, seen
-        `(n, n_texels)`: texels that face the viewer, and those of them in the picture; 0 where these are few.
+    `observed`, `mean` `(n, n_levels, n_texels)` grey levels: as the picture shows the texels, and as they
+    were predicted, on the finest level, which counts, and others; `visible`, `seen` `(n, n_texels)`: texels
+    that face the viewer, and those of them in the picture; 0 where these are few.
     """
     share = np.empty(len(seen), np.float32)
     kernels.explain(observed, mean, visible, seen, np.float32(LEAST_INSIDE), share)

@@ -33,17 +33,10 @@ SMOOTHING = (0.0175, 0.05, 0.125)
 
 
 class Level(NamedTuple):
-    """One level of a picture.
+    """One level of a picture."""
 
-    Parameters
-    ----------
-    image
-        `(height, width)` float32 grey, its rows one after the other.
-    scale
-        px of the level per px of the picture: pixel x of the picture is at x scale + (scale - 1) / 2.
-    """
-
-    image: Picture
+    image: Picture  # `(height, width)` float32 grey, its rows one after the other
+    # px of the level per px of the picture: pixel x of the picture is at x scale + (scale - 1) / 2
     scale: float
 
 
@@ -54,10 +47,7 @@ def image_pyramid(image: NDArray[np.uint8], size: float, *, n_levels: int, local
     out light that changes slowly over the object; `size` px is that of the object, by which the mean's reach
     and the smoothing are set. `image` is uint8, grey or BGR.
 
-    Raises
-    ------
-    ValueError
-        if the coarsest level would have less than two px either way.
+    Raises `ValueError` if the coarsest level would have less than two px either way.
     """
     least = 2 * 2 ** (n_levels - 1)
     if min(image.shape[:2]) < least:
@@ -121,18 +111,10 @@ WORTH = 50_000
 
 @dataclass(frozen=True, eq=False)
 class TexturedObject:
-    """A morphable model and where the texels of its surface are.
+    """A morphable model and where the texels of its surface are."""
 
-    Parameters
-    ----------
-    model
-        shape.
-    texels
-        their places on the surface.
-    """
-
-    model: MorphableModel
-    texels: SurfaceTexels
+    model: MorphableModel  # shape
+    texels: SurfaceTexels  # their places on the surface
 
     @cached_property
     def _used(self) -> NDArray[np.int64]:
@@ -252,27 +234,13 @@ class TexturedObject:
 
 @dataclass(frozen=True, eq=False)
 class TextureLikelihood:
-    """A frame seen with the textures of experts.
+    """A frame seen with the textures of experts."""
 
-    Parameters
-    ----------
-    surface
-        shape and texels.
-    levels
-        of the picture, fine to coarse.
-    mean
-        `(n_experts, n_levels, n_texels)` float32: predicted texture on each level.
-    temperature
-        `(n_experts, n_texels)` float32: V + sigma_w^2.
-    visible
-        `(n_experts, n_texels)` bool, held while poses change.
-    """
-
-    surface: TexturedObject
-    levels: Sequence[Level]
-    mean: Map
-    temperature: Map
-    visible: NDArray[np.bool_]
+    surface: TexturedObject  # shape and texels
+    levels: Sequence[Level]  # of the picture, fine to coarse
+    mean: Map  # `(n_experts, n_levels, n_texels)` float32: predicted texture on each level
+    temperature: Map  # `(n_experts, n_texels)` float32: V + sigma_w^2
+    visible: NDArray[np.bool_]  # `(n_experts, n_texels)` bool, held while poses change
 
     @cached_property
     def _textures(self) -> kernels.Textures:
@@ -327,19 +295,11 @@ class TextureLikelihood:
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Gauss-Newton's normal equations for poses.
+    """Gauss-Newton's normal equations for poses."""
 
-    Parameters
-    ----------
-    matrices, vectors
-        `(n, dimension, dimension)` and `(n, dimension)`: sums of a J'J / tau and a J'e / tau.
-    sums
-        `(n, 3)`: of a e^2 / tau, a log tau and a.
-    rows
-        `(n, n_used, 2, width)` float32: how vertices move with the pose; columns past its dimension are 0.
-    """
-
+    # `(n, dimension, dimension)` and `(n, dimension)`: sums of a J'J / tau and a J'e / tau
     matrices: Array
     vectors: Array
-    sums: Array
+    sums: Array  # `(n, 3)`: of a e^2 / tau, a log tau and a
+    # `(n, n_used, 2, width)` float32: how vertices move with the pose; columns past its dimension are 0
     rows: Map

@@ -54,21 +54,11 @@ MOST_BLOBS = 12
 
 @dataclass(frozen=True, eq=False)
 class SkinBlobs:
-    """Places where a hand, or a head, may be.
+    """Places where a hand, or a head, may be."""
 
-    Parameters
-    ----------
-    means
-        `(m, 2)` px, the strongest first.
-    covariances
-        `(m, 2, 2)` px^2: of the hand's centre.
-    log_weights
-        `(m,)`: log of the probability that a hand looks like that, over that of clutter.
-    """
-
-    means: Array
-    covariances: Array
-    log_weights: Array
+    means: Array  # `(m, 2)` px, the strongest first
+    covariances: Array  # `(m, 2, 2)` px^2: of the hand's centre
+    log_weights: Array  # `(m,)`: log of the probability that a hand looks like that, over that of clutter
 
     @classmethod
     def none(cls) -> "SkinBlobs":
@@ -82,15 +72,8 @@ def skin_blobs(skin: Map, radius: float, heads: Array | None = None) -> SkinBlob
     Hands beside and below the face are sought in the picture without it, which would outshine them. Where
     there is more skin than one hand shows, two that touch are listed as well.
 
-    Parameters
-    ----------
-    skin
-        `(height, width)` float32 nats: log odds of skin.
-    radius
-        px: of a hand.
-    heads
-        `(k, 4)` px: ellipses of heads that are known, centre x, y and half axes; places in them are listed,
-        with less weight.
+    `skin` `(height, width)` float32 nats: log odds of skin; `radius` px: of a hand; `heads` `(k, 4)` px:
+    ellipses of heads that are known, centre x, y and half axes; places in them are listed, with less weight.
     """
     scale = min(1.0, COARSE_RADIUS / radius)
     reach = radius * scale
@@ -195,44 +178,27 @@ stays below twice its median, and soft shades go by steps of one level."""
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BodyImage:
-    """Everything that is asked of an image when poses of a body are compared with it, worked out once.
+    """Everything that is asked of an image when poses of a body are compared with it, worked out once."""
 
-    Parameters
-    ----------
-    skin
-        `(height, width)` float32 nats: log odds of the pixel's colour on skin against anything else, between
-        -4 and 4; `None` where there is no colour to tell from.
-    moving_skin
-        the same less what is skin all the time: for hands.
-    edges
-        `(height, width)` float32 px: distance to the nearest edge, capped at a sixth of the head's height.
-    edge_directions
-        `(height, width)` float32 rad, between 0 and pi: the normal of the nearest edge, as angle from x to y.
-    blobs
-        `(m, 2)` px: centres of places with as much skin as a hand shows, the strongest first.
-    blob_log_weights
-        `(m,)`: log of the probability ratio that the blob is some given hand against clutter, up to one
-        constant.
-    mixtures
-        the evidence phi(I, F) of head and hands that faces, blobs and keypoints give.
-    keypoints
-        points of this body that a detector has found, if there are any.
-    bare
-        probability that forearms are bare.
-    arms
-        nats: log odds that a pixel's colour is that of an arm, half as large as the image; `None` where
-        clothes' colours are not known.
-    """
-
+    # `(height, width)` float32 nats: log odds of the pixel's colour on skin against anything else, between -4
+    # and 4; `None` where there is no colour to tell from
     skin: NDArray[np.float32] | None
-    moving_skin: NDArray[np.float32] | None
+    moving_skin: NDArray[np.float32] | None  # the same less what is skin all the time: for hands
+    # `(height, width)` float32 px: distance to the nearest edge, capped at a sixth of the head's height
     edges: NDArray[np.float32]
+    # `(height, width)` float32 rad, between 0 and pi: the normal of the nearest edge, as angle from x to y
     edge_directions: NDArray[np.float32]
+    # `(m, 2)` px: centres of places with as much skin as a hand shows, the strongest first
     blobs: NDArray[np.float64]
+    # `(m,)`: log of the probability ratio that the blob is some given hand against clutter, up to one
+    # constant
     blob_log_weights: NDArray[np.float64]
+    # the evidence phi(I, F) of head and hands that faces, blobs and keypoints give
     mixtures: GaussianMixtures
-    keypoints: SeenKeypoints | None = None
-    bare: float = 0.0
+    keypoints: SeenKeypoints | None = None  # points of this body that a detector has found, if there are any
+    bare: float = 0.0  # probability that forearms are bare
+    # nats: log odds that a pixel's colour is that of an arm, half as large as the image; `None` where
+    # clothes' colours are not known
     arms: NDArray[np.float32] | None = None
     _made: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
@@ -255,18 +221,9 @@ def edge_distances(image: NDArray[np.uint8], reach: float) -> tuple[NDArray[np.f
 
     What counts as an edge depends on the image's own gradients: dim and soft pictures have edges, too.
 
-    Parameters
-    ----------
-    image
-        `(height, width)` or `(height, width, 3)` BGR.
-    reach
-        px: distances are capped here.
-
-    Returns
-    -------
-    distances, directions
-        both `(height, width)` float32: px; rad from 0 to pi, the angle from x to y of the edge's normal (that
-        of the gradient). Without any edge, the cap and 0.
+    `image` `(height, width)` or `(height, width, 3)` BGR; `reach` px: distances are capped here. Returns
+    `distances`, `directions`: both `(height, width)` float32: px; rad from 0 to pi, the angle from x to y of
+    the edge's normal (that of the gradient). Without any edge, the cap and 0.
     """
     smooth = cv2.GaussianBlur(grey_of(image), (0, 0), BLUR)
     right, down = (cv2.Sobel(smooth, cv2.CV_16S, *order, ksize=3) for order in ((1, 0), (0, 1)))

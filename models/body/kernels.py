@@ -127,17 +127,11 @@ def _in_torso(x, y, z, torso):
 def within_limits(torsos, necks, arms, half, upper, fore, limits, torso, allowed):
     """Write into `allowed` `(n,)` whether every joint is within its limits and no arm is in the torso.
 
-    Parameters
-    ----------
-    torsos, necks, arms, half, upper, fore
-        as for `place_joints`.
-    limits
-        `(10,)`: greatest rotation of the torso; cosine of that of the neck; middle of the left upper arm's
-        cone (a unit vector) and cosine of its half angle; middle of the range of the inwards turn and half
-        its length; cosines of the elbow's greatest flexion and of the one below which the turn is not tested.
-        Angles in rad.
-    torso
-        `(4,)` px: width at the shoulders and at the lower end, height, and how far it reaches to the viewer.
+    `torsos`, `necks`, `arms`, `half`, `upper`, `fore`: as for `place_joints`. `limits` `(10,)`: greatest
+    rotation of the torso; cosine of that of the neck; middle of the left upper arm's cone (a unit vector) and
+    cosine of its half angle; middle of the range of the inwards turn and half its length; cosines of the
+    elbow's greatest flexion and of the one below which the turn is not tested. Angles in rad. `torso` `(4,)`
+    px: width at the shoulders and at the lower end, height, and how far it reaches to the viewer.
     """
     cx, cy, cz, cone = limits[2], limits[3], limits[4], limits[5]
     middle_sine, middle_cosine = np.sin(limits[6]), np.cos(limits[6])
@@ -277,21 +271,11 @@ _f4 = np.float32
 def keypoint_terms(joints, places, ends, shares, heights, halves, false, chances, out):
     """Log likelihood ratios of points against points anywhere about a person, added to `out` `(n,)`.
 
-    Parameters
-    ----------
-    joints
-        `(n, 8, 2)` or `(n, 8, 3)` px.
-    places
-        `(m, 2)` px: points that were found.
-    ends, shares
-        `(h, m, 2)` and `(m,)`: between which joints each is, and how far on the way from the first to the
-        second, under each of h hypotheses.
-    heights, halves
-        `(m,)`: highest value of a point's ratio, and half its precision, 1/px^2.
-    false
-        `(m,)`: what the ratio is at least.
-    chances
-        `(h + 1,)`: probabilities of the hypotheses, and of that in which all is somebody else's.
+    `joints` `(n, 8, 2)` or `(n, 8, 3)` px; `places` `(m, 2)` px: points that were found; `ends`, `shares`
+    `(h, m, 2)` and `(m,)`: between which joints each is, and how far on the way from the first to the second,
+    under each of h hypotheses; `heights`, `halves` `(m,)`: highest value of a point's ratio, and half its
+    precision, 1/px^2; `false` `(m,)`: what the ratio is at least; `chances` `(h + 1,)`: probabilities of the
+    hypotheses, and of that in which all is somebody else's.
     """
     for k in range(len(joints)):
         total = _f4(chances[len(ends)])

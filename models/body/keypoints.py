@@ -59,20 +59,11 @@ class SeenKeypoints:
 
     Each is where the pose has it, with a normal error, or false; sides may be exchanged, of the arms or of
     all; and all may be another person's. A score says how probable a point is: 1 is `SURE`, 0.5 half of that.
-
-    Parameters
-    ----------
-    positions
-        `(10, 2)` px in the order of `KEYPOINTS`, NaN where a point was not found.
-    probabilities
-        `(10,)`: that a point is what it says; 0 where it was not found.
-    head_height
-        px.
     """
 
-    positions: Array
-    probabilities: Array
-    head_height: float
+    positions: Array  # `(10, 2)` px in the order of `KEYPOINTS`, NaN where a point was not found
+    probabilities: Array  # `(10,)`: that a point is what it says; 0 where it was not found
+    head_height: float  # px
 
     @classmethod
     def of(cls, given: GivenKeypoints, heads: Array, head_height: float) -> Self | None:
@@ -99,12 +90,9 @@ class SeenKeypoints:
 
         Sides may be exchanged.
 
-        Parameters
-        ----------
-        hands, heads
-            `(k, 2)`, `(m, 2)` px: other things in the picture that hands and heads may be, whose labels
-            are 0 to k + m - 1. A point that is as near to one of them as `SAME_THING` has its label, others
-            have labels of their own.
+        `hands`, `heads` `(k, 2)`, `(m, 2)` px: other things in the picture that hands and heads may be, whose
+        labels are 0 to k + m - 1. A point that is as near to one of them as `SAME_THING` has its label,
+        others have labels of their own.
         """
         head = KEYPOINTS.index("head")
         own_hands = [self._hand(side) for side in ("left", "right")]

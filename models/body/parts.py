@@ -42,23 +42,13 @@ class PartMessage:
     What the image says is kept apart, since who compares whole bodies with the image reads it better than its
     mixtures can say.
 
-    Parameters
-    ----------
-    stacked
-        product of the chains' messages: the mixtures of all hypotheses, one after the other, H times 3.
-    image
-        what the image says; `None` where it says nothing.
-    log_hypotheses
-        `(H,)` log weights; of one hypothesis, unless given.
-
-    Raises
-    ------
-    ValueError
-        if there are not three mixtures for each hypothesis.
+    Raises `ValueError` if there are not three mixtures for each hypothesis.
     """
 
+    # product of the chains' messages: the mixtures of all hypotheses, one after the other, H times 3
     stacked: GaussianMixtures
-    image: BodyImage | None = None
+    image: BodyImage | None = None  # what the image says; `None` where it says nothing
+    # `(H,)` log weights; of one hypothesis, unless given
     log_hypotheses: Array = field(default_factory=lambda: np.zeros(1))
 
     def __post_init__(self) -> None:

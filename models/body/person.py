@@ -29,21 +29,11 @@ SWAY = 0.5
 @short_repr
 @dataclass(frozen=True, eq=False)
 class OtherFaces:
-    """Where faces of others are seen: to the person who is tracked, they are false ones that stay.
+    """Where faces of others are seen: to the person who is tracked, they are false ones that stay."""
 
-    Parameters
-    ----------
-    places
-        `(m, 2)` px: middles of all others' faces in some pictures.
-    pictures
-        how many.
-    spread
-        px: standard deviation about these.
-    """
-
-    places: Array
-    pictures: int
-    spread: float
+    places: Array  # `(m, 2)` px: middles of all others' faces in some pictures
+    pictures: int  # how many
+    spread: float  # px: standard deviation about these
 
     @classmethod
     def learned(cls, found: Sequence[Array], own: Sequence[int | None]) -> Self:
@@ -68,12 +58,8 @@ def one_person(found: Sequence[Array], start: tuple[int, int]) -> list[int | Non
     From one picture to the next, it is the nearest face of about the same size that is not too far, first on
     to the last picture, then back to the first.
 
-    Parameters
-    ----------
-    found
-        by picture, `(k, 4)` px: boxes x, y, width, height; k may be 0.
-    start
-        picture and face to begin with.
+    `found`: by picture, `(k, 4)` px: boxes x, y, width, height; k may be 0; `start`: picture and face to
+    begin with.
     """
     chosen: list[int | None] = [None] * len(found)
     first, face = start
@@ -92,10 +78,7 @@ def largest_face(found: Sequence[Array]) -> tuple[int, int]:
 
     Of the largest faces of all pictures it is the one of median height: a false one may be higher.
 
-    Raises
-    ------
-    ValueError
-        if there is no face.
+    Raises `ValueError` if there is no face.
     """
     largest = [
         (float(boxes[:, 3].max()), picture, int(boxes[:, 3].argmax()))
@@ -111,10 +94,7 @@ def largest_face(found: Sequence[Array]) -> tuple[int, int]:
 def face_at(found: Sequence[Array], box: Array) -> tuple[int, int]:
     """Picture and number of the face that is nearest to a box `(4,)` px, in the first picture with any.
 
-    Raises
-    ------
-    ValueError
-        if there is no face.
+    Raises `ValueError` if there is no face.
     """
     for picture, boxes in enumerate(found):
         if len(boxes):
@@ -155,15 +135,9 @@ BLUR = 0.06
 @short_repr
 @dataclass(frozen=True, eq=False)
 class ClothesColour:
-    """How much more often colours are seen on the trunk than elsewhere in the picture.
+    """How much more often colours are seen on the trunk than elsewhere in the picture."""
 
-    Parameters
-    ----------
-    table
-        as that of `SkinColour`.
-    """
-
-    table: NDArray[np.float32]
+    table: NDArray[np.float32]  # as that of `SkinColour`
 
     @classmethod
     def learned(
@@ -171,21 +145,8 @@ class ClothesColour:
     ) -> Self | None:
         """Learn from images in which the person's head is known.
 
-        Parameters
-        ----------
-        images
-            n of them, `(height, width, 3)` uint8 BGR.
-        heads
-            `(n, 2)` px: centres.
-        head_height
-            px.
-        skin
-            of the person, which is no clothes.
-
-        Returns
-        -------
-        ClothesColour or None
-            `None` if no image has colours or shows the trunk.
+        `images`: n of them, `(height, width, 3)` uint8 BGR; `heads` `(n, 2)` px: centres; `head_height`: px;
+        `skin`: of the person, which is no clothes. Returns `None` if no image has colours or shows the trunk.
         """
         on, off = np.zeros(N_BINS), np.zeros(N_BINS)
         for image, (x, y) in zip(images, heads, strict=True):
@@ -203,16 +164,8 @@ class ClothesColour:
     def arm_map(self, colours: Image, head_height: float, skin: Map, bare: float) -> Map:
         """Log odds of an arm against anything else, half as large as the image and smoothed.
 
-        Parameters
-        ----------
-        colours
-            `(height, width, 3)` uint8: the `smoothed` image.
-        head_height
-            px.
-        skin
-            `(height, width)` nats: log odds of skin in it.
-        bare
-            probability that arms are bare.
+        `colours` `(height, width, 3)` uint8: the `smoothed` image; `head_height`: px; `skin`
+        `(height, width)` nats: log odds of skin in it; `bare`: probability that arms are bare.
         """
         odds = looked_up_in(self.table, colours)
         if bare > 0:
@@ -260,14 +213,8 @@ def bare_probability(areas: Sequence[float]) -> float:
 def hand_area(skin: Map, heads: Array, radius: float, head_height: float) -> float:
     """Area of the largest patch of skin beside heads, in discs of a hand's radius; 0 without any.
 
-    Parameters
-    ----------
-    skin
-        `(height, width)` float32 nats: log odds of skin.
-    heads
-        `(k, 4)` px, of one person: ellipses, centre x, y and half axes, of head and neck; the head first.
-    radius, head_height
-        px.
+    `skin` `(height, width)` float32 nats: log odds of skin; `heads` `(k, 4)` px, of one person: ellipses,
+    centre x, y and half axes, of head and neck; the head first; `radius`, `head_height`: px.
     """
     beside = np.asarray(skin > SKIN_FROM, np.uint8)
     near = np.zeros_like(beside)

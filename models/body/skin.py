@@ -48,15 +48,10 @@ BLUR = 0.8
 @short_repr
 @dataclass(frozen=True, eq=False)
 class SkinColour:
-    """How much more often colours are seen in a face than elsewhere.
+    """How much more often colours are seen in a face than elsewhere."""
 
-    Parameters
-    ----------
-    table
-        `(8, 64, 64)` float32 nats, over bins of Y, Cr and Cb: log of a colour's density in the face over its
-        density in the rest of the images, between -4 and 4.
-    """
-
+    # `(8, 64, 64)` float32 nats, over bins of Y, Cr and Cb: log of a colour's density in the face over its
+    # density in the rest of the images, between -4 and 4
     table: NDArray[np.float32]
 
     @classmethod
@@ -66,22 +61,9 @@ class SkinColour:
         The rest of the image holds the hands, too: where they cover a share s of it, the ratio stays below
         1 / s, which the bounds of the table hide unless s is above 2 %.
 
-        Parameters
-        ----------
-        images
-            n of them, `(height, width, 3)` uint8 BGR, or `(height, width)`.
-        boxes
-            `(n, 4)` px: x, y, width, height of one face in each.
-
-        Returns
-        -------
-        SkinColour or None
-            `None` if the images have no colour: grey tells nothing of skin.
-
-        Raises
-        ------
-        ValueError
-            if there are no images, or not as many boxes.
+        `images`: n of them, `(height, width, 3)` uint8 BGR, or `(height, width)`; `boxes` `(n, 4)` px: x, y,
+        width, height of one face in each. Returns `None` if the images have no colour: grey tells nothing of
+        skin. Raises `ValueError` if there are no images, or not as many boxes.
         """
         if not len(images) or np.shape(boxes) != (len(images), 4):
             raise ValueError(
@@ -100,20 +82,8 @@ class SkinColour:
     def log_odds(self, image: Image) -> NDArray[np.float32]:
         """Log odds of skin against anything else, where both are as likely without the colour.
 
-        Parameters
-        ----------
-        image
-            `(height, width, 3)` uint8 BGR.
-
-        Returns
-        -------
-        NDArray
-            `(height, width)` float32 nats, from -4 to 4.
-
-        Raises
-        ------
-        ValueError
-            if the image has one channel.
+        `image` `(height, width, 3)` uint8 BGR. Returns `(height, width)` float32 nats, from -4 to 4. Raises
+        `ValueError` if the image has one channel.
         """
         return self.log_odds_of(smoothed(image))
 
@@ -151,10 +121,7 @@ def has_colour(image: Image) -> bool:
 def smoothed(image: Image) -> Image:
     """`(height, width, 3)` Y, Cr, Cb of a BGR image, as tables of colours are asked for them.
 
-    Raises
-    ------
-    ValueError
-        if the image has one channel.
+    Raises `ValueError` if the image has one channel.
     """
     if image.ndim != 3:
         raise ValueError(f"image: got {image.shape}, expected (height, width, 3)")
@@ -200,15 +167,8 @@ def static_skin(colour: SkinColour, images: Sequence[NDArray[np.uint8]]) -> Map 
 
     How much a skin-coloured pixel speaks for a hand is its log odds less this.
 
-    Parameters
-    ----------
-    images
-        of one clip with a camera at rest, spread over its length; `None` of fewer than `LEAST_FRAMES`.
-
-    Raises
-    ------
-    ValueError
-        if they are of different sizes.
+    `images`: of one clip with a camera at rest, spread over its length; `None` of fewer than `LEAST_FRAMES`.
+    Raises `ValueError` if they are of different sizes.
     """
     if len(images) < LEAST_FRAMES:
         return None

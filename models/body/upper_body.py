@@ -132,12 +132,8 @@ def over_bands_of(poses: BodyPoses, work: Callable[[int, int], None]) -> None:
 def shoulder_rotations(arms: Array) -> tuple[Array, Array]:
     """Rotations of the shoulders and flexions of the elbows of `arms` `(..., 2, 3)` [upper arm, forearm].
 
-    Returns
-    -------
-    rotations
-        `(..., 3, 3)`: their second column is the upper arm, their first the elbow's axis.
-    flexions
-        `(...)` rad, from 0 (straight) to pi.
+    Returns `rotations` `(..., 3, 3)`: their second column is the upper arm, their first the elbow's axis;
+    `flexions` `(...)` rad, from 0 (straight) to pi.
     """
     upper, forearm = arms[..., 0, :], arms[..., 1, :]
     axis = cross(forearm, upper)
@@ -191,10 +187,7 @@ def segment_lengths(joints: Array, head_heights: Array | None = None) -> dict[st
     degrees as a rule the shoulders come out 2 % too narrow. Arms point anywhere and are seen at most as long
     as they are, see `projected_length`. Left and right have equal lengths.
 
-    Raises
-    ------
-    ValueError
-        if `joints` is not `(n_frames, 8, 2)`, is infinite, or tells of no length.
+    Raises `ValueError` if `joints` is not `(n_frames, 8, 2)`, is infinite, or tells of no length.
     """
     joints = np.asarray(joints, np.float64)
     if joints.ndim != 3 or joints.shape[1:] != (len(JOINTS), 2):
@@ -478,22 +471,11 @@ REFERENCE = np.array([0.7, -0.7, 0.1]) / np.sqrt(0.99)
 def arm_at(body: "UpperBody", side: int, offsets: Array, swivels: Array) -> tuple[Array, Mask]:
     """Arms that bring their hands to given places, by the law of cosines.
 
-    Parameters
-    ----------
-    side
-        0 for the left arm, 1 for the right one.
-    offsets
-        `(n, 3)` px: hand minus shoulder.
-    swivels
-        `(n,)` rad: where on its circle the elbow is, from the direction nearest to `REFERENCE`; arms that
-        are mirror images of each other have equal swivels.
-
-    Returns
-    -------
-    arms
-        `(n, 2, 3)`: unit vectors along upper arm and forearm.
-    reachable
-        `(n,)`: whether hands can be there; the other arms are stretched, or folded, along the line to it.
+    `side`: 0 for the left arm, 1 for the right one; `offsets` `(n, 3)` px: hand minus shoulder; `swivels`
+    `(n,)` rad: where on its circle the elbow is, from the direction nearest to `REFERENCE`; arms that are
+    mirror images of each other have equal swivels. Returns `arms` `(n, 2, 3)`: unit vectors along upper arm
+    and forearm; `reachable` `(n,)`: whether hands can be there; the other arms are stretched, or folded,
+    along the line to it.
     """
     arms, reachable = np.empty((len(offsets), 2, 3)), np.empty(len(offsets), np.bool_)
     reach(

@@ -216,12 +216,8 @@ def default_faces(path: Path | None = None, otherwise: str = "a model file of Yu
 
     Where this OpenCV has none, the error says that something `otherwise` is expected.
 
-    Raises
-    ------
-    ValueError
-        if there is no detector, or the file is none.
-    FileNotFoundError
-        if there is no such file.
+    Raises `ValueError` if there is no detector, or the file is none; `FileNotFoundError` if there is no such
+    file.
     """
     if path is not None:
         return HaarFaces(file=path) if path.suffix.lower() == ".xml" else YuNetFaces(path)

@@ -107,21 +107,11 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
-    """Points given by three vertices each: sum_a weights_a h_a c + c_1 offset in the object's coordinates.
+    """Points given by three vertices each: sum_a weights_a h_a c + c_1 offset in the object's coordinates."""
 
-    Parameters
-    ----------
-    vertices
-        `(n, 3)` int64, vertex numbers.
-    weights
-        `(n, 3)`, summing to one for a point on the surface or beside it.
-    offsets
-        `(n, 3)` in units of c_1, in the object's axes: how far off the surface a point is held.
-    """
-
-    vertices: NDArray[np.int64]
-    weights: Array
-    offsets: Array
+    vertices: NDArray[np.int64]  # `(n, 3)` int64, vertex numbers
+    weights: Array  # `(n, 3)`, summing to one for a point on the surface or beside it
+    offsets: Array  # `(n, 3)` in units of c_1, in the object's axes: how far off the surface a point is held
 
     def __len__(self) -> int:
         return len(self.vertices)
@@ -141,19 +131,8 @@ class SurfacePoints:
         surface point that is seen nearest to it, at the offset in the plane of the picture that is missing;
         so all places are met exactly in this pose.
 
-        Parameters
-        ----------
-        model
-            with triangles.
-        pose
-            one.
-        places
-            `(n, 2)` px.
-
-        Raises
-        ------
-        ValueError
-            if there is more than one pose, the model has no triangles, or a place is not finite.
+        `model`: with triangles; `pose`: one; `places` `(n, 2)` px. Raises `ValueError` if there is more than
+        one pose, the model has no triangles, or a place is not finite.
         """
         if len(pose) != 1 or len(model.triangles) == 0:
             raise ValueError(

@@ -20,28 +20,17 @@ class SurfaceTexels:
 
     Texels lie in rows: row k holds the k-th texel of every group that has so many, in the order of groups, of
     which those with more texels come first. All texels of a row have the same weights and offset.
-
-    Parameters
-    ----------
-    groups
-        `(n_groups, 3)` int32, vertex numbers, of groups that have texels; a patch names one vertex three
-        times.
-    first
-        `(n_rows + 1,)` int32: texels `first[k]:first[k + 1]` make row k, those of groups 0, 1, ... The first
-        part of a group is spread evenly, so that coarse levels use a prefix of the rows and of each row.
-    weights
-        `(n_texels, 3)` float32, barycentric; (1, 0, 0) in a patch.
-    offsets
-        `(n_texels, 2)` float32 px in the picture; zero in a mesh.
-    areas
-        `(n_groups,)` float32 px squared that a texel of the group stands for; 0 in a mesh, where it is the
-        triangle's projected area by the number of its texels.
     """
 
+    # `(n_groups, 3)` int32, vertex numbers, of groups that have texels; a patch names one vertex three times
     groups: NDArray[np.int32]
+    # `(n_rows + 1,)` int32: texels `first[k]:first[k + 1]` make row k, those of groups 0, 1, ... The first
+    # part of a group is spread evenly, so that coarse levels use a prefix of the rows and of each row.
     first: NDArray[np.int32]
-    weights: NDArray[np.float32]
-    offsets: NDArray[np.float32]
+    weights: NDArray[np.float32]  # `(n_texels, 3)` float32, barycentric; (1, 0, 0) in a patch
+    offsets: NDArray[np.float32]  # `(n_texels, 2)` float32 px in the picture; zero in a mesh
+    # `(n_groups,)` float32 px squared that a texel of the group stands for; 0 in a mesh, where it is the
+    # triangle's projected area by the number of its texels
     areas: NDArray[np.float32]
 
     def __len__(self) -> int:
@@ -72,10 +61,7 @@ class SurfaceTexels:
     def dense(cls, model: MorphableModel, n_texels: int) -> Self:
         """About `n_texels` texels over all triangles, in proportion to their area on the typical shape.
 
-        Raises
-        ------
-        ValueError
-            if the model has no triangles or `n_texels` is below 1.
+        Raises `ValueError` if the model has no triangles or `n_texels` is below 1.
         """
         if not len(model.triangles) or n_texels < 1:
             raise ValueError(
@@ -104,10 +90,7 @@ class SurfaceTexels:
     def patches(cls, model: MorphableModel, radius: float) -> Self:
         """Discs of `radius` px about every vertex, a texel a pixel (the paper's small circular patches).
 
-        Raises
-        ------
-        ValueError
-            if the radius is below 1 px.
+        Raises `ValueError` if the radius is below 1 px.
         """
         if radius < 1:
             raise ValueError(f"radius: got {radius} px, expected 1 or more")
@@ -166,22 +149,11 @@ def visible(
     answers are unsure within a cell of an outline, and parts less than 2 % of the object's depth in front
     hide nothing. Triangles hide from both sides.
 
-    Parameters
-    ----------
-    positions
-        `(n_poses, n_vertices, 3)` px, z away from the viewer.
-    triangles
-        `(n_triangles, 3)`, in the order of `MorphableModel`.
-    texels
-        in groups of which the vertices are in the order of a triangle. Where they are none (a patch) texels
-        have no facing and are only hidden by what is in front. Their offsets do not count.
-    facing
-        least cosine between the normal and the direction to the viewer.
-
-    Returns
-    -------
-    NDArray[np.bool_]
-        `(n_poses, n_texels)`.
+    `positions` `(n_poses, n_vertices, 3)` px, z away from the viewer; `triangles` `(n_triangles, 3)`, in the
+    order of `MorphableModel`. `texels`: in groups of which the vertices are in the order of a triangle. Where
+    they are none (a patch) texels have no facing and are only hidden by what is in front. Their offsets do
+    not count. `facing`: least cosine between the normal and the direction to the viewer. Returns
+    `(n_poses, n_texels)`.
     """
     seen = np.empty((len(positions), len(texels)), np.bool_)
     positions = np.ascontiguousarray(positions, np.float64)
@@ -203,19 +175,9 @@ def front_triangles(
 ) -> NDArray[np.int64]:
     """Which triangle of a mesh is seen at each pixel of a picture.
 
-    Parameters
-    ----------
-    vertices
-        `(n_vertices, 3)` px, z away from the viewer; triangles are seen from both sides.
-    triangles
-        `(n_triangles, 3)`.
-    size
-        `(width, height)` px of the picture.
-
-    Returns
-    -------
-    NDArray[np.int64]
-        `(height, width)`, -1 where there is none.
+    `vertices` `(n_vertices, 3)` px, z away from the viewer; triangles are seen from both sides; `triangles`
+    `(n_triangles, 3)`; `size` `(width, height)` px of the picture. Returns `(height, width)`, -1 where there
+    is none.
     """
     width, height = size
     corners = vertices + np.array([0.5, 0.5, 1 - vertices[:, 2].min()])
@@ -240,18 +202,12 @@ MOST_POINTS = 512
 
 
 class Box(NamedTuple):
-    """A rectangle of whole pixels, which may reach over the picture's edge.
+    """A rectangle of whole pixels, which may reach over the picture's edge."""
 
-    Parameters
-    ----------
-    top, left
-        first row and column.
-    height, width
-        px.
-    """
-
+    # first row and column
     top: int
     left: int
+    # px
     height: int
     width: int
 
@@ -275,20 +231,11 @@ class Box(NamedTuple):
 
 
 class MeshEdges(NamedTuple):
-    """Edges of a triangle mesh.
+    """Edges of a triangle mesh."""
 
-    Parameters
-    ----------
-    triangles
-        `(n_triangles, 3)` int64.
-    ends
-        `(n_edges, 2)` int64, vertices.
-    sides
-        `(n_edges, 2)` int64: triangles at the edge, the second -1 at the border of the mesh.
-    """
-
-    triangles: NDArray[np.int64]
-    ends: NDArray[np.int64]
+    triangles: NDArray[np.int64]  # `(n_triangles, 3)` int64
+    ends: NDArray[np.int64]  # `(n_edges, 2)` int64, vertices
+    # `(n_edges, 2)` int64: triangles at the edge, the second -1 at the border of the mesh
     sides: NDArray[np.int64]
 
     @classmethod
@@ -306,24 +253,12 @@ class MeshEdges(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """Points on the outlines of a mesh in several poses, each on an edge; of pose n the first `count[n]`.
+    """Points on the outlines of a mesh in several poses, each on an edge; of pose n the first `count[n]`."""
 
-    Parameters
-    ----------
-    vertices
-        `(n, n_points, 2)` int64: ends of the edge.
-    weights
-        `(n, n_points, 2)` float32: shares of the ends.
-    lengths
-        `(n, n_points)` float32 px of outline that the point stands for, 0 after the last one.
-    normals
-        `(n, n_points, 2)` float32, of unit length, away from the object.
-    """
-
-    vertices: NDArray[np.int64]
-    weights: Map
-    lengths: Map
-    normals: Map
+    vertices: NDArray[np.int64]  # `(n, n_points, 2)` int64: ends of the edge
+    weights: Map  # `(n, n_points, 2)` float32: shares of the ends
+    lengths: Map  # `(n, n_points)` float32 px of outline that the point stands for, 0 after the last one
+    normals: Map  # `(n, n_points, 2)` float32, of unit length, away from the object
 
 
 def covered(positions: NDArray[np.floating], triangles: NDArray[np.int64], box: Box) -> NDArray[np.uint8]:
@@ -341,16 +276,8 @@ def outline(
 ) -> Outline:
     """Points about every 3 px (farther apart on large objects) where a mesh borders on what is behind it.
 
-    Parameters
-    ----------
-    positions
-        `(n, n_vertices, 2)` px.
-    edges
-        of the mesh.
-    inside
-        `(n, height, width)` as `covered` gives them.
-    box
-        of `inside`.
+    `positions` `(n, n_vertices, 2)` px; `edges`: of the mesh; `inside` `(n, height, width)` as `covered`
+    gives them; `box`: of `inside`.
     """
     n = len(positions)
     # a large object's outline, which may be longer than its box's by folds, must not end halfway round
