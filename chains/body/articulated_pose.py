@@ -33,17 +33,13 @@ Array = NDArray[np.float64]
 CANDIDATES, LOOKED_AT = 10, 4
 """Poses that are drawn at first, and those of them that are compared with edges, over those that are kept."""
 
-FIRST = 10_000
-"""Poses that are drawn in the first frame, at least: nothing is known of the arms."""
-
-IMAGE_ONLY = 0.4
-"""Share of a part's draws, of poses without a past, for which other chains are not asked."""
+FIRST = 10_000  # poses that are drawn in the first frame, at least: nothing is known of the arms
+IMAGE_ONLY = 0.4  # share of a part's draws, of poses without a past, for which other chains are not asked
 
 PREDICTED = 0.3
 """Share of the hands that are drawn where other chains expect them; others are drawn where they are seen."""
 
-GROUPS = 4
-"""Gaussians by which each part is predicted."""
+GROUPS = 4  # Gaussians by which each part is predicted
 
 
 @short_repr

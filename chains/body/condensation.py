@@ -18,8 +18,7 @@ from .samples import BodySamples, copied, part_message
 
 Array = NDArray[np.float64]
 
-GROUPS = 6
-"""Gaussians of each part's mixture in the message."""
+GROUPS = 6  # Gaussians of each part's mixture in the message
 
 
 class Dynamics(Protocol):

@@ -18,8 +18,7 @@ SPHERE = 4 * np.pi
 
 USUAL_UPPER_ARMS = np.array([[0.2, 0.9, -0.35], [-0.2, 0.9, -0.35]])
 USUAL_UPPER_ARMS /= np.linalg.norm(USUAL_UPPER_ARMS, axis=1, keepdims=True)
-USUAL = 2.0
-"""Middle and concentration of a person's upper arms: mostly they hang down."""
+USUAL = 2.0  # middle and concentration of a person's upper arms: mostly they hang down
 
 CROSSED, CROSSED_TIME = 37.5, 0.1
 """Nats a second by which it grows less probable that hands are on the other's side by a head's height, and s
@@ -31,8 +30,7 @@ LEAST_FLOOR = 1e-15
 LEAST_EXPONENT = -700.0
 """Of which the exponential is still a number: without jumps, an arm's density has this floor."""
 
-LEAST_COSINE = 1e-3
-"""Mean cosine to where a direction was, below which it is as good as anywhere."""
+LEAST_COSINE = 1e-3  # mean cosine to where a direction was, below which it is as good as anywhere
 
 MOST_JUMPS = 1 - 1e-6
 """Chance of a jump in however long a time: densities are relative to those of arms that have not jumped."""

@@ -33,11 +33,8 @@ Array = NDArray[np.float64]
 SCALES = np.array([0.1, 0.3, 0.7, 1.2])
 """Sizes of an arm's move away from where it is in the next frame, over those of the dynamics."""
 
-CENTRES = 64
-"""Poses of the filter about whose arms others are drawn."""
-
-BREADTH = 0.5
-"""How far from these, over what the dynamics move it."""
+CENTRES = 64  # poses of the filter about whose arms others are drawn
+BREADTH = 0.5  # how far from these, over what the dynamics move it
 
 NEXT = 0.3
 """Share of arms that are drawn near the next frame's: so where a hand was found goes back to where it was
@@ -166,17 +163,10 @@ def _peak(concentrations: Array) -> float:
     return float(np.prod(concentrations / (2 * np.pi * -np.expm1(-2 * concentrations))))
 
 
-CLOUD = 400
-"""Poses of a frame that are kept until later ones have spoken."""
-
-BLOCK = 6
-"""Frames that are answered at a time: a pass over all that wait costs the same for one."""
-
-LEAST_EXCHANGED = 1e-3
-"""Probability at least that hands have each other's name, or their own."""
-
-MOVES, MOVES_AHEAD = 8, 2
-"""Of every pose in a frame that is answered, and in one that only leads there."""
+CLOUD = 400  # poses of a frame that are kept until later ones have spoken
+BLOCK = 6  # frames that are answered at a time: a pass over all that wait costs the same for one
+LEAST_EXCHANGED = 1e-3  # probability at least that hands have each other's name, or their own
+MOVES, MOVES_AHEAD = 8, 2  # of every pose in a frame that is answered, and in one that only leads there
 
 
 @short_repr

@@ -62,26 +62,13 @@ def _symmetric(matrices: Array) -> Array:
 Numbers = NDArray[np.intp]
 T = TypeVar("T", bound=np.generic)
 
-VISIBLE = 0.85
-"""Share of the time in which a part is not hidden."""
-
-MOST_FOUND = 0.98
-"""Chance that a part which is not hidden is detected, at most."""
-
-LEAST_FOUND = 1e-9
-"""The same at least, where things may be the part: ratios are over it."""
-
-COVERED = 0.9
-"""Chance that a part is not seen on its own where another thing is."""
-
-CHOICES = 8
-"""Answers for each part that are combined with those for the others."""
-
-CANDIDATES = 64
-"""Joint answers that are worked out."""
-
-NEVER = -1e9
-"""Nats: finite, so that sums of it are numbers."""
+VISIBLE = 0.85  # share of the time in which a part is not hidden
+MOST_FOUND = 0.98  # chance that a part which is not hidden is detected, at most
+LEAST_FOUND = 1e-9  # the same at least, where things may be the part: ratios are over it
+COVERED = 0.9  # chance that a part is not seen on its own where another thing is
+CHOICES = 8  # answers for each part that are combined with those for the others
+CANDIDATES = 64  # joint answers that are worked out
+NEVER = -1e9  # Nats: finite, so that sums of it are numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,8 +274,7 @@ class Answers:
         return np.asarray(padded[np.where(self.options <= k, self.options, self.options - k - 1)])
 
 
-LOOKS_APART = 1.0
-"""s, after which it is a new look that hands are on their own sides."""
+LOOKS_APART = 1.0  # s, after which it is a new look that hands are on their own sides
 
 
 def log_sides(right: Array, since: Array, shoulder_width: float) -> Array:

@@ -37,20 +37,11 @@ Array = NDArray[np.float64]
 EXCHANGE_TIME = 60.0
 """s, time constant with which it is forgotten which hand is which: they may be exchanged unnoticed."""
 
-MOST_TRUST = 0.8
-"""However long it goes well, the tracker may be wrong about a part, as others are told."""
-
-LEAST_PROBABILITY = 1e-6
-"""That a part is where it should be, or that it is not."""
-
-HIDDEN_TIME = 0.28
-"""s for which a part is hidden on average."""
-
-NEW_CLUTTER = 0.5
-"""Of the false blobs in a picture: those that were not there before."""
-
-DRIFT = 0.15
-"""Head heights a root of a second, by which clutter moves."""
+MOST_TRUST = 0.8  # however long it goes well, the tracker may be wrong about a part, as others are told
+LEAST_PROBABILITY = 1e-6  # that a part is where it should be, or that it is not
+HIDDEN_TIME = 0.28  # s for which a part is hidden on average
+NEW_CLUTTER = 0.5  # of the false blobs in a picture: those that were not there before
+DRIFT = 0.15  # head heights a root of a second, by which clutter moves
 
 JITTER = 0.5
 """Hand radii: standard deviation with which clutter is found again. It is about that of a place at which a
@@ -59,20 +50,11 @@ hand is expected, or else a hand that rests would be clutter."""
 BESIDE, ABOUT = 2.0, 0.6
 """Other things that one hand or face shows as, and their standard deviation about it in hand radii."""
 
-TOUCHING = 0.8
-"""Hand radii: two places that are closer are one hand."""
-
-WITHIN = 0.5
-"""Hand radii: standard deviation, at least, of a part in a thing that it shares with another one."""
-
-FACE_RADIUS = 0.42
-"""Head heights: standard deviation of the window in which a face hides a hand."""
-
-OWN_SHARE = 0.5
-"""Of its own weights' logarithms, where another chain says how probable hypotheses are."""
-
-FLATTENED = 0.5
-"""Power of the weights that others are told."""
+TOUCHING = 0.8  # hand radii: two places that are closer are one hand
+WITHIN = 0.5  # hand radii: standard deviation, at least, of a part in a thing that it shares with another one
+FACE_RADIUS = 0.42  # head heights: standard deviation of the window in which a face hides a hand
+OWN_SHARE = 0.5  # of its own weights' logarithms, where another chain says how probable hypotheses are
+FLATTENED = 0.5  # power of the weights that others are told
 
 
 @short_repr

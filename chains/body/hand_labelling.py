@@ -35,8 +35,7 @@ POSES, ARMS, LOOKED_AT = 32, 64, 256
 those that are possible are compared with the image, at most: as many for either names, since the logarithm of
 a mean over few is too small on average."""
 
-PAIRS = 50
-"""Of left and right hands that are compared; so many poses with exchanged names are kept, too."""
+PAIRS = 50  # of left and right hands that are compared; so many poses with exchanged names are kept, too
 
 MOST = 3.0
 """Nats: one look at the picture says no more than this, odds of 20; the likelihood is not right to a greater
@@ -57,11 +56,8 @@ first one stays what it is."""
 APART, TOGETHER = 0.01, 0.3
 """Exchanges in one second by mistake, of hands that are apart, and of hands that could be confused."""
 
-MISTAKEN = 0.05
-"""Probability that a filter has begun with the wrong names: it has weighed both."""
-
-NEAR = 3.0
-"""Hand radii: hands that are so near could be confused."""
+MISTAKEN = 0.05  # probability that a filter has begun with the wrong names: it has weighed both
+NEAR = 3.0  # hand radii: hands that are so near could be confused
 
 
 @short_repr

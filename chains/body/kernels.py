@@ -269,11 +269,8 @@ def cut(points, narrow, most, rounds, numbers):
         count += 1
 
 
-NECK = 0.62
-"""Of the way from the head's centre to the root: middle of the neck's skin."""
-
-FOREARM_POINTS = 4
-"""Places between elbow and wrist at which skin is looked up."""
+NECK = 0.62  # of the way from the head's centre to the root: middle of the neck's skin
+FOREARM_POINTS = 4  # places between elbow and wrist at which skin is looked up
 
 
 @inlined
@@ -323,20 +320,14 @@ def _seen_or_not(nats, hidden):
 class HandModel(NamedTuple):
     """What a hand's skin looks like, and what else may be there."""
 
-    radius: float
-    """px."""
-    windows: NDArray[np.float64]
-    """`(2,)` px: standard deviations of the inner and the outer window."""
-    head: NDArray[np.float64]
-    """`(2,)` px: its half width and half height."""
-    neck_radius: float
-    """px."""
+    radius: float  # px
+    windows: NDArray[np.float64]  # `(2,)` px: standard deviations of the inner and the outer window
+    head: NDArray[np.float64]  # `(2,)` px: its half width and half height
+    neck_radius: float  # px
+    # `(3,)`: nats of all that a hand shows, and of nothing of it; probability of a hand without skin
     scores: NDArray[np.float64]
-    """`(3,)`: nats of all that a hand shows, and of nothing of it; probability of a hand without skin."""
-    forearm: NDArray[np.float64]
-    """`(2,)` px: its length from the elbow to the hand, and half its width."""
-    bare_scores: NDArray[np.float64]
-    """`(3,)`: the scores of a bare forearm that is seen in its full length."""
+    forearm: NDArray[np.float64]  # `(2,)` px: its length from the elbow to the hand, and half its width
+    bare_scores: NDArray[np.float64]  # `(3,)`: the scores of a bare forearm that is seen in its full length
 
 
 @inlined
@@ -614,41 +605,30 @@ HEAD, TORSO = 0, 1
 ROUND = (0, 4, 7)
 N_PARTS = 8
 
-NUMBERS = 13
-"""At most so many describe the place of a part."""
-
-ROW = 5
-"""Numbers of each point of an outline: x, y, depth, the normal's x and y."""
+NUMBERS = 13  # at most so many describe the place of a part
+ROW = 5  # numbers of each point of an outline: x, y, depth, the normal's x and y
 
 _EDGE_ON = 0.1
 """Cosine to which a torso is turned away at most as far as its picture goes, so that it has an inverse."""
 
-FAR = _f4(1e9)
-"""Depth where a part is not."""
+FAR = _f4(1e9)  # depth where a part is not
 
 
 class Solid(NamedTuple):
     """A body as these loops take it; all but `lengths` and `firsts` are float32."""
 
-    lengths: NDArray[np.float64]
-    """`(12,)` px, see `put_body`."""
-    torso: NDArray[np.float32]
-    """`(4, 4)`, see `_torso_fronts`."""
+    lengths: NDArray[np.float64]  # `(12,)` px, see `put_body`
+    torso: NDArray[np.float32]  # `(4, 4)`, see `_torso_fronts`
+    # `(r, 4, LANES)`: x and y px of its contour from the root, in its plane, and those of its normals
     torso_points: NDArray[np.float32]
-    """`(r, 4, LANES)`: x and y px of its contour from the root, in its plane, and those of its normals."""
-    circles: NDArray[np.float32]
-    """`(rows, 2, LANES)`: points of unit circles for head and hands."""
+    circles: NDArray[np.float32]  # `(rows, 2, LANES)`: points of unit circles for head and hands
+    # `(3, LANES)`: by how many steps a point is from the beginning of a limb's outline, on which side it is,
+    # and how many steps there are
     limb_points: NDArray[np.float32]
-    """`(3, LANES)`: by how many steps a point is from the beginning of a limb's outline, on which side it is,
-    and how many steps there are."""
-    firsts: NDArray[np.intp]
-    """`(9,)`: part j has the rows `firsts[j]` to `firsts[j + 1]`."""
-    counted: NDArray[np.float32]
-    """`(rows, LANES)`: 1 where a point counts, else 0."""
-    tolerance: np.float32
-    """px: a point is hidden by what is so much nearer."""
-    rim: np.float32
-    """Share of a part's squared radius that hides nothing, see `fronts`."""
+    firsts: NDArray[np.intp]  # `(9,)`: part j has the rows `firsts[j]` to `firsts[j + 1]`
+    counted: NDArray[np.float32]  # `(rows, LANES)`: 1 where a point counts, else 0
+    tolerance: np.float32  # px: a point is hidden by what is so much nearer
+    rim: np.float32  # Share of a part's squared radius that hides nothing, see `fronts`
 
 
 @inlined

@@ -43,8 +43,7 @@ N_POINTS = (
 )
 """Of a whole outline."""
 
-_HEAD_DEPTH = 0.85
-"""Depth of a head over its height."""
+_HEAD_DEPTH = 0.85  # depth of a head over its height
 
 _RIM = np.float32(0.06)
 """Share of a part's squared radius that hides nothing, so that ends that touch do not hide each other."""
@@ -141,8 +140,7 @@ def _count(name: str) -> int:
 
 Map = NDArray[np.float32]
 
-CELLS = 5.0
-"""Entries of the skin maps in a hand's radius."""
+CELLS = 5.0  # entries of the skin maps in a hand's radius
 
 WINDOWS = (0.4, 1.6)
 """Hand radii: standard deviations of the windows that weigh skin in a hand and skin around it. Beside other
@@ -158,8 +156,7 @@ BARE_SCORES, BARE_HAND_SCORES = (14.0, -4.0, 0.2), (8.0, -1.0, 0.2)
 as one hand and a little more. Skin speaks less for a hand there, since a forearm that goes on shows two
 thirds of it: otherwise hands that are hidden would be drawn to their wrists."""
 
-LEVELS = 256
-"""Entries of tables over distances and directions."""
+LEVELS = 256  # entries of tables over distances and directions
 
 HEAD_WINDOWS = (0.5, 1.2)
 """Half widths and heights of the head: standard deviations of the windows for its skin."""
@@ -170,8 +167,7 @@ HEAD_SCORES = (5.0, 0.2)
 NECK_RADIUS, NO_NECK = 0.28, -9.0
 """Head heights: of bare skin between head and shoulders; of none, since all that rests is left out."""
 
-BLOB_COST = 4.0
-"""Nats: of what looks like a hand and is neither hand nor head."""
+BLOB_COST = 4.0  # Nats: of what looks like a hand and is neither hand nor head
 
 BLOB_REACH = (0.6, 0.35, 0.35, 0.25)
 """Head heights: within which head, hands and bare forearms explain a blob."""
@@ -179,26 +175,19 @@ BLOB_REACH = (0.6, 0.35, 0.35, 0.25)
 EDGE_SPREAD = 0.05
 """Head heights: standard deviation of an edge about the outline of a body that is only nearly right."""
 
-EDGE_WINDOW = 0.5
-"""Head heights: standard deviation of the window in which an image's own edges are counted."""
-
-COUNTED = 5.0
-"""Entries of the map of these counts in that length."""
+EDGE_WINDOW = 0.5  # head heights: standard deviation of the window in which an image's own edges are counted
+COUNTED = 5.0  # entries of the map of these counts in that length
 
 LEAST_EDGES, LEAST_ALIKE = 0.2, 0.25
 """Share of places near an edge that is assumed at least; share of edges of one direction, of an even one."""
 
-EDGE_SHARPNESS = 4.0
-"""Concentration (von Mises) of twice the angle between an edge and the outline."""
+EDGE_SHARPNESS = 4.0  # concentration (von Mises) of twice the angle between an edge and the outline
 
 EDGE_DIRECTIONS = np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)])
 """The same, and what the density is divided by."""
 
-NO_EDGE = 0.4
-"""Probability that a point of the outline shows no edge of its own."""
-
-EDGE_POINTS = 20.0
-"""Independent points of a whole outline: neighbours on it err together."""
+NO_EDGE = 0.4  # probability that a point of the outline shows no edge of its own
+EDGE_POINTS = 20.0  # independent points of a whole outline: neighbours on it err together
 
 
 ARM_POINTS = np.array([[0.25, 0.5, 0.75, 1.0], [0.2, 0.4, 0.6, 0.75]])
@@ -211,8 +200,7 @@ TRUNK, TRUNK_BLUR = (0.45, 0.12), 0.05
 """Of the shoulders' distance: half the width of the trunk, and how far above the shoulders it reaches; head
 heights over which its border is blurred."""
 
-NO_SLEEVE = 0.1
-"""Chance that an arm has other colours than the trunk."""
+NO_SLEEVE = 0.1  # chance that an arm has other colours than the trunk
 
 
 PoseLikelihood = Callable[[BodyImage], Callable[[BodyPoses], Array]]

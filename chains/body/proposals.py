@@ -29,8 +29,7 @@ MOST_ROUNDS = 40
 """Of drawing again what the joints do not allow, which is left out before it costs much. The density of what
 is left is the same but for a factor that is common to all."""
 
-LEAST_DEPTH = 1.0
-"""px: smallest half range of a hand's depth, so that a stretched arm has a density."""
+LEAST_DEPTH = 1.0  # px: smallest half range of a hand's depth, so that a stretched arm has a density
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,17 +119,13 @@ def draw_mixture(mixtures: GaussianMixtures, part: int, n: int, random: np.rando
     return np.asarray(mixtures.means[part][chosen] + steps)
 
 
-GUIDED = 0.35
-"""Share of the poses of which a hand is drawn where it is seen."""
+GUIDED = 0.35  # share of the poses of which a hand is drawn where it is seen
 
 ANYWHERE = 0.2
 """Share of these whose depth and swivel are drawn without regard to the past, which may be wrong of them."""
 
-FARAWAY = 1e-3
-"""How readily a pose is chosen whose hand is far away, over one whose hand is there: arms jump."""
-
-HANDS = (4, 7)
-"""Of `models.body.upper_body.JOINTS`."""
+FARAWAY = 1e-3  # how readily a pose is chosen whose hand is far away, over one whose hand is there: arms jump
+HANDS = (4, 7)  # of `models.body.upper_body.JOINTS`
 
 
 @dataclass(frozen=True, eq=False)

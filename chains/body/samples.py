@@ -17,17 +17,10 @@ from .dynamics import Ancestors, BodyDynamics
 
 Array = NDArray[np.float64]
 
-MISTAKEN = 0.2
-"""Chance that a part is where the samples do not expect it, as others are told."""
-
-A_MOMENT = 0.04
-"""s: poses to start from are as uncertain as after so long a time."""
-
-LONGEST = 60.0
-"""s: after so long without a frame no more is forgotten of a pose."""
-
-LEAST_SPREAD = 1.0
-"""px: standard deviation that is added to a part's, since samples may coincide."""
+MISTAKEN = 0.2  # chance that a part is where the samples do not expect it, as others are told
+A_MOMENT = 0.04  # s: poses to start from are as uncertain as after so long a time
+LONGEST = 60.0  # s: after so long without a frame no more is forgotten of a pose
+LEAST_SPREAD = 1.0  # px: standard deviation that is added to a part's, since samples may coincide
 
 
 @short_repr

@@ -212,8 +212,7 @@ def _start(parts: BodyParts, origin: str, clicked: ClickedJoints | None) -> Body
     return BodyStart(parts, body, origin)
 
 
-MOST_FRAMES = 200
-"""From which lengths are taken, evenly spread over all."""
+MOST_FRAMES = 200  # from which lengths are taken, evenly spread over all
 
 
 class FilmKeypoints(Protocol):

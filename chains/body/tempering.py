@@ -22,17 +22,10 @@ Array = NDArray[np.float64]
 
 MOST_STRATA = 12
 
-NARROW = 0.3
-"""Head heights: standard deviation of hands within which poses say the same."""
-
-EVENLY = 0.5
-"""Share of the samples that is divided evenly among strata."""
-
-LEAST_MASS = 1e-9
-"""Of a stratum's weight: less is forgotten."""
-
-ROUNDS = 4
-"""Of finding the middle between two halves."""
+NARROW = 0.3  # head heights: standard deviation of hands within which poses say the same
+EVENLY = 0.5  # share of the samples that is divided evenly among strata
+LEAST_MASS = 1e-9  # of a stratum's weight: less is forgotten
+ROUNDS = 4  # of finding the middle between two halves
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,21 +59,15 @@ class Strata:
 Indices = NDArray[np.int64]
 LogDensity = Callable[[BodyPoses], Array]
 
-KEPT = 0.3
-"""Effective share of the samples that a step of tempering leaves."""
-
-MOST_STEPS = 3
-"""Of tempering; the last one goes all the way."""
-
-MOVES = 4
-"""Metropolis moves of every sample after each step."""
+KEPT = 0.3  # effective share of the samples that a step of tempering leaves
+MOST_STEPS = 3  # of tempering; the last one goes all the way
+MOVES = 4  # Metropolis moves of every sample after each step
 
 SCALES = (0.1, 0.25, 0.6, 1.2)
 """Sizes of moves over those of the dynamics in the time of one frame: any of them, since peaks are as narrow
 as the image makes them."""
 
-A_FRAME = 0.04
-"""s"""
+A_FRAME = 0.04  # s
 
 BLOCKS = 6
 """What moves at a time: place and neck; left or right arm; either arm while its hand is seen where it was;

@@ -37,8 +37,7 @@ from .texture_likelihood import (
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]
 
-TRUST_TIME = 0.3
-"""s in which the trust in a pixel's background follows whether its prediction came true."""
+TRUST_TIME = 0.3  # s in which the trust in a pixel's background follows whether its prediction came true
 
 UNSEEN = -1.0
 """Trust in the background of a pixel that the object has hidden from the beginning; as good as none."""
@@ -52,11 +51,8 @@ the tones of what is behind it."""
 
 N_GREYS = 256.0
 
-TONE_WIDTH = 4.0
-"""Grey levels by which the histogram of an object's tones is smoothed."""
-
-OTHER_TONES = 0.2
-"""Share of an object's pixels near its outline that have any tone."""
+TONE_WIDTH = 4.0  # grey levels by which the histogram of an object's tones is smoothed
+OTHER_TONES = 0.2  # share of an object's pixels near its outline that have any tone
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,17 +203,10 @@ def tones(image: NDArray[np.uint8], object_: NDArray[np.bool_], box: Box) -> Map
     return found
 
 
-UNKNOWN_VARIANCE = 60.0**2
-"""Squared grey levels: of a pixel whose background has never been seen."""
-
-NOISE = 20.0
-"""Squared grey levels of a picture at a pixel, sigma_w^2."""
-
-WANDERING = 25.0
-"""Squared grey levels per second by which a pixel's background may change, Psi_b."""
-
-LEAST_RATIO = -9.0
-"""Nats: no pixel speaks louder against the background, whatever has come before it."""
+UNKNOWN_VARIANCE = 60.0**2  # squared grey levels: of a pixel whose background has never been seen
+NOISE = 20.0  # squared grey levels of a picture at a pixel, sigma_w^2
+WANDERING = 25.0  # squared grey levels per second by which a pixel's background may change, Psi_b
+LEAST_RATIO = -9.0  # Nats: no pixel speaks louder against the background, whatever has come before it
 
 
 @short_repr
@@ -295,11 +284,8 @@ def _noise(elapsed: float) -> kernels.MapNoise:
     return kernels.MapNoise(np.float32(NOISE), np.float32(change), np.float32(UNKNOWN_VARIANCE))
 
 
-MARGIN = 4
-"""px about the object in which its model may be wrong, and nothing is learned of the background."""
-
-LEAST_SHARE = 1e-3
-"""Weight of the experts who say that a pixel is covered, from which on it may be."""
+MARGIN = 4  # px about the object in which its model may be wrong, and nothing is learned of the background
+LEAST_SHARE = 1e-3  # weight of the experts who say that a pixel is covered, from which on it may be
 
 STRENGTH = 100.0
 """How much likelier the object is to be where it is followed than something that nobody knows."""

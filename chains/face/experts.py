@@ -23,15 +23,11 @@ Array = NDArray[np.float64]
 LONGEST_STEP = (2.0, 4.0, 8.0)
 """px of the picture that a vertex may move in one step, by level, for an object of `REFERENCE_SIZE`."""
 RELATIVE_ROUNDING = 1e-6
-SHORTEST_STEP = 0.03
-"""px: shorter steps end the search on a level."""
+SHORTEST_STEP = 0.03  # px: shorter steps end the search on a level
 REFERENCE_SIZE = 40.0
-FIRST_DAMPING = 1e-3
-"""Of Levenberg, on every level: a share of the curvature."""
-FEW = 3
-"""Experts of which the search is done before another thread is awake."""
-MOST_STEPS = (6, 4, 4)
-"""Evaluations on each level, fine to coarse, the first at the start included."""
+FIRST_DAMPING = 1e-3  # of Levenberg, on every level: a share of the curvature
+FEW = 3  # experts of which the search is done before another thread is awake
+MOST_STEPS = (6, 4, 4)  # evaluations on each level, fine to coarse, the first at the start included
 
 
 class PoseLikelihood(Protocol):

@@ -630,11 +630,8 @@ def _turn_into_pose(ends, blocks, right, rows, dimension, matrix, vector):
 
 Array = NDArray[np.float64]
 
-NOWHERE = 1e300
-"""Energy of a pose in which nothing faces the viewer."""
-
-SLIGHTEST = 1e-12
-"""Least pivot of a scaled curvature, which rounding may have made singular."""
+NOWHERE = 1e300  # energy of a pose in which nothing faces the viewer
+SLIGHTEST = 1e-12  # least pivot of a scaled curvature, which rounding may have made singular
 
 
 class PoseArrays(NamedTuple):

@@ -7,19 +7,13 @@ from ...models.face.morphable_model import RIGID, MorphableModel, Poses, Surface
 
 Array = NDArray[np.float64]
 
-LANDMARK_NOISE = 0.03
-"""Standard deviation of a landmark in units of c_1: about 2 % of a face's width."""
-
-FEWEST = 4
-"""Landmarks that a frame must have: three do for a rigid object, but leave its depth ambiguous."""
-
-_BATCH = 256
-"""Frames fitted at once, which bounds the memory of their Jacobians."""
+LANDMARK_NOISE = 0.03  # standard deviation of a landmark in units of c_1: about 2 % of a face's width
+FEWEST = 4  # landmarks that a frame must have: three do for a rigid object, but leave its depth ambiguous
+_BATCH = 256  # frames fitted at once, which bounds the memory of their Jacobians
 
 _MOST_STEPS = 60
 
-_SMALL_STEP = 1e-6
-"""Step (rad, and share of the object's size) at which a fit is finished."""
+_SMALL_STEP = 1e-6  # step (rad, and share of the object's size) at which a fit is finished
 
 _DEPTH_DOUBT = 0.05
 """How far a point may be from where the typical shape has it, in units of c_1, at the start."""

@@ -113,8 +113,7 @@ class GFlowState:
 
 Mask = NDArray[np.bool_]
 
-COVERING_TEXELS = 1500
-"""Of the mesh where it is integrated over what it hides."""
+COVERING_TEXELS = 1500  # of the mesh where it is integrated over what it hides
 
 
 @dataclass(frozen=True, eq=False)

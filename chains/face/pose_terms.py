@@ -20,8 +20,7 @@ from .background import BackgroundContrast
 
 Array = NDArray[np.float64]
 
-SHORTEST = 1e-6
-"""s: two pictures of one time are taken for this far apart, so that no variance is 0."""
+SHORTEST = 1e-6  # s: two pictures of one time are taken for this far apart, so that no variance is 0
 
 
 @short_repr
@@ -196,11 +195,8 @@ def predicted_points(
     return GaussianMessage.from_moments(chosen, mean, moved + np.einsum("n,nva,nvb->vab", weights, off, off))
 
 
-REACH = 4
-"""Steps of a scan to either side, each of a pixel of the level."""
-
-NOISE = 1.0
-"""Squared steps by which the outline of a coarse mesh is off the object's."""
+REACH = 4  # steps of a scan to either side, each of a pixel of the level
+NOISE = 1.0  # squared steps by which the outline of a coarse mesh is off the object's
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,24 +17,14 @@ from ...models.numerics.rotations import exponential
 
 Array = NDArray[np.float64]
 
-FARTHEST_AHEAD = 1.5
-"""Share of an expert's last motion, up to which experts begin their search ahead."""
-
-ASIDE = 0.5
-"""How far they begin it aside, in standard deviations of the motion."""
-
-STRAIGHT = 0.25
-"""Share of the experts that do not."""
-
-STEP = 0.3
-"""Distance between places that are tried for a lost object, in its sizes."""
+FARTHEST_AHEAD = 1.5  # share of an expert's last motion, up to which experts begin their search ahead
+ASIDE = 0.5  # how far they begin it aside, in standard deviations of the motion
+STRAIGHT = 0.25  # share of the experts that do not
+STEP = 0.3  # distance between places that are tried for a lost object, in its sizes
 
 SIZES = (0.8, 1.0, 1.25)
-TURNS = (-0.35, 0.0, 0.35)
-"""rad about the upright axis, against the pose that it was last seen in."""
-
-AT_ONCE = 2000
-"""Poses that are tried at once, which bounds the memory."""
+TURNS = (-0.35, 0.0, 0.35)  # rad about the upright axis, against the pose that it was last seen in
+AT_ONCE = 2000  # poses that are tried at once, which bounds the memory
 
 
 def apart(poses: Poses, motion: Array, walk: Array, random: np.random.Generator) -> Poses:
@@ -98,20 +88,14 @@ def rolls(poses: Poses) -> Array:
 
 Image = NDArray[np.uint8]
 
-WIDTH_OF_FACE = 0.85
-"""Of a detector's box: what lies between the ears, which a model of a face spans."""
+WIDTH_OF_FACE = 0.85  # of a detector's box: what lies between the ears, which a model of a face spans
 
 FACE = 52.0
 """px: width of a face's box in the pictures that a detector is given: twice what cascades were trained at."""
 
-AROUND = 2.0
-"""Side of the picture about a pose, in widths of the face's box."""
-
-OFF = 0.2
-"""How far the middle of a box may be from that of a face which it confirms, in its widths."""
-
-TRIED_SIZES = 0.7, 1.45
-"""Of a box that confirms a face, in its widths."""
+AROUND = 2.0  # side of the picture about a pose, in widths of the face's box
+OFF = 0.2  # how far the middle of a box may be from that of a face which it confirms, in its widths
+TRIED_SIZES = 0.7, 1.45  # of a box that confirms a face, in its widths
 
 HERE, ANYWHERE = 1, 4
 """Neighbouring detections of a cascade that make one face: where one is known to have been, and all over a
@@ -121,8 +105,7 @@ TRIED_TURNS = (0.0, 0.45, -0.45)
 """rad by which a lost face is looked for turned in the picture's plane, from how it was seen last and from
 upright, one in each picture: detectors find faces up to about 0.3 rad from upright."""
 
-LARGEST = 640
-"""px: longer side of the picture in which a lost face is looked for."""
+LARGEST = 640  # px: longer side of the picture in which a lost face is looked for
 
 
 class Finder(Protocol):
@@ -234,8 +217,7 @@ def poses_in_boxes(model: MorphableModel, boxes: Array) -> Poses:
     return Poses.upright(centres - sizes[:, None] * (low + high) / 2, sizes, model.n_bases)
 
 
-LEAST_SHARE = 0.5
-"""Of the usual fit, below which the object is doubted."""
+LEAST_SHARE = 0.5  # of the usual fit, below which the object is doubted
 
 RETURN_SHARE = 0.75
 """The same for an object that was lost and is found elsewhere: chance has had many places to try."""
@@ -244,19 +226,15 @@ CHANCE, CHANCE_ANYWHERE = 0.2, 0.4
 """Fits below which they are doubted whatever is usual. In films of other things, the texture of a face
 explained less than 0.12 of the variance, also in the best of all places."""
 
-MEMORY = 1.0
-"""s over which the usual fit is averaged."""
-
-PATIENCE = 0.1
-"""s of doubt after which the object is lost; one picture, however late, counts for half of it."""
+MEMORY = 1.0  # s over which the usual fit is averaged
+PATIENCE = 0.1  # s of doubt after which the object is lost; one picture, however late, counts for half of it
 
 SHORTEST_TRIAL, TRIAL = 0.06, 0.2
 """s for which an object that a detector shows has to be seen there, with a texture taken there, before it is
 believed: where the texture that is remembered fits better than by chance, and where it does not. Of 1200
 pictures without a face four showed one, and one of these for more than three pictures."""
 
-ROUNDING = 1e-6
-"""s by which sums of frame times may be off."""
+ROUNDING = 1e-6  # s by which sums of frame times may be off
 
 
 @short_repr

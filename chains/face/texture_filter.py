@@ -15,8 +15,7 @@ from . import kernels
 from .pose_terms import SHORTEST
 from .texture_likelihood import MIDDLE_GREY
 
-USUAL_RATE = 25.0
-"""Frames a second at which gains and temperatures are those of the steady state."""
+USUAL_RATE = 25.0  # frames a second at which gains and temperatures are those of the steady state
 
 
 @dataclass(frozen=True)
@@ -68,31 +67,20 @@ class TexelNoise:
 Map = NDArray[np.float32]
 AnyTuple = TypeVar("AnyTuple", kernels.Noises, kernels.Memory)
 
-UNKNOWN_VARIANCE = 60.0**2
-"""Squared grey levels: of a texel that has never been seen."""
-
-MEMORY = 1.0
-"""s over which the square of innovations is averaged, where gains are learned."""
-
-PACE = 15.0
-"""Change of a gain's log odds in that time, at full correlation of large innovations."""
-
-SMALL = 36.0
-"""Squared grey levels: innovations whose square is well below it say little of the gain."""
+UNKNOWN_VARIANCE = 60.0**2  # squared grey levels: of a texel that has never been seen
+MEMORY = 1.0  # s over which the square of innovations is averaged, where gains are learned
+PACE = 15.0  # change of a gain's log odds in that time, at full correlation of large innovations
+SMALL = 36.0  # squared grey levels: innovations whose square is well below it say little of the gain
 
 MISPLACED = 3.0
 """Squared grey levels: persistent innovations of this product come from texels that are seen a little off."""
 
-GAIN_LIMITS = (-6.0, 6.0)
-"""Log odds between which a learned gain stays."""
+GAIN_LIMITS = (-6.0, 6.0)  # log odds between which a learned gain stays
 
 FIRST_GAIN = 0.05
 
-RETURN = 0.3
-"""s in which what sets a texel apart from its lasting texture decays to 1/e."""
-
-WORTH = 50_000
-"""Texels from which on another thread is woken for them."""
+RETURN = 0.3  # s in which what sets a texel apart from its lasting texture decays to 1/e
+WORTH = 50_000  # texels from which on another thread is woken for them
 
 LEAST_INSIDE = 0.4
 """Share of the visible texels that has to lie in the picture, if a texture is to explain it."""

@@ -19,14 +19,9 @@ from . import kernels
 Picture = NDArray[np.float32]
 
 MIDDLE_GREY = 128.0
-DARKEST = 5.0
-"""Grey levels added to the local mean, so that black regions do not blow up sensor noise."""
-
-FINE_LIGHT_REACH = 0.1
-"""Standard deviation of the local mean on the finest level, in sizes of the object."""
-
-COARSE_LIGHT_REACH = 0.25
-"""The same on the others, whose textures are wider than the finest one's reach."""
+DARKEST = 5.0  # grey levels added to the local mean, so that black regions do not blow up sensor noise
+FINE_LIGHT_REACH = 0.1  # standard deviation of the local mean on the finest level, in sizes of the object
+COARSE_LIGHT_REACH = 0.25  # the same on the others, whose textures are wider than the finest one's reach
 
 SMOOTHING = (0.0175, 0.05, 0.125)
 """Standard deviation of the smoothing of each level, in sizes of the object, fine to coarse."""
@@ -105,8 +100,7 @@ Array = NDArray[np.float64]
 Map = NDArray[np.float32]
 NO_MAP: Map = np.zeros((0, 0), np.float32)
 
-WORTH = 50_000
-"""Texels from which on another thread is woken for them."""
+WORTH = 50_000  # texels from which on another thread is woken for them
 
 
 @dataclass(frozen=True, eq=False)

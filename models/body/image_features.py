@@ -16,8 +16,7 @@ from .keypoints import SeenKeypoints
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]
 
-COARSE_RADIUS = 7.0
-"""px: the radius sought in the picture that is searched, which is as much smaller as that."""
+COARSE_RADIUS = 7.0  # px: the radius sought in the picture that is searched, which is as much smaller as that
 
 CENTRE, AROUND = 0.5, 1.0
 """Standard deviations of the two Gaussian windows whose difference is the contrast, in radii: the inner one
@@ -26,25 +25,20 @@ lies within a hand, the outer one reaches about as far beyond."""
 APART, TOGETHER = 0.5, 0.55
 """Radii: peaks are the highest within the first; of two places within the second, one is left."""
 
-LEAST_CONTRAST = 0.03
-"""Of the share of skin in the two windows; 0.4 for a lone disc."""
+LEAST_CONTRAST = 0.03  # of the share of skin in the two windows; 0.4 for a lone disc
 
 LEVEL, PENALTY = 1.5, 2.0
 """A place's log weight: 1.5 times the mean log odds in the inner window, less those in the outer one, less 2.
 Neither enough says much: cloth in skin's colour has a level without contrast, its corners contrast without
 level. On 16 frames of a real signer, hands had 0.6 and clutter -0.6 on average, both spread by 0.8."""
 
-OF_HEAD = 0.3
-"""As much does the head's skin count when a hand's middle is worked out."""
-
-HIDDEN_BY_HEAD = 6.0
-"""Nats: the face has such places of its own, and a hand in front of it adds no skin."""
+OF_HEAD = 0.3  # as much does the head's skin count when a hand's middle is worked out
+HIDDEN_BY_HEAD = 6.0  # Nats: the face has such places of its own, and a hand in front of it adds no skin
 
 ONE_HAND = 0.9
 """Radii^2 times pi, under a Gaussian window of one radius: more skin than one hand shows (0.55 to 0.8)."""
 
-HALF_APART = 0.55
-"""Radii: half the distance of the two hands that such a place may be."""
+HALF_APART = 0.55  # Radii: half the distance of the two hands that such a place may be
 
 SPREAD, ELONGATION = 0.2, 0.15
 """A place's covariance: the first squared, in radii, and this share of the skin's own second moments."""
@@ -166,8 +160,7 @@ def _centres(weights: Array, steps: NDArray[np.int64]) -> Array:
 
 Made = TypeVar("Made")
 
-BLUR = 1.2
-"""px: of the picture in which edges are looked for."""
+BLUR = 1.2  # px: of the picture in which edges are looked for
 
 STEEPEST, OVER_MEDIAN, LEAST, WEAK = 0.9, 3.5, 12.0, 0.4
 """An edge begins where the gradient is among the image's steepest tenth, above 3.5 times its median and that

@@ -34,8 +34,7 @@ frames, and speak anew in each."""
 EXCHANGED = (0.95, 0.03, 0.02)
 """Probability that sides are told rightly, that arms are exchanged below the shoulders, and that all are."""
 
-SOMEBODY_ELSE = 0.05
-"""Probability that all points are another person's."""
+SOMEBODY_ELSE = 0.05  # probability that all points are another person's
 
 AROUND = 4.0
 """Head heights: side of the square in which false points are, since they are mostly of the same person."""
@@ -48,8 +47,7 @@ SAME_THING = 0.3
 
 OTHER = {"left": "right", "right": "left"}
 
-SAME_HEAD = 0.6
-"""Head heights: so far from where the head is known to be is that of another person."""
+SAME_HEAD = 0.6  # head heights: so far from where the head is known to be is that of another person
 
 
 @short_repr

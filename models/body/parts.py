@@ -24,8 +24,7 @@ from .upper_body import PARTS
 
 Array = NDArray[np.float64]
 
-MOST_HYPOTHESES = 16
-"""Of a product; of more, those of the least mass are left out."""
+MOST_HYPOTHESES = 16  # of a product; of more, those of the least mass are left out
 
 N_PARTS = len(PARTS)
 
@@ -129,33 +128,22 @@ def _rows(hypotheses: NDArray[np.intp]) -> NDArray[np.intp]:
     return np.asarray((N_PARTS * hypotheses[:, None] + np.arange(N_PARTS)).ravel())
 
 
-HEAD_OF_BOX = 1.33
-"""Head from chin to skull over the height of a detector's box."""
-
-CENTRE_OF_BOX = 0.4
-"""Of the box's height, from above: the head's centre."""
+HEAD_OF_BOX = 1.33  # head from chin to skull over the height of a detector's box
+CENTRE_OF_BOX = 0.4  # of the box's height, from above: the head's centre
 
 HEAD_SPREAD = (0.13, 0.1)
 """Of the head's height: standard deviation of its centre about that place. A head that is turned away reaches
 further to one side than its face."""
 
-HAND_RADIUS = 0.3
-"""Of the head's height."""
-
-EDGE_REACH = 1 / 6
-"""Of the head's height: as far as an edge is felt."""
+HAND_RADIUS = 0.3  # of the head's height
+EDGE_REACH = 1 / 6  # of the head's height: as far as an edge is felt
 
 HEAD_ELLIPSE, NECK_ELLIPSE = (0.0, 0.0, 0.38, 0.49), (0.0, 0.62, 0.26, 0.32)
 """In head heights: centres, from the head's, and half axes of what the skin of face and throat fills."""
 
-HEAD_BLOB = 0.42
-"""Of the head's height: radius of the disc of skin that a head is without a face detector."""
-
-KNOWN = 0.35
-"""Of the head's height: where chains know its place better than this, they show where it is."""
-
-SOUGHT = 1.25
-"""Head heights to each side of a head whose place is known: there its face is sought first."""
+HEAD_BLOB = 0.42  # of the head's height: radius of the disc of skin that a head is without a face detector
+KNOWN = 0.35  # of the head's height: where chains know its place better than this, they show where it is
+SOUGHT = 1.25  # head heights to each side of a head whose place is known: there its face is sought first
 
 ANYWHERE = 5
 """Of so many frames, faces are sought in the whole picture in one, wherever the head is taken to be: chains
@@ -164,17 +152,10 @@ that follow something else see the person again."""
 FACE_FOUND, FALSE_FACES = 0.8, 0.05
 """Chance that a face is detected, and number of false detections in an image."""
 
-HEAD_SKIN, FALSE_HEADS = 0.6, 3.0
-"""The same of a head's blob of skin."""
-
-HAND_FOUND, FALSE_HANDS = 0.8, 4.0
-"""The same of a hand's blob."""
-
-COLOURS = ((60, 220, 60), (60, 60, 255), (255, 190, 40))
-"""BGR, of parts that are drawn."""
-
-CALIBRATION_FRAMES = 24
-"""Frames of a clip that are looked at for faces, evenly spread."""
+HEAD_SKIN, FALSE_HEADS = 0.6, 3.0  # the same of a head's blob of skin
+HAND_FOUND, FALSE_HANDS = 0.8, 4.0  # the same of a hand's blob
+COLOURS = ((60, 220, 60), (60, 60, 255), (255, 190, 40))  # BGR, of parts that are drawn
+CALIBRATION_FRAMES = 24  # frames of a clip that are looked at for faces, evenly spread
 
 
 @short_repr

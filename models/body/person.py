@@ -15,15 +15,13 @@ from .skin import N_BINS, SkinColour, colour_counts, has_colour, log_ratio_of, l
 
 Array = NDArray[np.float64]
 
-ALIKE = 1.4
-"""Of two faces of one person, the higher one is at most so many times as high."""
+ALIKE = 1.4  # of two faces of one person, the higher one is at most so many times as high
 
 APART = 2.0
 """Face heights that a person has moved at most from one picture to the next: of one who moves farther less is
 learned."""
 
-SWAY = 0.5
-"""Face heights: standard deviation of faces about the places where they were seen."""
+SWAY = 0.5  # face heights: standard deviation of faces about the places where they were seen
 
 
 @short_repr
@@ -125,11 +123,8 @@ and its lower end. Arms and hands before it do no harm: most of it is clothes.""
 ELSEWHERE = (1.3, 0.8)
 """Head heights: what is further to the side than the first, or higher than the second, is not the trunk."""
 
-SHRINK = 0.5
-"""The map of a picture is so much smaller."""
-
-BLUR = 0.06
-"""Head heights: of the map; a sleeve is three times as broad."""
+SHRINK = 0.5  # the map of a picture is so much smaller
+BLUR = 0.06  # head heights: of the map; a sleeve is three times as broad
 
 
 @short_repr
@@ -181,17 +176,10 @@ discs are mostly seen from aslant."""
 BETWEEN_PEOPLE, BETWEEN_FRAMES = 0.2, 0.4
 """Standard deviations of the logs of both: proportions and colour; how an arm is held."""
 
-SURE = 0.02
-"""Probabilities that are less than that, or that far from 1, are taken for 0 and 1."""
-
-SKIN_FROM = 1.0
-"""Nats: log odds from which a pixel counts."""
-
-HEAD_MARGIN = 1.15
-"""Over the ellipses of head and neck: what is left of their rims is no hand."""
-
-REACH = 3.2
-"""Head heights from the head's centre: as far as hands are."""
+SURE = 0.02  # probabilities that are less than that, or that far from 1, are taken for 0 and 1
+SKIN_FROM = 1.0  # Nats: log odds from which a pixel counts
+HEAD_MARGIN = 1.15  # over the ellipses of head and neck: what is left of their rims is no hand
+REACH = 3.2  # head heights from the head's centre: as far as hands are
 
 
 def bare_probability(areas: Sequence[float]) -> float:

@@ -23,14 +23,12 @@ BINS = (8, 64, 64)
 
 N_BINS = int(np.prod(BINS))
 
-SMOOTHING = (0.7, 1.5, 1.5)
-"""Of the histograms, bins: one face has too few pixels for 32,768 of them."""
+SMOOTHING = (0.7, 1.5, 1.5)  # of the histograms, bins: one face has too few pixels for 32,768 of them
 
 FLOOR = 1 / 30
 """Added to both densities, in units of the uniform one: colours that nobody has seen say nothing."""
 
-HIGHEST = 4.0
-"""Nats: as much as one pixel can say for or against skin."""
+HIGHEST = 4.0  # Nats: as much as one pixel can say for or against skin
 
 LEAST_COLOUR = 4.0
 """Levels that the colour of one pixel in a hundred has to differ from grey; compression makes 1 to 3."""
@@ -38,11 +36,8 @@ LEAST_COLOUR = 4.0
 FACE_CENTRE, FACE_AXES = 0.52, (0.33, 0.42)
 """In a detector's box: skin without the background beside the chin, and mostly without hair."""
 
-HEAD_AXES = (0.8, 0.95)
-"""About the box's centre: beyond it there is neither face nor neck."""
-
-BLUR = 0.8
-"""px: single pixels' noise is no colour."""
+HEAD_AXES = (0.8, 0.95)  # about the box's centre: beyond it there is neither face nor neck
+BLUR = 0.8  # px: single pixels' noise is no colour
 
 
 @short_repr
@@ -152,14 +147,9 @@ def _regions(shape: tuple[int, ...], box: Array) -> tuple[NDArray[np.bool_], NDA
 
 Map = NDArray[np.float32]
 
-AWAY = 0.2
-"""Share of a clip in which a pixel has to be without skin, so that skin there says anything."""
-
-LEAST_FRAMES = 8
-"""Frames, spread over a clip, from which this can be learned."""
-
-LEVELS = 16
-"""Steps of the log odds per nat, so that many frames fit into memory."""
+AWAY = 0.2  # share of a clip in which a pixel has to be without skin, so that skin there says anything
+LEAST_FRAMES = 8  # Frames, spread over a clip, from which this can be learned
+LEVELS = 16  # steps of the log odds per nat, so that many frames fit into memory
 
 
 def static_skin(colour: SkinColour, images: Sequence[NDArray[np.uint8]]) -> Map | None:

@@ -18,8 +18,7 @@ Array = NDArray[np.float64]
 ANGLES = 16
 """Degrees of freedom: two of the root, three of torso and neck each, three of a shoulder, one of an elbow."""
 
-WORTH_THREADS = 300
-"""Poses from which several threads are faster than one."""
+WORTH_THREADS = 300  # poses from which several threads are faster than one
 
 
 @short_repr
@@ -173,11 +172,8 @@ def cross(first: Array, second: Array) -> Array:
 _SPREAD = 0.15
 """Standard deviation of log lengths of people about the usual proportions (and about a wrong head height)."""
 
-_NOISE = 0.03
-"""Usual error of a joint along a segment, over the height of the head; known to a factor of two."""
-
-_WRONG = 0.05
-"""Share of joints that are somewhere else."""
+_NOISE = 0.03  # usual error of a joint along a segment, over the height of the head; known to a factor of two
+_WRONG = 0.05  # share of joints that are somewhere else
 
 
 def segment_lengths(joints: Array, head_heights: Array | None = None) -> dict[str, float]:
@@ -277,8 +273,7 @@ def _head_height(seen: dict[str, Array], head_heights: Array | None) -> float:
 
 Mask = NDArray[np.bool_]
 
-PARTS = ("head", "left_hand", "right_hand")
-"""Parts that have features of their own in the picture."""
+PARTS = ("head", "left_hand", "right_hand")  # parts that have features of their own in the picture
 
 JOINTS = (
     "head", "neck", "left_shoulder", "left_elbow", "left_hand", "right_shoulder", "right_elbow", "right_hand",

@@ -45,11 +45,8 @@ FRONTAL_PIXELS, PROFILE_PIXELS = 52.0, 36.0
 """px: height to which a face of known size is scaled. The cascades were trained at 24 and 20, and often miss
 faces below these sizes; larger ones only cost time."""
 
-SIZES = (0.7, 1.5)
-"""Around the known size."""
-
-STEP, AGREEING = 1.1, 4
-"""Ratio of two sizes that are tried, and neighbouring detections that make one face."""
+SIZES = (0.7, 1.5)  # around the known size
+STEP, AGREEING = 1.1, 4  # ratio of two sizes that are tried, and neighbouring detections that make one face
 
 
 class PartDetector(Protocol):

@@ -31,8 +31,7 @@ _MOST_VERTICES = 10**6
 _MOST_TRIANGLES = 2 * _MOST_VERTICES  # a closed surface has no more
 _MOST_CORNERS = 1000  # of a polygon
 
-IBUG = 68
-"""Landmarks in the list that `SURREY_LANDMARKS` refers to."""
+IBUG = 68  # landmarks in the list that `SURREY_LANDMARKS` refers to
 
 
 def read_model(path: str | Path) -> MorphableModel:

@@ -13,8 +13,7 @@ from ..numerics.rotations import cross_matrices, exponential, logarithm, nearest
 
 Array = NDArray[np.float64]
 
-RIGID = 5
-"""Degrees of freedom of rotation and translation, which come before the morph coefficients."""
+RIGID = 5  # degrees of freedom of rotation and translation, which come before the morph coefficients
 
 
 @short_repr

@@ -126,14 +126,9 @@ Array = NDArray[np.float64]
 FACING = 0.3
 """Least cosine between a triangle's normal and the direction to the viewer at which its texels are used."""
 
-_CELLS = 128
-"""Most cells of the z-buffer along the longer side of the object's box."""
-
-_LEAST_CELL = 1.0
-"""px, least side of a cell."""
-
-_TOLERANCE = 0.02
-"""Share of the object's depth by which what hides a point is nearer."""
+_CELLS = 128  # most cells of the z-buffer along the longer side of the object's box
+_LEAST_CELL = 1.0  # px, least side of a cell
+_TOLERANCE = 0.02  # share of the object's depth by which what hides a point is nearer
 
 
 def visible(
@@ -191,14 +186,9 @@ def front_triangles(
 
 Map = NDArray[np.float32]
 
-SPACING = 3.0
-"""px between points of an outline."""
-
-DEPTH = 1.5
-"""px outside an edge at which nothing may be covered, for it to be on the outline."""
-
-MOST_POINTS = 512
-"""Points of one outline."""
+SPACING = 3.0  # px between points of an outline
+DEPTH = 1.5  # px outside an edge at which nothing may be covered, for it to be on the outline
+MOST_POINTS = 512  # points of one outline
 
 
 class Box(NamedTuple):

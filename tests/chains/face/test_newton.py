@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rsmcm.chains.face import kernels as newton
 from rsmcm.models.face.morphable_model import Poses
 
-from ....support.surfaces import poses_near
+from ...support.surfaces import poses_near
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikeliho
 from rsmcm.models.face.morphable_model import Poses
 from rsmcm.models.face.surface import SurfaceTexels
 
-from ....support.surfaces import bilinear, bumpy, level, poses_near, smooth_picture
+from ...support.surfaces import bilinear, bumpy, level, poses_near, smooth_picture
 
 Array = NDArray[np.float64]
 
