@@ -25,3 +25,10 @@ def systematic(log_weights: Array, n: int, random: np.random.Generator) -> NDArr
     ends = np.cumsum(np.exp(normalised(log_weights)))
     points = (np.arange(n) + random.random()) * (ends[-1] / n)
     return np.asarray(np.searchsorted(ends[:-1], points, side="right"), np.int64)
+
+
+def copied(random: np.random.Generator) -> np.random.Generator:
+    """A generator that goes on in the same way; several times faster than `copy.deepcopy`."""
+    fresh = type(random.bit_generator)(0)
+    fresh.state = random.bit_generator.state
+    return np.random.Generator(fresh)

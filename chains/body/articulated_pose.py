@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
+from ...inference.smc import copied
 from ...models.body.parts import BodyParts, PartMessage
 from ...models.body.upper_body import BodyPoses, UpperBody
 from ...models.core.frame import Frame
@@ -19,7 +20,6 @@ from .proposals import Candidates
 from .samples import (
     LEAST_SPREAD,
     BodySamples,
-    copied,
     first,
     part_message,
     predicted,

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Incoming, Port
-from ...inference.smc import normalised, systematic
+from ...inference.smc import copied, normalised, systematic
 from ...models.body.parts import BodyParts, PartMessage
 from ...models.body.upper_body import BodyPoses, UpperBody
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from .dynamics import BodyDynamics
 from .likelihood import BodyLikelihood, PoseLikelihood
-from .samples import BodySamples, copied, part_message
+from .samples import BodySamples, part_message
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import BatchIncoming, Incoming
-from ...inference.smc import normalised, systematic
+from ...inference.smc import copied, normalised, systematic
 from ...models.body.image_features import BodyImage
 from ...models.body.parts import BodyParts, PartMessage
 from ...models.body.upper_body import BodyPoses
@@ -25,7 +25,7 @@ from .dynamics import Ancestors, BodyDynamics, around, concentration
 from .flesh_state import FleshTracks
 from .hand_labelling import NOTHING_SAID, ExchangeEvidence, Labelling, both_names, hand_labels
 from .likelihood import BodyLikelihood, PoseLikelihood
-from .samples import LONGEST, BodySamples, copied
+from .samples import LONGEST, BodySamples
 from .tempering import LogDensity, perturbed
 
 Array = NDArray[np.float64]

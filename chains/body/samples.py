@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.smc import log_sum, normalised, systematic
+from ...inference.smc import copied, log_sum, normalised, systematic
 from ...models.body.parts import PartMessage
 from ...models.body.upper_body import PARTS, BodyPoses, UpperBody
 from ...models.core.gaussian_mixtures import GaussianMixtures
@@ -167,13 +167,6 @@ def part_message(body: UpperBody, poses: BodyPoses, weights: Array, groups: int)
         means.append(np.concatenate([centres, np.einsum("n,nx->x", weights, places[:, part])[None]]))
         covariances.append(np.concatenate([spreads, broad[part] * np.eye(2)[None]]))
     return PartMessage(GaussianMixtures.of_parts(log_weights, means, covariances))
-
-
-def copied(random: np.random.Generator) -> np.random.Generator:
-    """A generator that goes on in the same way; several times faster than `copy.deepcopy`."""
-    fresh = type(random.bit_generator)(0)
-    fresh.state = random.bit_generator.state
-    return np.random.Generator(fresh)
 
 
 def _grouped(places: Array, weights: Array, groups: int) -> Sequence[Array]:

@@ -3,9 +3,9 @@
 The appendix with the formulas of Gauss-Newton is not public: `find_modes` states them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,8 @@ from ...models.face.morphable_model import Poses
 from ...models.numerics.threads import over_bands
 from . import kernels
 from .background import OccludedBackground
-from .pose_terms import PoseEvidence, PosePrior, PoseTerm
-from .texture_likelihood import NO_MAP, Equations, TextureLikelihood
+from .pose_terms import PointTerms, PoseEvidence, PosePrior
+from .texture_likelihood import NO_MAP, TextureLikelihood
 
 Array = NDArray[np.float64]
 
@@ -30,12 +30,7 @@ FEW = 3  # experts of which the search is done before another thread is awake
 MOST_STEPS = (6, 4, 4)  # evaluations on each level, fine to coarse, the first at the start included
 
 
-class PoseLikelihood(Protocol):
-    """What a picture says of poses, as `TextureLikelihood` does for textures that experts remember."""
-
-    def equations(self, level: int, poses: Poses, owner: NDArray[np.int64]) -> Equations:
-        """Normal equations on a level at `poses`, of which number m belongs to expert `owner[m]`."""
-        ...
+Belief = Callable[[Poses, NDArray[np.int64]], kernels.Belief]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +47,7 @@ class Modes:
 
 
 def find_modes(
-    likelihood: PoseLikelihood,
+    likelihood: TextureLikelihood,
     prior: PosePrior,
     start: Poses,
     effective_pixels: float,
@@ -74,12 +69,14 @@ def find_modes(
     precision = np.empty((n, start.dimension, start.dimension))
     for level in range(coarsest, -1, -1):
         terms = [evidence.around(poses, level) for evidence in more]
-        belief = _Belief(likelihood, prior, level, effective_pixels, unit, terms)
+        belief = partial(_belief, likelihood, level, effective_pixels, terms)
         after = kernels.PoseArrays(*(part.copy() for part in _parts(poses)))
 
-        def work(a: int, b: int, belief: "_Belief" = belief, after: kernels.PoseArrays = after) -> None:
-            found = belief.climbed(kernels.PoseArrays(*(part[a:b] for part in after)), np.arange(a, b))
-            precision[a:b] = found.curvature
+        def work(
+            a: int, b: int, level: int = level, belief: Belief = belief, after: kernels.PoseArrays = after
+        ) -> None:
+            some = kernels.PoseArrays(*(part[a:b] for part in after))
+            precision[a:b] = _climbed(belief, prior, level, unit, some, np.arange(a, b))
 
         over_bands(work, n, worth=n > FEW)
         poses = Poses(*after)
@@ -89,60 +86,64 @@ def find_modes(
     return Modes(poses, precision)
 
 
-@dataclass(frozen=True, eq=False)
-class _Belief:
-    """Minus the log of what experts believe on a level."""
+def _belief(
+    likelihood: TextureLikelihood,
+    level: int,
+    effective_pixels: float,
+    terms: Sequence[PointTerms],
+    poses: Poses,
+    owner: NDArray[np.int64],
+) -> kernels.Belief:
+    """Minus the log of what experts believe of poses on a level, but for the prior."""
+    equations = likelihood.equations(level, poses, owner)
+    area = equations.sums[:, 2]
+    beta = effective_pixels / np.maximum(area, 1e-9)
+    energy = 0.5 * beta * equations.sums[:, 0]
+    gradient = beta[:, None] * equations.vectors
+    curvature = beta[:, None, None] * equations.matrices
+    for term in terms:
+        its_energy, its_gradient, its_curvature = term.equations(poses, owner)
+        energy += its_energy
+        gradient += its_gradient
+        curvature += its_curvature
+    return kernels.Belief(energy, gradient, curvature, area > 0, equations.rows)
 
-    likelihood: PoseLikelihood
-    prior: PosePrior
-    level: int
-    effective_pixels: float
-    unit: float
-    terms: Sequence[PoseTerm]
 
-    def climbed(self, poses: kernels.PoseArrays, experts: NDArray[np.int64]) -> kernels.Climb:
-        """Climb from the `poses` of some experts, and leave the best ones found in their place."""
-        n, dimension = len(experts), len(self.prior.variance)
-        mean = kernels.PoseArrays(*(part[experts] for part in _parts(self.prior.mean)))
-        active, tried = np.arange(n), Poses(*poses)
-        there = self.at(tried, experts)
-        climb = kernels.Climb(
-            poses=poses,
-            energy=np.empty(n),
-            gradient=np.empty((n, dimension)),
-            curvature=np.empty((n, dimension, dimension)),
-            rows=np.empty_like(there.rows),
-            damping=np.full(n, FIRST_DAMPING),
+def _climbed(
+    belief: Belief,
+    prior: PosePrior,
+    level: int,
+    unit: float,
+    poses: kernels.PoseArrays,
+    experts: NDArray[np.int64],
+) -> Array:
+    """Climb from the `poses` of some experts, leave the best ones in their place; the curvature there."""
+    n, dimension = len(experts), len(prior.variance)
+    mean = kernels.PoseArrays(*(part[experts] for part in _parts(prior.mean)))
+    active, tried = np.arange(n), Poses(*poses)
+    there = belief(tried, experts)
+    climb = kernels.Climb(
+        poses=poses,
+        energy=np.empty(n),
+        gradient=np.empty((n, dimension)),
+        curvature=np.empty((n, dimension, dimension)),
+        rows=np.empty_like(there.rows),
+        damping=np.full(n, FIRST_DAMPING),
+    )
+    longest, shortest = LONGEST_STEP[level] * unit, SHORTEST_STEP * unit
+    for number in range(MOST_STEPS[level]):
+        if number:
+            there = belief(tried, experts[active])
+        going = np.empty_like(active)
+        following = kernels.PoseArrays(*(np.empty_like(part) for part in _parts(tried)))
+        pace = kernels.Pace(longest, shortest, number == 0)
+        n_going = kernels.advance(
+            active, _parts(tried), there, mean, prior.precision, climb, pace, going, following
         )
-        longest, shortest = LONGEST_STEP[self.level] * self.unit, SHORTEST_STEP * self.unit
-        for number in range(MOST_STEPS[self.level]):
-            if number:
-                there = self.at(tried, experts[active])
-            going = np.empty_like(active)
-            following = kernels.PoseArrays(*(np.empty_like(part) for part in _parts(tried)))
-            pace = kernels.Pace(longest, shortest, number == 0)
-            n_going = kernels.advance(
-                active, _parts(tried), there, mean, self.prior.precision, climb, pace, going, following
-            )
-            active, tried = going[:n_going], Poses(*(part[:n_going] for part in following))
-            if not n_going:
-                break
-        return climb
-
-    def at(self, poses: Poses, owner: NDArray[np.int64]) -> kernels.Belief:
-        """Of poses of owners, but for the prior."""
-        equations = self.likelihood.equations(self.level, poses, owner)
-        area = equations.sums[:, 2]
-        beta = self.effective_pixels / np.maximum(area, 1e-9)
-        energy = 0.5 * beta * equations.sums[:, 0]
-        gradient = beta[:, None] * equations.vectors
-        curvature = beta[:, None, None] * equations.matrices
-        for term in self.terms:
-            its_energy, its_gradient, its_curvature = term.equations(poses, owner)
-            energy += its_energy
-            gradient += its_gradient
-            curvature += its_curvature
-        return kernels.Belief(energy, gradient, curvature, area > 0, equations.rows)
+        active, tried = going[:n_going], Poses(*(part[:n_going] for part in following))
+        if not n_going:
+            break
+    return climb.curvature
 
 
 def _parts(poses: Poses) -> kernels.PoseArrays:

@@ -6,7 +6,7 @@ the pose, as those of points are.
 """
 
 from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,23 +121,6 @@ class PosePrior:
         return density
 
 
-class PoseTerm(Protocol):
-    """A quadratic part of minus the log of what experts believe of the pose."""
-
-    def equations(self, poses: Poses, owner: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-        """Energy `(n,)`, gradient `(n, dimension)` and curvature `(n, dimension, dimension)` of the poses,
-        of which number m belongs to expert `owner[m]`."""
-        ...
-
-
-class PoseEvidence(Protocol):
-    """What else is known of poses, of which a `PoseTerm` can be made about any."""
-
-    def around(self, poses: Poses, level: int) -> PoseTerm:
-        """Term that holds about the experts' `poses` when they are sought on a `level` of the picture."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class PointTerms:
     """Points of the surface that are known to be at a place: sum of (x_i - t_i)' I_i (x_i - t_i) / 2."""
@@ -154,7 +137,8 @@ class PointTerms:
         return self
 
     def equations(self, poses: Poses, owner: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-        """Energy, gradient and Gauss-Newton curvature; see `PoseTerm`."""
+        """Energy `(n,)`, gradient `(n, dimension)` and Gauss-Newton curvature `(n, dimension, dimension)` of
+        poses, of which number m belongs to expert `owner[m]`."""
         n, dimension = len(poses), RIGID + self.bases.shape[2]
         energy, gradient = np.empty(n), np.empty((n, dimension))
         curvature = np.empty((n, dimension, dimension))
@@ -232,3 +216,7 @@ class Silhouette:
         bases = self.model.bases[:, found.vertices]  # (n_bases, n, n_points, 2, 3)
         bases = np.einsum("npe,knpec->npkc", found.weights, bases)
         return PointTerms(np.ascontiguousarray(bases), targets, information)
+
+
+PoseEvidence = PointTerms | Silhouette
+"""What else is known of poses, of which terms can be made about any."""
