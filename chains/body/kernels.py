@@ -978,25 +978,6 @@ def trace(roots, torsos, necks, arms, pose, solid, shapes, bounds, lines, least)
 
 
 @compiled
-def outlines(roots, torsos, necks, arms, solid, places, points, normals, visible):
-    """Contours of the parts of each pose, and which of their points are seen.
-
-    Poses as of `trace`; `places` `(m, 2)` are rows and lanes of the points. Writes `points`, `normals`
-    `(n, m, 2)` float32 and `visible` `(n, m)` bool.
-    """
-    shapes, bounds = np.zeros((N_PARTS, NUMBERS), np.float32), np.zeros((N_PARTS, 4), np.float32)
-    lines = np.zeros((len(solid.counted), ROW, LANES), np.float32)
-    least = np.zeros((len(solid.counted), LANES), np.float32)
-    for pose in range(len(roots)):
-        trace(roots, torsos, necks, arms, pose, solid, shapes, bounds, lines, least)
-        for k in range(len(places)):
-            row, lane = places[k, 0], places[k, 1]
-            points[pose, k, 0], points[pose, k, 1] = lines[row, 0, lane], lines[row, 1, lane]
-            normals[pose, k, 0], normals[pose, k, 1] = lines[row, 3, lane], lines[row, 4, lane]
-            visible[pose, k] = least[row, lane] >= lines[row, 2, lane] - solid.tolerance
-
-
-@compiled
 def outline_terms(roots, torsos, necks, arms, solid, ratios, worth, directions, hidden, out):
     """Log likelihood ratios of outlines against edges, added to `out` `(n,)`.
 

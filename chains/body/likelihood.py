@@ -22,7 +22,6 @@ from .kernels import (
     hand_terms,
     head_terms,
     outline_terms,
-    outlines,
     over_density,
 )
 
@@ -47,30 +46,6 @@ _HEAD_DEPTH = 0.85  # depth of a head over its height
 
 _RIM = np.float32(0.06)
 """Share of a part's squared radius that hides nothing, so that ends that touch do not hide each other."""
-
-
-@dataclass(frozen=True, eq=False)
-class Silhouettes:
-    """Outlines of the parts of `n` bodies, `m` points each."""
-
-    points: Floats  # `(n, m, 2)` px, float32: x to the right, y down
-    normals: Floats  # `(n, m, 2)` float32: of unit length, out of the part
-    # `(n, m)`: not hidden by another part; ends of limbs that are inside their neighbours are hidden too
-    visible: NDArray[np.bool_]
-    part: NDArray[np.intp]  # `(m,)`: number of the part in `OUTLINE_PARTS`, the same for all poses
-
-
-def silhouettes(body: UpperBody, poses: BodyPoses) -> Silhouettes:
-    """Outlines of `poses`: ellipse of the head, tapered limbs, torso's sides and shoulders, round hands."""
-    n = len(poses)
-    solid = solid_of(body)
-    places = np.argwhere(solid.counted)
-    m = len(places)
-    points, normals = np.empty((n, m, 2), np.float32), np.empty((n, m, 2), np.float32)
-    visible = np.empty((n, m), np.bool_)
-    outlines(poses.roots, poses.torsos, poses.necks, poses.arms, solid, places, points, normals, visible)
-    part = np.repeat(np.arange(len(OUTLINE_PARTS)), [_count(name) for name in OUTLINE_PARTS])
-    return Silhouettes(points, normals, visible, part)
 
 
 @lru_cache(maxsize=8)

@@ -76,30 +76,11 @@ the torso while both hands and the swivels of the elbows stay."""
 
 @runtime_checkable
 class StagedLikelihood(Protocol):
-    """The log likelihood of poses as a sum of two terms, of which the second one is expensive."""
+    """The log likelihood of poses, `(n,)` nats, as a sum of two terms, of which the second is expensive."""
 
-    def first(self, poses: BodyPoses, /) -> Array:
-        """`(n,)` nats."""
-        ...
-
-    def rest(self, poses: BodyPoses, /) -> Array:
-        """`(n,)` nats."""
-        ...
-
-
-@dataclass(frozen=True)
-class AtOnce:
-    """A likelihood that has no stages."""
-
-    log_likelihood: LogDensity
-
-    def first(self, poses: BodyPoses) -> Array:
-        """`(n,)` nats: all of it."""
-        return self.log_likelihood(poses)
-
-    def rest(self, poses: BodyPoses) -> Array:
-        """`(n,)` nats: nothing."""
-        return np.zeros(len(poses))
+    def __call__(self, poses: BodyPoses, /) -> Array: ...  # noqa: D102
+    def first(self, poses: BodyPoses, /) -> Array: ...  # noqa: D102
+    def rest(self, poses: BodyPoses, /) -> Array: ...  # noqa: D102
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +90,6 @@ class Tempered:
     poses: BodyPoses  # n of them
     log_weights: Array  # `(n,)`, normalised
     log_evidence: float  # log of the mean of the likelihood under the prior
-    accepted: float  # share of moves
 
 
 def temper(
@@ -134,13 +114,15 @@ def temper(
     samples of the prior for which all of a likelihood in stages is worked out, chosen by the first one
     (`preselected`); without, all of them.
     """
-    staged = log_likelihood if isinstance(log_likelihood, StagedLikelihood) else AtOnce(log_likelihood)
-    first, owners = staged.first(poses), np.arange(len(poses))
-    if looked_at is not None and staged is log_likelihood:
+    owners = np.arange(len(poses))
+    if looked_at is not None and isinstance(log_likelihood, StagedLikelihood):
+        first = log_likelihood.first(poses)
         owners, log_weights = preselected(dynamics.body, poses, log_weights, first, looked_at, random)
-        poses, first = poses.take(owners), first[owners]
-    likelihood = first + staged.rest(poses)
-    power, moves, accepted = 0.0, 0, 0
+        poses = poses.take(owners)
+        likelihood = first[owners] + log_likelihood.rest(poses)
+    else:
+        likelihood = log_likelihood(poses)
+    power = 0.0
     for step in range(MOST_STEPS):
         rest = 1 - power
         rise = rest if step == MOST_STEPS - 1 else _rise(log_weights, likelihood, rest)
@@ -159,15 +141,14 @@ def temper(
             thresholds = np.log(random.random(n))
             rows = np.flatnonzero(np.isfinite(gain))
             moved = moved.take(rows)
-            new = staged.first(moved) + staged.rest(moved)
+            new = log_likelihood(moved)
             takes = thresholds[rows] < gain[rows] + power * (new - likelihood[rows])
             rows = rows[takes]
             poses = poses.with_rows(rows, moved.take(takes))
             likelihood[rows], prior[rows] = new[takes], new_prior[rows]
-            moves, accepted = moves + n, accepted + len(rows)
         if power >= 1:
             break
-    return Tempered(poses, normalised(log_weights), log_sum(log_weights), accepted / max(moves, 1))
+    return Tempered(poses, normalised(log_weights), log_sum(log_weights))
 
 
 def preselected(

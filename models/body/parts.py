@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..core.frame import BoundingBox, Frame
 from ..core.gaussian_mixtures import GaussianMixtures
@@ -56,11 +56,6 @@ class PartMessage:
                 f"part message: got {self.stacked.n_parts} mixtures, expected {N_PARTS} for each of "
                 f"{len(self.log_hypotheses)} hypotheses"
             )
-
-    @classmethod
-    def of_hypotheses(cls, hypotheses: Sequence[GaussianMixtures], log_weights: ArrayLike) -> Self:
-        """Some hypotheses of all parts, with log weights `(H,)`."""
-        return cls(GaussianMixtures.stacked(hypotheses), None, np.asarray(log_weights, np.float64))
 
     @cached_property
     def hypotheses(self) -> tuple[GaussianMixtures, ...]:

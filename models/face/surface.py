@@ -6,7 +6,6 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics.compiled import LANES
 from ..numerics.threads import over_bands
 from . import kernels
 from .morphable_model import MorphableModel
@@ -37,11 +36,6 @@ class SurfaceTexels:
         return len(self.weights)
 
     @property
-    def row_of_texel(self) -> NDArray[np.int64]:
-        """`(n_texels,)`: number of the row that each texel lies in, its place in its group."""
-        return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
-
-    @property
     def group_of_texel(self) -> NDArray[np.int64]:
         """`(n_texels,)`: number of the group that each texel belongs to."""
         return np.arange(len(self)) - np.repeat(self.first[:-1], np.diff(self.first)).astype(np.int64)
@@ -50,12 +44,6 @@ class SurfaceTexels:
     def counts(self) -> NDArray[np.int64]:
         """`(n_groups,)`: how many texels each group has, falling."""
         return np.bincount(self.group_of_texel, minlength=len(self.groups)).astype(np.int64)
-
-    def used_on(self, level: int) -> NDArray[np.bool_]:
-        """`(n_texels,)`: which are used on a level of the picture, a fourth of those of the level before."""
-        most = -(-self.counts // 4**level)
-        used: NDArray[np.bool_] = self.row_of_texel < most[self.group_of_texel]
-        return used
 
     @classmethod
     def dense(cls, model: MorphableModel, n_texels: int) -> Self:
@@ -163,25 +151,6 @@ def visible(
 
     over_bands(work, len(positions), worth=len(positions) > 4)
     return seen
-
-
-def front_triangles(
-    vertices: Array, triangles: NDArray[np.int64], size: tuple[int, int]
-) -> NDArray[np.int64]:
-    """Which triangle of a mesh is seen at each pixel of a picture.
-
-    `vertices` `(n_vertices, 3)` px, z away from the viewer; triangles are seen from both sides; `triangles`
-    `(n_triangles, 3)`; `size` `(width, height)` px of the picture. Returns `(height, width)`, -1 where there
-    is none.
-    """
-    width, height = size
-    corners = vertices + np.array([0.5, 0.5, 1 - vertices[:, 2].min()])
-    buffer = np.empty((height, width + LANES), np.int64)
-    planes = np.empty((len(triangles) + 1, 4), np.float32)
-    mesh = np.ascontiguousarray(triangles, np.uint32)
-    kernels.draw(corners, mesh, 1.0, width, planes, buffer)
-    numbers: NDArray[np.int64] = (buffer[:, :width] & 0xFFFFFFFF) - 1
-    return numbers
 
 
 Map = NDArray[np.float32]

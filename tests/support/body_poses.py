@@ -1,8 +1,10 @@
-"""Poses of an upper body to test with: hanging arms, arms of given angles, turns of upper arms, masks."""
+"""Poses of an upper body to test with: hanging arms, arms of given angles, turns, masks, outlines."""
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rsmcm.chains.body.kernels import NUMBERS, ROW, fronts, put_body
+from rsmcm.chains.body.kernels import LANES, NUMBERS, ROW, fronts, put_body, trace
 from rsmcm.chains.body.likelihood import OUTLINE_PARTS, solid_of
 from rsmcm.models.body.upper_body import BodyPoses, UpperBody, cross, transport
 from scipy.spatial.transform import Rotation
@@ -69,3 +71,30 @@ def masks(body: UpperBody, poses: BodyPoses, size: tuple[int, int]) -> NDArray[n
         nearest = np.where(depths.min(axis=0) < FAR, 1 + depths.argmin(axis=0), 0)
         labels[pose] = nearest.reshape(size)
     return labels
+
+
+class Silhouettes(NamedTuple):
+    """Outlines of n bodies, m points each; `part` are numbers in `OUTLINE_PARTS`, `(m,)`."""
+
+    points: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    visible: NDArray[np.bool_]
+    part: NDArray[np.intp]
+
+
+def silhouettes(body: UpperBody, poses: BodyPoses) -> Silhouettes:
+    """Outlines as the likelihood traces them."""
+    solid, n = solid_of(body), len(poses)
+    n_rows, n_parts = len(solid.counted), len(OUTLINE_PARTS)
+    lines, least = np.zeros((n, n_rows, ROW, LANES), np.float32), np.zeros((n, n_rows, LANES), np.float32)
+    shapes, bounds = np.zeros((n_parts, NUMBERS), np.float32), np.zeros((n_parts, 4), np.float32)
+    for pose in range(n):
+        trace(
+            poses.roots, poses.torsos, poses.necks, poses.arms, pose, solid, shapes, bounds,
+            lines[pose], least[pose],
+        )  # fmt: skip
+    rows, lanes = np.nonzero(solid.counted)
+    found = lines[:, rows, :, lanes].swapaxes(0, 1)
+    visible = least[:, rows, lanes] >= found[..., 2] - solid.tolerance
+    part = np.searchsorted(solid.firsts, rows, side="right") - 1
+    return Silhouettes(found[..., :2], found[..., 3:], visible, part)

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rsmcm.chains.face.texture_likelihood import Level
 from rsmcm.models.face.morphable_model import MorphableModel, Poses, spread
+from rsmcm.models.face.surface import SurfaceTexels
 from rsmcm.models.numerics.rotations import exponential
 
 Array = NDArray[np.float64]
@@ -64,3 +65,15 @@ def bilinear(picture: Array, places: Array) -> tuple[Array, Array]:
     across = (1 - fy) * (p01 - p00) + fy * (p11 - p10)
     down = (1 - fx) * (p10 - p00) + fx * (p11 - p01)
     return value, np.stack([across, down], axis=1)
+
+
+def row_of_texel(texels: SurfaceTexels) -> NDArray[np.int64]:
+    """`(n_texels,)`: number of the row that each texel lies in, its place in its group."""
+    return np.repeat(np.arange(len(texels.first) - 1), np.diff(texels.first))
+
+
+def used_on(texels: SurfaceTexels, level: int) -> NDArray[np.bool_]:
+    """`(n_texels,)`: which are used on a level of the picture, a fourth of those of the level before."""
+    most = -(-texels.counts // 4**level)
+    used: NDArray[np.bool_] = row_of_texel(texels) < most[texels.group_of_texel]
+    return used

@@ -30,7 +30,6 @@ from rsmcm.chains.body.likelihood import (
     BodyLikelihood,
     edge_ratios,
     hand_model,
-    silhouettes,
     skin_maps,
 )
 from rsmcm.models.body.image_features import BodyImage, edge_distances
@@ -39,7 +38,7 @@ from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from scipy.ndimage import map_coordinates
 
-from ...support.body_poses import masks
+from ...support.body_poses import masks, silhouettes
 
 Array = NDArray[np.float64]
 

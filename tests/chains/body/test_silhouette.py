@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.chains.body.likelihood import OUTLINE_PARTS, Silhouettes, silhouettes
+from rsmcm.chains.body.likelihood import OUTLINE_PARTS
 from rsmcm.models.body.upper_body import BodyPoses, UpperBody
 from scipy.spatial.transform import Rotation
 
-from ...support.body_poses import masks, resting
+from ...support.body_poses import Silhouettes, masks, resting, silhouettes
 
 Array = NDArray[np.float64]
 

@@ -159,7 +159,6 @@ def test_samples_are_many_where_weights_would_leave_a_few() -> None:
     assert len(found.poses) == 1000
     assert 1 / np.exp(2 * found.log_weights).sum() > tempering.KEPT * 1000
     assert len(np.unique(found.poses.roots[:, 0])) > 200  # not only copies
-    assert 0.02 < found.accepted < 0.9
     assert BODY.allowed(found.poses).all()
 
 
@@ -182,7 +181,6 @@ def test_moves_leave_the_prior_as_it_is(seed: int, monkeypatch: pytest.MonkeyPat
     poses, others = (past.drawn(2000, random) for _ in range(2))
     found = temper(past.dynamics, poses, even(2000), past.log_density, nothing, 2000, random)
     np.testing.assert_allclose(found.log_weights, even(2000))
-    assert found.accepted > 0.1
     stayed = np.isin(found.poses.arms[:, 0, 0, 0], poses.arms[:, 0, 0, 0])
     assert stayed.mean() < 0.1
 

@@ -10,7 +10,7 @@ from rsmcm.models.face.surface import SurfaceTexels
 from rsmcm.models.numerics.rotations import exponential
 from rsmcm.models.numerics.threads import set_threads, thread_count
 
-from ...support.surfaces import bilinear, bumpy, level, poses_near, smooth_picture
+from ...support.surfaces import bilinear, bumpy, level, poses_near, smooth_picture, used_on
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def test_looks_are_bilinear_values() -> None:
     for number, one in enumerate(likelihood.levels):
         for pose in range(3):
             there = places[pose] * one.scale + (one.scale - 1) / 2
-            used = texels.used_on(number)
+            used = used_on(texels, number)
             np.testing.assert_allclose(
                 looks[pose, number, used], bilinear(one.image, there[used])[0], atol=2e-3
             )

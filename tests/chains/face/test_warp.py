@@ -10,7 +10,7 @@ from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikeliho
 from rsmcm.models.face.morphable_model import Poses
 from rsmcm.models.face.surface import SurfaceTexels
 
-from ...support.surfaces import bilinear, bumpy, level, poses_near, smooth_picture
+from ...support.surfaces import bilinear, bumpy, level, poses_near, row_of_texel, smooth_picture, used_on
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def explicit(one: Case, number: int, changed: Poses | None = None, share: int = 
     corners = one.surface.model.project(pose)[0][texels.groups]
     moves = one.surface.model.jacobian(pose)[0][texels.groups]
     counts = texels.counts
-    used = texels.row_of_texel < -(-counts // share)[group]
+    used = row_of_texel(texels) < -(-counts // share)[group]
     edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     areas = 0.5 * np.abs(edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0])
     areas = np.where(texels.areas > 0, texels.areas * counts, areas) / -(-counts // share)
@@ -172,7 +172,7 @@ def test_a_ramp_is_the_same_on_every_level(height: int, width: int) -> None:
         )
         assert seen.all()
         for number in range(3):
-            used = surface.texels.used_on(number)
+            used = used_on(surface.texels, number)
             np.testing.assert_allclose(looks[0, number, used], places[used, axis], atol=2e-3)
 
 

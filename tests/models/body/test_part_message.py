@@ -30,7 +30,7 @@ def mixtures(random: np.random.Generator, flat: float = -np.inf) -> GaussianMixt
 
 def message(random: np.random.Generator, n_hypotheses: int) -> PartMessage:
     hypotheses = [mixtures(random) for _ in range(n_hypotheses)]
-    return PartMessage.of_hypotheses(hypotheses, random.normal(0, 1, n_hypotheses))
+    return PartMessage(GaussianMixtures.stacked(hypotheses), None, random.normal(0, 1, n_hypotheses))
 
 
 def of_image(said: GaussianMixtures) -> PartMessage:
@@ -99,7 +99,7 @@ def test_of_many_combinations_the_heaviest_are_kept() -> None:
     ours, theirs = message(random, 6), message(random, 7)
     product = ours * theirs
     masses = [
-        PartMessage.of_hypotheses([one], [a]) * PartMessage.of_hypotheses([other], [b])
+        PartMessage(one, None, np.array([a])) * PartMessage(other, None, np.array([b]))
         for one, a in zip(ours.hypotheses, ours.log_hypotheses, strict=True)
         for other, b in zip(theirs.hypotheses, theirs.log_hypotheses, strict=True)
     ]

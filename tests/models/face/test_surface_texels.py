@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.surface import SurfaceTexels
 
-from ...support.surfaces import bumpy
+from ...support.surfaces import bumpy, row_of_texel
 
 
 @given(st.integers(1, 3000))
@@ -35,7 +35,7 @@ def test_rows_hold_the_kth_texel_of_every_group_that_has_so_many() -> None:
     texels = SurfaceTexels.dense(bumpy(), 700)
     for row, (begin, end) in enumerate(zip(texels.first[:-1], texels.first[1:], strict=True)):
         np.testing.assert_array_equal(texels.group_of_texel[begin:end], np.flatnonzero(texels.counts > row))
-        assert (texels.row_of_texel[begin:end] == row).all()
+        assert (row_of_texel(texels)[begin:end] == row).all()
         assert (texels.weights[begin:end] == texels.weights[begin]).all()
         assert (texels.offsets[begin:end] == texels.offsets[begin]).all()
 
@@ -59,7 +59,7 @@ def test_a_single_texel_lies_in_the_middle() -> None:
     model = face_model()
     texels = SurfaceTexels.dense(model, 400)
     assert texels.counts[-1] == 1
-    np.testing.assert_allclose(texels.weights[texels.row_of_texel == 0], 1 / 3, rtol=1e-6)
+    np.testing.assert_allclose(texels.weights[row_of_texel(texels) == 0], 1 / 3, rtol=1e-6)
 
 
 @given(st.floats(1, 12))

@@ -9,9 +9,11 @@ import pytest
 from rsmcm.apps.scenes import signer
 from rsmcm.apps.scenes.rendering_kernels import draw_mesh
 from rsmcm.apps.scenes.signing.faults import BOX_NOISE, FACE_BELOW, FACE_BOX, MISSING, bursts
-from rsmcm.chains.body.likelihood import OUTLINE_PARTS, silhouettes
+from rsmcm.chains.body.likelihood import OUTLINE_PARTS
 from rsmcm.models.core.frame import Frame
 from scipy.spatial.transform import Rotation
+
+from ....support.body_poses import silhouettes
 
 HANDS = (4, 7)  # of JOINTS
 SEEDS = range(5)
