@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +43,14 @@ class Clutter:
             self, variances=self.variances + drift**2 * dt, chances=self.chances * np.exp(-dt / LASTS)
         )
 
-    def take(self, hypotheses: NDArray[np.intp]) -> Self:
+    def take(self, hypotheses: Any) -> Self:
         """Those of some hypotheses."""
-        return type(self)(self.places[hypotheses], self.variances[hypotheses], self.chances[hypotheses])
+        return type(self)(*(each[hypotheses] for each in vars(self).values()))
+
+    def joined(self, other: Self, axis: int = 0) -> Self:
+        """Those of other hypotheses as well, or along axis 1 more of each hypothesis."""
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return type(self)(*(np.concatenate(pair, axis=axis) for pair in pairs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,15 +136,11 @@ class ClutterMatch:
         variances[row, found] *= 1 - share
         chances[row, found] = np.minimum(self.known[hypotheses][row, thing], SUREST)
         new = np.where((pairs < 0) & ~taken & self.new, BORN, 0.0)
-        everything = Clutter(
-            np.concatenate([places, np.broadcast_to(self.means, (*new.shape, 2))], axis=1),
-            np.concatenate([variances, np.broadcast_to(self.variances, new.shape)], axis=1),
-            np.concatenate([chances, new], axis=1),
-        )
+        shape = new.shape
+        seen = Clutter(np.broadcast_to(self.means, (*shape, 2)), np.broadcast_to(self.variances, shape), new)
+        everything = Clutter(places, variances, chances).joined(seen, axis=1)
         kept = np.argsort(-everything.chances, axis=1, kind="stable")[:, :MOST_CLUTTER]
-        return Clutter(
-            everything.places[rows, kept], everything.variances[rows, kept], everything.chances[rows, kept]
-        )
+        return everything.take((rows, kept))
 
 
 def _near(places: Array, parts: Array, radius: float) -> NDArray[np.bool_]:
@@ -151,6 +152,7 @@ def _near(places: Array, parts: Array, radius: float) -> NDArray[np.bool_]:
 HEAD, LEFT, RIGHT = range(3)
 HANDS = [LEFT, RIGHT]
 EXCHANGED = [HEAD, RIGHT, LEFT]
+OF_PARTS = ("means", "covariances", "visible", "since", "things")
 
 MOST_HYPOTHESES = 16
 
@@ -216,27 +218,12 @@ class FleshTracks:
 
     def take(self, hypotheses: NDArray[np.intp]) -> Self:
         """Some of the hypotheses, with their weights."""
-        return replace(
-            self,
-            log_weights=self.log_weights[hypotheses],
-            means=self.means[hypotheses],
-            covariances=self.covariances[hypotheses],
-            visible=self.visible[hypotheses],
-            since=self.since[hypotheses],
-            things=self.things[hypotheses],
-            clutter=self.clutter.take(hypotheses),
-        )
+        rows = {name: getattr(self, name)[hypotheses] for name in ("log_weights", *OF_PARTS)}
+        return replace(self, **rows, clutter=self.clutter.take(hypotheses))
 
     def exchanged(self) -> Self:
         """The same with each hand where the other one is."""
-        return replace(
-            self,
-            means=self.means[:, EXCHANGED],
-            covariances=self.covariances[:, EXCHANGED],
-            visible=self.visible[:, EXCHANGED],
-            since=self.since[:, EXCHANGED],
-            things=self.things[:, EXCHANGED],
-        )
+        return replace(self, **{name: getattr(self, name)[:, EXCHANGED] for name in OF_PARTS})
 
     def exchanged_now_and_then(self, time: float) -> Self:
         """With some more hypotheses, in which the hands were exchanged since the last update.
@@ -254,21 +241,11 @@ class FleshTracks:
 
     def joined(self, other: Self) -> Self:
         """The hypotheses of both."""
-        clutter = Clutter(
-            np.concatenate([self.clutter.places, other.clutter.places]),
-            np.concatenate([self.clutter.variances, other.clutter.variances]),
-            np.concatenate([self.clutter.chances, other.clutter.chances]),
-        )
-        return replace(
-            self,
-            log_weights=np.concatenate([self.log_weights, other.log_weights]),
-            means=np.concatenate([self.means, other.means]),
-            covariances=np.concatenate([self.covariances, other.covariances]),
-            visible=np.concatenate([self.visible, other.visible]),
-            since=np.concatenate([self.since, other.since]),
-            things=np.concatenate([self.things, other.things]),
-            clutter=clutter,
-        )
+        both = {
+            name: np.concatenate([getattr(self, name), getattr(other, name)])
+            for name in ("log_weights", *OF_PARTS)
+        }
+        return replace(self, **both, clutter=self.clutter.joined(other.clutter))
 
     def reduced(self, radius: float) -> Self:
         """The best hypotheses, best first; one that says the same as a better one is merged into that.

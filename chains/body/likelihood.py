@@ -235,7 +235,7 @@ class ImageLikelihood:
         def work(first: int, end: int) -> None:
             some = poses.take(slice(first, end))
             outline_terms(
-                some.roots, some.torsos, some.necks, some.arms, solid, self.edges,
+                *some.arrays, solid, self.edges,
                 EDGE_POINTS / N_POINTS, EDGE_DIRECTIONS, NO_EDGE, total[first:end],
             )  # fmt: skip
 

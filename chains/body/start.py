@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ...models.body.keypoints import head_places, joints_of, largest
 from ...models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
-from ...models.body.person import ClothesColour, OtherFaces
 from ...models.body.skin import SkinColour, static_skin
 from ...models.body.upper_body import PROPORTIONS, UpperBody
 from ...models.core.frame import BoundingBox, Frame
@@ -70,60 +69,34 @@ class BodyStart:
 class SavedPerson:
     """A `BodyStart` as it is saved: detectors of faces are made anew from their settings."""
 
-    head_height: float  # px
-    # as of `BodyParts`
-    skin: SkinColour | None
-    static_skin: NDArray[np.float32] | None
-    bare: float
-    others: OtherFaces | None
-    clothes: ClothesColour | None
+    person: BodyStart  # without a detector
     face_height: float | None  # px, size for which a detector of faces searches; `None` for any
     marked: MarkedFace | None  # the face that somebody has marked in place of a detector
-    # as of `BodyStart`
-    body: UpperBody
-    origin: str
 
     @classmethod
     def of(cls, start: BodyStart) -> Self:
         """As it can be saved."""
-        parts, detector = start.parts, start.parts.detector
+        detector = start.parts.detector
         return cls(
-            parts.head_height,
-            parts.skin,
-            parts.static_skin,
-            parts.bare,
-            parts.others,
-            parts.clothes,
+            replace(start, parts=replace(start.parts, detector=None)),
             detector.height if isinstance(detector, HaarFaces) else None,
             detector if isinstance(detector, MarkedFace) else None,
-            start.body,
-            start.origin,
         )
 
     def elsewhere(self) -> Self:
         """The same person in another film, in which nobody has marked a face, and with whom is not known."""
         marked = None if self.marked is None else replace(self.marked, number=0)
-        return replace(self, marked=marked, others=None)
+        person = replace(self.person, parts=replace(self.person.parts, others=None))
+        return replace(self, person=person, marked=marked)
 
     def start(self, detector: Path | None) -> BodyStart:
         """The start again, with a model file of a detector if there was one."""
-        faces: PartDetector
-        if self.marked is not None and detector is None:
-            faces = self.marked
-        else:
+        faces: PartDetector | None = self.marked
+        if faces is None or detector is not None:
             faces = default_faces(detector)
             if isinstance(faces, HaarFaces):
                 faces = replace(faces, height=self.face_height)
-        parts = BodyParts(
-            self.head_height,
-            self.skin,
-            faces,
-            self.static_skin,
-            self.bare,
-            self.others,
-            self.clothes,
-        )
-        return BodyStart(parts, self.body, self.origin)
+        return replace(self.person, parts=replace(self.person.parts, detector=faces))
 
 
 def start_from_faces(

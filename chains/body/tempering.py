@@ -199,9 +199,7 @@ def perturbed(
     block = random.integers(BLOCKS, size=n)
     scale = np.array(SCALES)[random.integers(len(SCALES), size=n)]
     pace = np.sqrt(A_FRAME)
-    roots, torsos, necks, arms = (
-        each.copy() for each in (poses.roots, poses.torsos, poses.necks, poses.arms)
-    )
+    roots, torsos, necks, arms = (each.copy() for each in poses.arrays)
     correction = np.zeros(n)
     whole = np.flatnonzero(block == 0)
     size = scale[whole, None]

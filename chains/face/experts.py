@@ -147,7 +147,7 @@ def _climbed(
 
 
 def _parts(poses: Poses) -> kernels.PoseArrays:
-    parts = (poses.rotations, poses.translations, poses.morphs)
+    parts = poses.arrays
     return kernels.PoseArrays(*(np.ascontiguousarray(part, np.float64) for part in parts))
 
 

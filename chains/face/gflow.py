@@ -268,7 +268,7 @@ class GFlow(PickledByFields):
             self._check_start(self.start)
 
     def _check_start(self, start: Poses) -> None:
-        numbers = (start.rotations, start.translations, start.morphs)
+        numbers = start.arrays
         if not all(np.isfinite(part).all() for part in numbers) or not (start.sizes > 0).all():
             raise ValueError("start: got poses with NaN, infinity or a size of 0 or less, expected none")
         if len(start) not in (1, self.experts):

@@ -163,7 +163,7 @@ class TexturedObject:
         n, width = len(poses), self._bases.shape[2]
         positions = np.empty((n, len(self._used), 2), np.float32)
         rows = np.zeros((n, len(self._used), 2, width), np.float32)
-        single = [part.astype(np.float32) for part in (poses.rotations, poses.translations, poses.morphs)]
+        single = [part.astype(np.float32) for part in poses.arrays]
 
         def write(a: int, b: int) -> None:
             kernels.vertex_rows(*(part[a:b] for part in single), self._bases, positions[a:b], rows[a:b])

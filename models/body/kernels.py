@@ -92,18 +92,6 @@ def place_parts(roots, torsos, necks, arms, neck, half, upper, fore, parts):
             parts[k, 1 + side, 1] = sy + upper * arms[k, side, 0, 1] + fore * arms[k, side, 1, 1]
 
 
-@compiled
-def place_shoulders(roots, torsos, half, shoulders):
-    """Write left and right shoulder into `shoulders` `(n, 2, 3)`; otherwise as `place_joints`."""
-    for k in range(len(roots)):
-        right, _, _ = rotation(torsos[k, 0], torsos[k, 1], torsos[k, 2])
-        for side in range(2):
-            aside = (1 - 2 * side) * half
-            shoulders[k, side, 0] = roots[k, 0] + aside * right[0]
-            shoulders[k, side, 1] = roots[k, 1] + aside * right[1]
-            shoulders[k, side, 2] = aside * right[2]
-
-
 @inlined
 def _along(axes, x, y, z):
     """Coordinates of a vector along the axes that `rotation` gives."""

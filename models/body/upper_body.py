@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..core.short_repr import short_repr
 from ..numerics.rotations import logarithm
 from ..numerics.threads import over_bands
-from .kernels import elbows, place_joints, place_parts, place_shoulders, reach, within_limits
+from .kernels import elbows, place_joints, place_parts, reach, within_limits
 
 Array = NDArray[np.float64]
 
@@ -52,50 +52,37 @@ class BodyPoses:
     def __len__(self) -> int:
         return len(self.roots)
 
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
+        """All of them, in this order."""
+        return self.roots, self.torsos, self.necks, self.arms
+
     @classmethod
     def concatenated(cls, parts: Sequence["BodyPoses"]) -> Self:
         """All poses of `parts`, one after the other."""
-        return cls(
-            np.concatenate([part.roots for part in parts]),
-            np.concatenate([part.torsos for part in parts]),
-            np.concatenate([part.necks for part in parts]),
-            np.concatenate([part.arms for part in parts]),
-        )
+        return cls(*map(np.concatenate, zip(*(part.arrays for part in parts), strict=True)))
 
     def take(self, chosen: Any) -> Self:
         """The poses chosen by a slice, a mask or indices."""
         if isinstance(chosen, slice):
-            return type(self)(self.roots[chosen], self.torsos[chosen], self.necks[chosen], self.arms[chosen])
+            return type(self)(*(each[chosen] for each in self.arrays))
         rows = np.asarray(chosen)
         if rows.dtype == np.bool_:
             rows = np.flatnonzero(rows)
-        # several times faster than `[rows]`
-        return type(self)(
-            self.roots.take(rows, 0),
-            self.torsos.take(rows, 0),
-            self.necks.take(rows, 0),
-            self.arms.take(rows, 0),
-        )
+        return type(self)(*(each.take(rows, 0) for each in self.arrays))  # several times faster than `[rows]`
 
     def replaced(self, where: NDArray[np.bool_], others: "BodyPoses") -> Self:
         """The same, but for poses `where` `(n,)`, which are those of `others`."""
+        pairs = zip(self.arrays, others.arrays, strict=True)
         return type(self)(
-            *(
-                np.where(where.reshape(-1, *[1] * (own.ndim - 1)), new, own)
-                for own, new in (
-                    (self.roots, others.roots),
-                    (self.torsos, others.torsos),
-                    (self.necks, others.necks),
-                    (self.arms, others.arms),
-                )
-            )
+            *(np.where(where.reshape(-1, *[1] * (own.ndim - 1)), new, own) for own, new in pairs)
         )
 
     def with_rows(self, rows: NDArray[np.intp], others: "BodyPoses") -> Self:
         """The same, but for poses `rows` `(k,)`, which are `others`, k of them."""
-        changed = type(self)(self.roots.copy(), self.torsos.copy(), self.necks.copy(), self.arms.copy())
-        changed.roots[rows], changed.torsos[rows] = others.roots, others.torsos
-        changed.necks[rows], changed.arms[rows] = others.necks, others.arms
+        changed = type(self)(*(each.copy() for each in self.arrays))
+        for own, new in zip(changed.arrays, others.arrays, strict=True):
+            own[rows] = new
         return changed
 
     @property
@@ -404,15 +391,13 @@ class UpperBody:
         ValueError
             if the joints have another shape, tell of no length, or lead to lengths that no person has.
         """
-        pass
-
         return cls(**segment_lengths(joints, head_heights))
 
     def joints(self, poses: BodyPoses) -> Array:
         """`(n, 8, 3)` px: where the `JOINTS` are; z is 0 at the root and grows away from the viewer."""
         joints = np.empty((len(poses), 8, 3))
         place_joints(
-            poses.roots, poses.torsos, poses.necks, poses.arms,
+            *poses.arrays,
             self.neck, self.shoulder_width / 2, self.upper_arm, self.forearm, joints,
         )  # fmt: skip
         return joints
@@ -421,16 +406,14 @@ class UpperBody:
         """`(n, 3, 2)` px: where head, left hand and right hand are seen."""
         parts = np.empty((len(poses), 3, 2))
         place_parts(
-            poses.roots, poses.torsos, poses.necks, poses.arms,
+            *poses.arrays,
             self.neck, self.shoulder_width / 2, self.upper_arm, self.forearm, parts,
         )  # fmt: skip
         return parts
 
     def shoulders(self, poses: BodyPoses) -> Array:
         """`(n, 2, 3)` px: where left and right shoulder are, as in `joints`."""
-        shoulders = np.empty((len(poses), 2, 3))
-        place_shoulders(poses.roots, poses.torsos, self.shoulder_width / 2, shoulders)
-        return shoulders
+        return self.joints(poses).take([2, 5], 1)
 
     def allowed(self, poses: BodyPoses) -> Mask:
         """`(n,)`: whether every joint is within its limits and no arm goes through or behind the torso."""

@@ -45,7 +45,12 @@ class Poses:
         """The poses chosen by a slice, a mask or indices; a single number gives a batch of one."""
         if isinstance(chosen, int | np.integer):
             chosen = [chosen]
-        return type(self)(self.rotations[chosen], self.translations[chosen], self.morphs[chosen])
+        return type(self)(*(each[chosen] for each in self.arrays))
+
+    @property
+    def arrays(self) -> tuple[Array, Array, Array]:
+        """All of them, in this order."""
+        return self.rotations, self.translations, self.morphs
 
     @property
     def dimension(self) -> int:
@@ -68,20 +73,14 @@ class Poses:
     @classmethod
     def concatenated(cls, parts: Sequence["Poses"]) -> Self:
         """All poses of `parts`, one after the other."""
-        return cls(
-            np.concatenate([part.rotations for part in parts]),
-            np.concatenate([part.translations for part in parts]),
-            np.concatenate([part.morphs for part in parts]),
-        )
+        return cls(*map(np.concatenate, zip(*(part.arrays for part in parts), strict=True)))
 
     def replaced(self, which: NDArray[np.int64], poses: "Poses") -> Self:
         """With `poses` in the places `which` `(k,)`."""
-        parts = []
-        for name in ("rotations", "translations", "morphs"):
-            part = getattr(self, name).copy()
-            part[which] = getattr(poses, name)
-            parts.append(part)
-        return type(self)(*parts)
+        changed = type(self)(*(each.copy() for each in self.arrays))
+        for own, new in zip(changed.arrays, poses.arrays, strict=True):
+            own[which] = new
+        return changed
 
     def moved(self, changes: Array) -> Self:
         """The poses changed by `changes` `(n, dimension)`; one pose may be moved in many ways."""

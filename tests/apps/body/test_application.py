@@ -678,4 +678,4 @@ def test_of_several_faces_the_one_that_is_pointed_at(
     again = SavedPerson.of(meant).start(Path("any.onnx"))
     assert again.parts.bare == meant.parts.bare
     assert again.parts.others is meant.parts.others
-    assert SavedPerson.of(meant).elsewhere().others is None
+    assert SavedPerson.of(meant).elsewhere().person.parts.others is None
