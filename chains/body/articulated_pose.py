@@ -58,8 +58,8 @@ class ArticulatedPose:
     place, a mixture of a few Gaussians.
 
     In the first frame head and hands are drawn from what reaches F - face and skin in the image, and the
-    other chains' predictions - and completed to poses by inverse kinematics (`LikelihoodSampler`); then poses
-    are drawn from those of the frame before, some of them with a hand where it is seen (`GuidedSampler`).
+    other chains' predictions - and completed to poses by inverse kinematics (`draw_from_likelihood`); then
+    poses are drawn from those of the frame before, some with a hand where it is seen (`draw_guided`).
 
     The paper weighs its samples once, with the posterior over the density from which they were drawn. Here
     they are only made samples of the prediction in this way; the likelihood then comes in by tempering, with

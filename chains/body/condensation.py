@@ -1,7 +1,6 @@
 """CONDENSATION (Isard and Blake 1998): the bootstrap filter, as a chain over a body's pose."""
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,22 +18,6 @@ from .samples import BodySamples, part_message
 Array = NDArray[np.float64]
 
 GROUPS = 6  # Gaussians of each part's mixture in the message
-
-
-class Dynamics(Protocol):
-    """p(x_t | x_t-1) of poses, to draw from."""
-
-    def draw(self, poses: BodyPoses, dt: float, random: np.random.Generator, /) -> BodyPoses:
-        """Move every pose by `dt` seconds at random."""
-        ...
-
-    def log_posture(self, poses: BodyPoses, dt: float, /) -> Array:
-        """`(n,)` nats: how usual poses are, over `dt` seconds."""
-        ...
-
-    def draw_anywhere(self, n: int, size: tuple[int, int], random: np.random.Generator, /) -> BodyPoses:
-        """`n` poses of somebody in a picture of `size` (height, width) px."""
-        ...
 
 
 @short_repr
@@ -73,7 +56,7 @@ class Condensation:
     samples: int = 5000
     start: BodyPoses | None = None
     seed: int = 0
-    dynamics: Dynamics | None = None
+    dynamics: BodyDynamics | None = None
     likelihood: PoseLikelihood | None = None
     name: str = "condensation"
 
@@ -86,7 +69,7 @@ class Condensation:
             raise ValueError("start: got no poses, expected one or more")
 
     @property
-    def _dynamics(self) -> Dynamics:
+    def _dynamics(self) -> BodyDynamics:
         return self.dynamics or BodyDynamics(self.body)
 
     def initial(self, frame: Frame) -> BodySamples:

@@ -14,7 +14,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.engine.protocols import BatchIncoming, Incoming
+from ...inference.engine.protocols import BatchIncoming, Chain, Incoming
 from ...inference.smc import copied, normalised, systematic
 from ...models.body.image_features import BodyImage
 from ...models.body.parts import BodyParts, PartMessage
@@ -385,22 +385,10 @@ FILM_LAG = 25
 State = TypeVar("State")
 
 
-class PartFilter(Protocol[State]):
+class PartFilter(Chain[State], Protocol[State]):
     """A filter that meets the parts of a body and nothing else."""
 
-    def initial(self, frame: Frame, /) -> State:
-        """As of `Chain`."""
-        ...
-
-    def predict(self, state: State, dt: float, /) -> State:
-        """As of `Chain`."""
-        ...
-
     def message(self, state: State, feature: BodyParts, incoming: Incoming, /) -> PartMessage:
-        """As of `Chain`."""
-        ...
-
-    def update(self, state: State, incoming: Incoming, /) -> State:
         """As of `Chain`."""
         ...
 

@@ -41,68 +41,60 @@ class Proposal:
     tried: float  # how many were drawn, those that are impossible among them
 
 
-@dataclass(frozen=True)
-class LikelihoodSampler:
-    """Draws poses of somebody of whom nothing is known from mixtures of head and hands.
+def draw_from_likelihood(
+    dynamics: BodyDynamics,
+    mixtures: GaussianMixtures,
+    n: int,
+    random: np.random.Generator,
+    rounds: int = MOST_ROUNDS,
+) -> Proposal:
+    """Draw `n` poses, or as many as turn out to be possible in so many rounds of `n`.
 
-    Torso and neck are drawn as they are in the long run; depth of a hand, from its shoulder, and swivel of an
-    elbow evenly over all that the arm can reach.
+    Torso and neck are as in the long run; depth of a hand, from its shoulder, and swivel of an elbow evenly
+    over all that the arm can reach. `mixtures`: of head, left and right hand; without flat components.
     """
+    found: list[BodyPoses] = []
+    while sum(map(len, found)) < n and len(found) < rounds:
+        found.append(_possible(dynamics, mixtures, n, random))
+    every = BodyPoses.concatenated(found)
+    poses = every.take(slice(n))
+    tried = len(found) * n * len(poses) / max(len(every), 1)
+    return Proposal(poses, _log_density(dynamics, poses, mixtures), tried)
 
-    dynamics: BodyDynamics  # of the body
 
-    @property
-    def body(self) -> UpperBody:
-        """Whose poses are drawn."""
-        return self.dynamics.body
+def _possible(
+    dynamics: BodyDynamics, mixtures: GaussianMixtures, n: int, random: np.random.Generator
+) -> BodyPoses:
+    """At most `n` poses within reach and limits, of as many draws."""
+    body = dynamics.body
+    places = np.stack([draw_mixture(mixtures, part, n, random) for part in range(3)], axis=1)
+    turns = dynamics.turn_spreads * random.standard_normal((n, 6))
+    torsos, necks = turns[:, :3].copy(), turns[:, 3:].copy()
+    trunks = BodyPoses(np.zeros((n, 2)), torsos, necks, np.zeros((n, 2, 2, 3)))
+    roots = places[:, 0] - body.parts(trunks)[:, 0]
+    shoulders = body.shoulders(trunks)[:, :, :2] + roots[:, None]
+    arms = np.empty((n, 2, 2, 3))
+    possible = np.ones(n, np.bool_)
+    for side in (0, 1):
+        offsets = np.zeros((n, 3))
+        offsets[:, :2] = places[:, 1 + side] - shoulders[:, side]
+        offsets[:, 2] = half_range(body, offsets) * random.uniform(-1, 1, n)
+        arms[:, side], within = arm_at(body, side, offsets, random.uniform(-np.pi, np.pi, n))
+        possible &= within
+    poses = BodyPoses(roots, torsos, necks, arms).take(possible)
+    return poses.take(body.allowed(poses))
 
-    def draw(
-        self, mixtures: GaussianMixtures, n: int, random: np.random.Generator, rounds: int = MOST_ROUNDS
-    ) -> Proposal:
-        """Draw `n` poses, or as many as turn out to be possible in so many rounds of `n`.
 
-        `mixtures`: of head, left and right hand; proper, without flat components.
-        """
-        found: list[BodyPoses] = []
-        while sum(map(len, found)) < n and len(found) < rounds:
-            found.append(self._possible(mixtures, n, random))
-        every = BodyPoses.concatenated(found)
-        poses = every.take(slice(n))
-        tried = len(found) * n * len(poses) / max(len(every), 1)
-        return Proposal(poses, self._log_density(poses, mixtures), tried)
-
-    def _possible(self, mixtures: GaussianMixtures, n: int, random: np.random.Generator) -> BodyPoses:
-        """At most `n` poses within reach and limits, of as many draws."""
-        body = self.body
-        places = np.stack([draw_mixture(mixtures, part, n, random) for part in range(3)], axis=1)
-        turns = self.dynamics.turn_spreads * random.standard_normal((n, 6))
-        torsos, necks = turns[:, :3].copy(), turns[:, 3:].copy()
-        trunks = BodyPoses(np.zeros((n, 2)), torsos, necks, np.zeros((n, 2, 2, 3)))
-        roots = places[:, 0] - body.parts(trunks)[:, 0]
-        shoulders = body.shoulders(trunks)[:, :, :2] + roots[:, None]
-        arms = np.empty((n, 2, 2, 3))
-        possible = np.ones(n, np.bool_)
-        for side in (0, 1):
-            offsets = np.zeros((n, 3))
-            offsets[:, :2] = places[:, 1 + side] - shoulders[:, side]
-            offsets[:, 2] = half_range(body, offsets) * random.uniform(-1, 1, n)
-            arms[:, side], within = arm_at(body, side, offsets, random.uniform(-np.pi, np.pi, n))
-            possible &= within
-        poses = BodyPoses(roots, torsos, necks, arms).take(possible)
-        return poses.take(body.allowed(poses))
-
-    def _log_density(self, poses: BodyPoses, mixtures: GaussianMixtures) -> Array:
-        body = self.body
-        joints = body.joints(poses)
-        spreads = self.dynamics.turn_spreads
-        total = mixtures.log_values(joints[:, [0, 4, 7], :2]).sum(axis=1) - mixtures.log_masses.sum()
-        total -= (
-            0.5 * ((poses.turns / spreads) ** 2).sum(axis=1) + np.log(spreads).sum() + 3 * np.log(2 * np.pi)
-        )
-        for side in (0, 1):
-            offsets = joints[:, 4 + 3 * side] - joints[:, 2 + 3 * side]
-            total += log_volume(body, offsets) - np.log(4 * np.pi * half_range(body, offsets))
-        return np.asarray(total)
+def _log_density(dynamics: BodyDynamics, poses: BodyPoses, mixtures: GaussianMixtures) -> Array:
+    body = dynamics.body
+    joints = body.joints(poses)
+    spreads = dynamics.turn_spreads
+    total = mixtures.log_values(joints[:, [0, 4, 7], :2]).sum(axis=1) - mixtures.log_masses.sum()
+    total -= 0.5 * ((poses.turns / spreads) ** 2).sum(axis=1) + np.log(spreads).sum() + 3 * np.log(2 * np.pi)
+    for side in (0, 1):
+        offsets = joints[:, 4 + 3 * side] - joints[:, 2 + 3 * side]
+        total += log_volume(body, offsets) - np.log(4 * np.pi * half_range(body, offsets))
+    return np.asarray(total)
 
 
 def half_range(body: UpperBody, offsets: Array) -> Array:
@@ -168,128 +160,116 @@ class _Targets:
         return cls(*map(np.concatenate, (sides, shares, means, covariances)))
 
 
-@dataclass(frozen=True)
-class GuidedSampler:
-    """Draws poses from weighted poses of the frame before and from mixtures of places of the hands."""
+def draw_guided(
+    dynamics: BodyDynamics,
+    past: Ancestors,
+    said: Sequence[tuple[GaussianMixtures, float]],
+    n: int,
+    random: np.random.Generator,
+) -> Guided:
+    """Draw `n` poses and leave out those that are impossible.
 
-    dynamics: BodyDynamics  # of the body
+    `past`: k weighted poses of the frame before, which are drawn from all `Strata`; `said`: of head and
+    hands, with the shares, of sum 1, of the poses that these guide; flat components guide nobody.
+    """
+    body, elapsed = dynamics.body, past.elapsed
+    with np.errstate(divide="ignore"):
+        log_weights = np.log(past.weights)
+    log_choice = Strata.of(body, past.poses).balanced(log_weights)
+    joints = body.joints(past.poses)
+    hidden = _HiddenCoordinates.of(dynamics, past.poses, joints, elapsed)
+    targets = _Targets.of(said)
+    choice = np.exp(log_choice)
+    closeness = _closeness(targets, joints, hidden.step, choice)
+    chosen, target = _chosen(choice, targets.shares, closeness, n, random)
+    poses = dynamics.draw(past.poses.take(chosen), elapsed, random)
+    possible = _guide(body, poses, chosen, target, targets, hidden, random)
+    possible &= body.allowed(poses)
+    poses, chosen = poses.take(possible), chosen[possible]
+    parents = past.poses.take(chosen)
+    walks = dynamics.log_arm_steps(poses, parents, elapsed)
+    drawn = _log_drawn(body, poses, chosen, targets, closeness, hidden, walks)
+    log_weights = log_weights[chosen] - log_choice[chosen] + walks.sum(axis=1) - drawn
+    log_weights += dynamics.log_posture(poses, elapsed)
+    return Guided(poses, normalised(log_weights), chosen)
 
-    @property
-    def body(self) -> UpperBody:
-        """Whose poses are drawn."""
-        return self.dynamics.body
 
-    def draw(
-        self,
-        past: Ancestors,
-        said: Sequence[tuple[GaussianMixtures, float]],
-        n: int,
-        random: np.random.Generator,
-    ) -> Guided:
-        """Draw `n` poses and leave out those that are impossible.
+def _closeness(targets: _Targets, joints: Array, step: float, choice: Array) -> Array:
+    """`(k_targets, k_past)`: how readily a pose is chosen for a target, over how it is chosen else."""
+    wide = np.linalg.inv(targets.covariances + step**2 * np.eye(2))
+    closeness = np.empty((len(targets.sides), len(joints)))
+    hands = np.ascontiguousarray(joints[:, HANDS, :2])
+    closeness_to(hands, targets.sides, targets.means, wide, FARAWAY, choice, closeness)
+    return closeness
 
-        `past`: k weighted poses of the frame before, which are drawn from all `Strata`; `said`: of head and
-        hands, with the shares, of sum 1, of the poses that these guide; flat components guide nobody.
-        """
-        body, dynamics, elapsed = self.body, self.dynamics, past.elapsed
-        with np.errstate(divide="ignore"):
-            log_weights = np.log(past.weights)
-        log_choice = Strata.of(body, past.poses).balanced(log_weights)
-        joints = body.joints(past.poses)
-        hidden = _HiddenCoordinates.of(dynamics, past.poses, joints, elapsed)
-        targets = _Targets.of(said)
-        choice = np.exp(log_choice)
-        closeness = self._closeness(targets, joints, hidden.step, choice)
-        chosen, target = _chosen(choice, targets.shares, closeness, n, random)
-        poses = dynamics.draw(past.poses.take(chosen), elapsed, random)
-        possible = self._guide(poses, chosen, target, targets, hidden, random)
-        possible &= body.allowed(poses)
-        poses, chosen = poses.take(possible), chosen[possible]
-        parents = past.poses.take(chosen)
-        walks = dynamics.log_arm_steps(poses, parents, elapsed)
-        drawn = self._log_drawn(poses, chosen, targets, closeness, hidden, walks)
-        log_weights = log_weights[chosen] - log_choice[chosen] + walks.sum(axis=1) - drawn
-        log_weights += dynamics.log_posture(poses, elapsed)
-        return Guided(poses, normalised(log_weights), chosen)
 
-    def _closeness(self, targets: _Targets, joints: Array, step: float, choice: Array) -> Array:
-        """`(k_targets, k_past)`: how readily a pose is chosen for a target, over how it is chosen else."""
-        wide = np.linalg.inv(targets.covariances + step**2 * np.eye(2))
-        closeness = np.empty((len(targets.sides), len(joints)))
-        hands = np.ascontiguousarray(joints[:, HANDS, :2])
-        closeness_to(hands, targets.sides, targets.means, wide, FARAWAY, choice, closeness)
-        return closeness
+def _guide(
+    body: UpperBody,
+    poses: BodyPoses,
+    chosen: NDArray[np.int64],
+    target: NDArray[np.int64],
+    targets: _Targets,
+    hidden: "_HiddenCoordinates",
+    random: np.random.Generator,
+) -> NDArray[np.bool_]:
+    """Put arms of `poses` in place to their targets; the result, `(n,)`, is whether they reach them."""
+    possible = np.ones(len(poses), np.bool_)
+    shoulders = body.shoulders(poses)[:, :, :2]
+    roots = np.linalg.cholesky(targets.covariances)
+    goals = np.append(targets.sides, -1)[target]  # the last one stands for no target
+    for side in (0, 1):
+        rows = np.flatnonzero(goals == side)
+        if not len(rows):
+            continue
+        goal, parent, count = target[rows], chosen[rows], len(rows)
+        places = targets.means[goal] + np.einsum(
+            "nxy,ny->nx", roots[goal], random.standard_normal((count, 2))
+        )
+        offsets = np.zeros((count, 3))
+        offsets[:, :2] = places - shoulders[rows, side]
+        half = half_range(body, offsets)
+        near = random.random(count) >= ANYWHERE
+        offsets[:, 2] = np.where(
+            near,
+            hidden.depths[parent, side] + hidden.step * random.standard_normal(count),
+            half * random.uniform(-1, 1, count),
+        )
+        angles = np.where(
+            near,
+            hidden.swivels[parent, side] + random.vonmises(0.0, hidden.concentration, count),
+            random.uniform(-np.pi, np.pi, count),
+        )
+        poses.arms[rows, side], possible[rows] = arm_at(body, side, offsets, angles)
+    return possible
 
-    def _guide(
-        self,
-        poses: BodyPoses,
-        chosen: NDArray[np.int64],
-        target: NDArray[np.int64],
-        targets: _Targets,
-        hidden: "_HiddenCoordinates",
-        random: np.random.Generator,
-    ) -> NDArray[np.bool_]:
-        """Put arms of `poses` in place to their targets; the result, `(n,)`, is whether they reach them."""
-        body = self.body
-        possible = np.ones(len(poses), np.bool_)
-        shoulders = body.shoulders(poses)[:, :, :2]
-        roots = np.linalg.cholesky(targets.covariances)
-        goals = np.append(targets.sides, -1)[target]  # the last one stands for no target
-        for side in (0, 1):
-            rows = np.flatnonzero(goals == side)
-            if not len(rows):
-                continue
-            goal, parent, count = target[rows], chosen[rows], len(rows)
-            places = targets.means[goal] + np.einsum(
-                "nxy,ny->nx", roots[goal], random.standard_normal((count, 2))
-            )
-            offsets = np.zeros((count, 3))
-            offsets[:, :2] = places - shoulders[rows, side]
-            half = half_range(body, offsets)
-            near = random.random(count) >= ANYWHERE
-            offsets[:, 2] = np.where(
-                near,
-                hidden.depths[parent, side] + hidden.step * random.standard_normal(count),
-                half * random.uniform(-1, 1, count),
-            )
-            angles = np.where(
-                near,
-                hidden.swivels[parent, side] + random.vonmises(0.0, hidden.concentration, count),
-                random.uniform(-np.pi, np.pi, count),
-            )
-            poses.arms[rows, side], possible[rows] = arm_at(body, side, offsets, angles)
-        return possible
 
-    def _log_drawn(
-        self,
-        poses: BodyPoses,
-        chosen: NDArray[np.int64],
-        targets: _Targets,
-        closeness: Array,
-        hidden: "_HiddenCoordinates",
-        walks: Array,
-    ) -> Array:
-        """`(n,)` nats: density of a draw given its ancestor, over what all draws have in common."""
-        body = self.body
-        joints = body.joints(poses)
-        completions = np.empty((len(poses), 2))
-        for side in (0, 1):
-            offsets = joints[:, HANDS[side]] - joints[:, HANDS[side] - 2]
-            angles = swivels(side, poses.arms[:, side], body)
-            near = hidden.log_density(chosen, side, offsets[:, 2], angles)
-            evenly = np.log(ANYWHERE / (4 * np.pi)) - np.log(half_range(body, offsets))
-            completions[:, side] = np.logaddexp(np.log1p(-ANYWHERE) + near, evenly) + log_volume(
-                body, offsets
-            )
-        precisions = np.linalg.inv(targets.covariances)
-        heights = targets.shares * np.sqrt(np.linalg.det(precisions)) / (2 * np.pi)
-        values = np.empty(len(poses))
-        guided_values(
-            np.ascontiguousarray(joints[:, HANDS, :2]), chosen, walks, completions,
-            targets.sides, targets.means, precisions, np.append(heights, 1.0 - targets.shares.sum()),
-            closeness, values,
-        )  # fmt: skip
-        return values
+def _log_drawn(
+    body: UpperBody,
+    poses: BodyPoses,
+    chosen: NDArray[np.int64],
+    targets: _Targets,
+    closeness: Array,
+    hidden: "_HiddenCoordinates",
+    walks: Array,
+) -> Array:
+    """`(n,)` nats: density of a draw given its ancestor, over what all draws have in common."""
+    joints = body.joints(poses)
+    completions = np.empty((len(poses), 2))
+    for side in (0, 1):
+        offsets = joints[:, HANDS[side]] - joints[:, HANDS[side] - 2]
+        angles = swivels(side, poses.arms[:, side], body)
+        near = hidden.log_density(chosen, side, offsets[:, 2], angles)
+        evenly = np.log(ANYWHERE / (4 * np.pi)) - np.log(half_range(body, offsets))
+        completions[:, side] = np.logaddexp(np.log1p(-ANYWHERE) + near, evenly) + log_volume(body, offsets)
+    precisions = np.linalg.inv(targets.covariances)
+    heights = targets.shares * np.sqrt(np.linalg.det(precisions)) / (2 * np.pi)
+    values = np.empty(len(poses))
+    guided_values(
+        np.ascontiguousarray(joints[:, HANDS, :2]), chosen, walks, completions,
+        targets.sides, targets.means, precisions, np.append(heights, 1.0 - targets.shares.sum()),
+        closeness, values,
+    )  # fmt: skip
+    return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,7 +341,7 @@ class Candidates:
         rounds: int = MOST_ROUNDS,
     ) -> Self:
         """Of somebody of whom nothing is known, drawn from proper mixtures of head and hands."""
-        proposal = LikelihoodSampler(dynamics).draw(said, n, random, rounds)
+        proposal = draw_from_likelihood(dynamics, said, n, random, rounds)
         log_weights = dynamics.log_density_anywhere(proposal.poses, size) - proposal.log_density
         log_weights -= np.log(max(proposal.tried, 1.0))
         count = len(proposal.poses)
@@ -380,11 +360,11 @@ class Candidates:
         n: int,
         random: np.random.Generator,
     ) -> Self:
-        """Of somebody who was seen before: most go on, guided (`GuidedSampler.draw`), some begin anew."""
+        """Of somebody who was seen before: most go on, guided (`draw_guided`), some begin anew."""
         log_elsewhere, log_stays = dynamics.log_returns(past.elapsed)
         anew = round(max(ANEW, np.exp(log_elsewhere)) * n)
         begun = cls.at_first(dynamics, size, said, anew, random, rounds=1)
-        went_on = GuidedSampler(dynamics).draw(past, guides, max(n - anew, 1), random)
+        went_on = draw_guided(dynamics, past, guides, max(n - anew, 1), random)
         return cls(
             dynamics,
             size,

@@ -147,8 +147,7 @@ def _climbed(
 
 
 def _parts(poses: Poses) -> kernels.PoseArrays:
-    parts = poses.arrays
-    return kernels.PoseArrays(*(np.ascontiguousarray(part, np.float64) for part in parts))
+    return kernels.PoseArrays(*(np.ascontiguousarray(part, np.float64) for part in poses.arrays))
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import BoundingBox, Frame
-from ...models.face.detectors import PartDetector, for_height, of_any_pose
+from ...models.face.detectors import PartDetector, for_height
 from ...models.face.morphable_model import MorphableModel, Poses, SurfacePoints
 from .landmark_fit import LANDMARK_NOISE, fit_landmarks
 from .recovery import AROUND, FACE, UprightView, poses_in_boxes
@@ -143,7 +143,7 @@ def find_face(frame: Frame, faces: PartDetector, *, small: bool = True) -> Bound
     boxes = faces(frame)
     if len(boxes) or frame.image is None or not small:
         return _largest(boxes)
-    finding, confirming = for_height(faces, FACE), of_any_pose(faces, FACE, SURELY)
+    finding, confirming = for_height(faces, FACE), for_height(faces, FACE, SURELY, upright=False)
     height = LARGE_FACE * min(frame.image.shape[:2])
     while height > SMALLEST:
         height /= OCTAVE

@@ -278,8 +278,9 @@ class BodyParts:
         height = self.head_height
         colours = None if self.skin is None else smoothed(image)
         skin = None if self.skin is None or colours is None else self.skin.log_odds_of(colours)
+        known_head = self._known_head(prior, image.shape)
         works: list[Callable[[], Any]] = [
-            partial(self._faces, frame, prior),
+            partial(self._faces, frame, known_head),
             partial(edge_distances, image, EDGE_REACH * height),
             partial(self._arms, colours, skin),
         ]
@@ -296,7 +297,8 @@ class BodyParts:
         if self.others is not None:
             false += self.others.density(faces[:, :2] + 0.5 * faces[:, 2:])
         if skin is not None:
-            known = self._with_known_head(centres, prior, image.shape)
+            near = np.linalg.norm(centres[:, None] - known_head, axis=2) < height
+            known = centres if near.any() else np.concatenate([centres, known_head])
             faces_there = _ellipses(known, HEAD_ELLIPSE, height)
             moving = self._moving(skin, faces_there)
             bare = (
@@ -319,7 +321,8 @@ class BodyParts:
         )
         points = None
         if frame.keypoints is not None:
-            points = SeenKeypoints.of(frame.keypoints, self._heads(centres, prior, image.shape), height)
+            heads_known = known_head if len(known_head) else centres
+            points = SeenKeypoints.of(frame.keypoints, heads_known, height)
         if points is not None:
             mixtures = mixtures * points.mixtures(hands.means, heads.means)
         seen = BodyImage(
@@ -343,17 +346,13 @@ class BodyParts:
         for mean, covariance, colour in zip(*moments, COLOURS, strict=True):
             draw_region(picture, mean, covariance, colour)
 
-    def _faces(self, frame: Frame, prior: PartMessage) -> Array:
-        """`(k, 4)` px: boxes of faces, largest first.
-
-        A cascade looks at every place of a picture, so it is shown that about the head at first, if the
-        chains know where that is, and the whole picture if there is no face in it.
-        """
+    def _faces(self, frame: Frame, known_head: Array) -> Array:
+        """`(k, 4)` px: boxes of faces, largest first. Cascades look about a known head first."""
         image = frame.image
         if self.detector is None or image is None:
             return np.zeros((0, 4))
         if isinstance(self.detector, HaarFaces) and frame.number % ANYWHERE:
-            for x, y in self._known_head(prior, image.shape):
+            for x, y in known_head:
                 reach = SOUGHT * self.head_height
                 left, top, right, bottom = (
                     int(max(end, 0)) for end in (x - reach, y - reach, x + reach, y + reach)
@@ -383,17 +382,6 @@ class BodyParts:
             return None
         return self.clothes.arm_map(colours, self.head_height, skin, self.bare)
 
-    def _heads(self, faces: Array, prior: PartMessage, shape: tuple[int, ...]) -> Array:
-        """`(k, 2)` px: where the head is by what the chains know, or else by faces `(k, 2)`."""
-        known = self._known_head(prior, shape)
-        return known if len(known) else faces
-
-    def _with_known_head(self, faces: Array, prior: PartMessage, shape: tuple[int, ...]) -> Array:
-        """`(k, 2)` px: heads of faces, and this one, if the chains know it and none of the faces is there."""
-        known = self._known_head(prior, shape)
-        near = np.linalg.norm(faces[:, None] - known, axis=2) < self.head_height
-        return faces if near.any() else np.concatenate([faces, known])
-
     def _known_head(self, prior: PartMessage, shape: tuple[int, ...]) -> Array:
         """`(k, 2)` px: the head's centre, k = 1, if the chains know it."""
         means, covariances = prior.predicted.moments(float(shape[0] * shape[1]), (shape[1] / 2, shape[0] / 2))
@@ -407,9 +395,7 @@ def _ellipses(heads: Array, shape: tuple[float, ...], height: float) -> Array:
 
 
 def _recentred(centres: Array, skin: NDArray[np.float32], height: float) -> Array:
-    """Heads `(k, 2)` px moved sideways to the middle of their skin: of one that looks away, a detector
-    finds the face, which is not its middle.
-    """
+    """Heads `(k, 2)` px moved sideways to the middle of their skin, which a face that looks away is not."""
     moved = centres.copy()
     columns = np.arange(skin.shape[1])
     for centre in moved:

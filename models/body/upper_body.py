@@ -122,14 +122,14 @@ def shoulder_rotations(arms: Array) -> tuple[Array, Array]:
     `flexions` `(...)` rad, from 0 (straight) to pi.
     """
     upper, forearm = arms[..., 0, :], arms[..., 1, :]
-    axis = cross(forearm, upper)
+    axis = np.cross(forearm, upper)
     sine = np.sqrt((axis**2).sum(-1))
     flexions = np.arctan2(sine, (upper * forearm).sum(-1))
     straight = sine < 1e-12
     axis = axis / np.where(straight, 1.0, sine)[..., None]
     if straight.any():
         axis[straight] = transport(upper[straight])[..., 0]
-    return np.stack([axis, upper, cross(axis, upper)], axis=-1), flexions
+    return np.stack([axis, upper, np.cross(axis, upper)], axis=-1), flexions
 
 
 def transport(upper: Array) -> Array:
@@ -148,56 +148,11 @@ def transport(upper: Array) -> Array:
     return rotations
 
 
-def cross(first: Array, second: Array) -> Array:
-    """Cross products of `(..., 3)`; numpy's own is several times slower."""
-    product = np.empty(np.broadcast_shapes(first.shape, second.shape))
-    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        product[..., k] = first[..., i] * second[..., j] - first[..., j] * second[..., i]
-    return product
-
-
 _SPREAD = 0.15
 """Standard deviation of log lengths of people about the usual proportions (and about a wrong head height)."""
 
 _NOISE = 0.03  # usual error of a joint along a segment, over the height of the head; known to a factor of two
 _WRONG = 0.05  # share of joints that are somewhere else
-
-
-def segment_lengths(joints: Array, head_heights: Array | None = None) -> dict[str, float]:
-    """Lengths for `UpperBody` from joints in pictures, see `UpperBody.fit`.
-
-    Shoulders and neck mostly face the camera, so that their medians are taken: of somebody who turns by 17
-    degrees as a rule the shoulders come out 2 % too narrow. Arms point anywhere and are seen at most as long
-    as they are, see `projected_length`. Left and right have equal lengths.
-
-    Raises `ValueError` if `joints` is not `(n_frames, 8, 2)`, is infinite, or tells of no length.
-    """
-    joints = np.asarray(joints, np.float64)
-    if joints.ndim != 3 or joints.shape[1:] != (len(JOINTS), 2):
-        raise ValueError(f"joints must be (n_frames, {len(JOINTS)}, 2) px, got {joints.shape}")
-    if np.isinf(joints).any():
-        raise ValueError("joints must be px in the picture or NaN where they are not seen, got infinity")
-    head, root, left, left_elbow, left_hand, right, right_elbow, right_hand = joints.transpose(1, 0, 2)
-    root = np.where(np.isnan(root), (left + right) / 2, root)
-    seen = {
-        "neck": _apparent(head, root),
-        "shoulder_width": np.concatenate(
-            [_apparent(left, right), 2 * _apparent(left, root), 2 * _apparent(right, root)]
-        ),
-        "upper_arm": np.concatenate([_apparent(left, left_elbow), _apparent(right, right_elbow)]),
-        "forearm": np.concatenate([_apparent(left_elbow, left_hand), _apparent(right_elbow, right_hand)]),
-    }
-    height = _head_height(seen, head_heights)
-    lengths = {name: share * height for name, share in PROPORTIONS.items()}
-    lengths["head_height"] = height
-    for name in ("neck", "shoulder_width"):
-        if len(seen[name]):
-            lengths[name] = float(np.median(seen[name]))
-    for name in ("upper_arm", "forearm"):
-        if len(seen[name]):
-            lengths[name] = projected_length(seen[name], lengths[name], _NOISE * height)
-    lengths["torso_width"] *= lengths["shoulder_width"] / (PROPORTIONS["shoulder_width"] * height)
-    return lengths
 
 
 def projected_length(apparent: Array, usual: float, noise: float) -> float:
@@ -274,32 +229,20 @@ class JointLimits:
 
     The limits are wide: they are to exclude what no person does, not to tell what is usual. Head and arms
     are limited by the torso, in whose axes their limits are said.
-
-    Parameters
-    ----------
-    torso
-        largest rotation of the torso, from upright.
-    neck
-        largest rotation of the head against the torso.
-    swing_centre, swing
-        middle of the cone in which the left upper arm points (outwards, down, towards the viewer), not of
-        unit length, and the largest angle from it: not far across the back nor the chest.
-    outwards, inwards
-        least (external) and greatest (internal) turn of the upper arm about its own axis, from `transport`:
-        0 bends the elbow of a hanging arm towards the viewer, pi/2 across the belly.
-    elbow
-        greatest flexion: muscles meet.
-    straight
-        flexion below which the turn of the upper arm cannot be told, so that it is not tested.
     """
 
-    torso: float = np.radians(45)
-    neck: float = np.radians(50)
+    torso: float = np.radians(45)  # largest rotation of the torso, from upright
+    neck: float = np.radians(50)  # largest rotation of the head against the torso
+    # middle of the cone in which the left upper arm points (outwards, down, towards the viewer), not of unit
+    # length, and the largest angle from it: not far across the back nor the chest
     swing_centre: tuple[float, float, float] = (0.35, 0.6, -0.6)
     swing: float = np.radians(105)
+    # least (external) and greatest (internal) turn of the upper arm about its own axis, from `transport`: 0
+    # bends the elbow of a hanging arm towards the viewer, pi/2 across the belly
     outwards: float = np.radians(-100)
     inwards: float = np.radians(100)
-    elbow: float = 2.6
+    elbow: float = 2.6  # greatest flexion: muscles meet
+    # flexion below which the turn of the upper arm cannot be told, so that it is not tested
     straight: float = 0.15
 
     @cached_property
@@ -379,6 +322,10 @@ class UpperBody:
     def fit(cls, joints: Array, head_heights: Array | None = None) -> Self:
         """A body from joints seen in a few pictures: what they do not tell has usual proportions.
 
+        Shoulders and neck mostly face the camera, so that their medians are taken: of somebody who turns by
+        17 degrees as a rule the shoulders come out 2 % too narrow. Arms point anywhere and are seen at most
+        as long as they are, see `projected_length`. Left and right have equal lengths.
+
         Parameters
         ----------
         joints
@@ -391,7 +338,32 @@ class UpperBody:
         ValueError
             if the joints have another shape, tell of no length, or lead to lengths that no person has.
         """
-        return cls(**segment_lengths(joints, head_heights))
+        joints = np.asarray(joints, np.float64)
+        if joints.ndim != 3 or joints.shape[1:] != (len(JOINTS), 2):
+            raise ValueError(f"joints must be (n_frames, {len(JOINTS)}, 2) px, got {joints.shape}")
+        if np.isinf(joints).any():
+            raise ValueError("joints must be px in the picture or NaN where they are not seen, got infinity")
+        head, root, left, left_elbow, left_hand, right, right_elbow, right_hand = joints.transpose(1, 0, 2)
+        root = np.where(np.isnan(root), (left + right) / 2, root)
+        seen = {
+            "neck": _apparent(head, root),
+            "shoulder_width": np.concatenate(
+                [_apparent(left, right), 2 * _apparent(left, root), 2 * _apparent(right, root)]
+            ),
+            "upper_arm": np.concatenate([_apparent(left, left_elbow), _apparent(right, right_elbow)]),
+            "forearm": np.concatenate([_apparent(left_elbow, left_hand), _apparent(right_elbow, right_hand)]),
+        }
+        height = _head_height(seen, head_heights)
+        lengths = {name: share * height for name, share in PROPORTIONS.items()}
+        lengths["head_height"] = height
+        for name in ("neck", "shoulder_width"):
+            if len(seen[name]):
+                lengths[name] = float(np.median(seen[name]))
+        for name in ("upper_arm", "forearm"):
+            if len(seen[name]):
+                lengths[name] = projected_length(seen[name], lengths[name], _NOISE * height)
+        lengths["torso_width"] *= lengths["shoulder_width"] / (PROPORTIONS["shoulder_width"] * height)
+        return cls(**lengths)
 
     def joints(self, poses: BodyPoses) -> Array:
         """`(n, 8, 3)` px: where the `JOINTS` are; z is 0 at the root and grows away from the viewer."""

@@ -224,18 +224,13 @@ def default_faces(path: Path | None = None, otherwise: str = "a model file of Yu
         raise ValueError(f"{error}, expected {otherwise}") from None
 
 
-def for_height(detector: PartDetector, height: float, agreeing: int = AGREEING) -> PartDetector:
-    """The detector for upright faces about `height` px high, which cascades are glad to know."""
+def for_height(
+    detector: PartDetector, height: float, agreeing: int = AGREEING, *, upright: bool = True
+) -> PartDetector:
+    """The detector for faces about `height` px high, which cascades are glad to know, upright or not."""
     if not isinstance(detector, HaarFaces):
         return detector
-    return replace(detector, height=height, agreeing=agreeing, upright=True)
-
-
-def of_any_pose(detector: PartDetector, height: float, agreeing: int = AGREEING) -> PartDetector:
-    """The detector for faces about `height` px high, from the front or else from the side."""
-    if not isinstance(detector, HaarFaces):
-        return detector
-    return replace(detector, height=height, agreeing=agreeing)
+    return replace(detector, height=height, agreeing=agreeing, upright=upright)
 
 
 def _cascade(name: str) -> Any:

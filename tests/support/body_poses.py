@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rsmcm.chains.body.kernels import LANES, NUMBERS, ROW, fronts, put_body, trace
 from rsmcm.chains.body.likelihood import OUTLINE_PARTS, solid_of
-from rsmcm.models.body.upper_body import BodyPoses, UpperBody, cross, transport
+from rsmcm.models.body.upper_body import BodyPoses, UpperBody, transport
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ def twists(arms: Array) -> Array:
     The shoulder's rotation is a turn about (0, 1, 0) by this angle, then the transport. The turn is positive
     where the forearm of a hanging arm points to the left of the picture, to the person's right.
     """
-    axis = cross(arms[..., 1, :], arms[..., 0, :])
+    axis = np.cross(arms[..., 1, :], arms[..., 0, :])
     local = np.einsum("...ij,...i->...j", transport(arms[..., 0, :]), axis)
     turns: Array = np.arctan2(-local[..., 2], local[..., 0])
     return turns

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
 from rsmcm.chains.body.kernels import choose, closeness_to, guided_values
-from rsmcm.chains.body.proposals import ANYWHERE, GUIDED, Guided, GuidedSampler, half_range
+from rsmcm.chains.body.proposals import ANYWHERE, GUIDED, Guided, draw_guided, half_range
 from rsmcm.models.body.upper_body import JOINTS, BodyPoses, UpperBody, log_volume, swivels
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 from scipy.special import logsumexp
@@ -83,7 +83,7 @@ def test_weighted_draws_are_of_the_prediction(case: str) -> None:
     truth = features(plain(dynamics, past, 100_000, np.random.default_rng(2)))
     said, runs = targets_of(case, past), []
     for run in range(RUNS):
-        found = GuidedSampler(dynamics).draw(past, said, 4000, np.random.default_rng(run))
+        found = draw_guided(dynamics, past, said, 4000, np.random.default_rng(run))
         assert BODY.allowed(found.poses).all()
         weights = np.exp(found.log_weights)
         assert weights.sum() == pytest.approx(1.0)
@@ -106,7 +106,7 @@ def test_ancestors_are_drawn_together_with_poses(case: str) -> None:
     expected = expected.reshape(3, -1).sum(axis=1) / expected.sum()
     runs = []
     for run in range(RUNS):
-        found = GuidedSampler(dynamics).draw(past, said, 4000, np.random.default_rng(run))
+        found = draw_guided(dynamics, past, said, 4000, np.random.default_rng(run))
         each = np.bincount(found.ancestors, np.exp(found.log_weights), n)
         runs.append(each.reshape(3, -1).sum(axis=1))
     bar = 5 * np.std(runs, axis=0, ddof=1) / np.sqrt(RUNS) + 0.01 * expected
@@ -118,8 +118,8 @@ def test_hands_are_drawn_where_they_are_seen() -> None:
     """Where no pose of the past expects them: as many as are guided, less those out of reach."""
     past = past_of(5, modes=1)
     place = BODY.joints(past.poses)[0, SHOULDERS[0], :2] + (60.0, -90.0)
-    found = GuidedSampler(BodyDynamics(BODY)).draw(
-        past, [(said_of([place], [], 3.0), 1.0)], 4000, np.random.default_rng(0)
+    found = draw_guided(
+        BodyDynamics(BODY), past, [(said_of([place], [], 3.0), 1.0)], 4000, np.random.default_rng(0)
     )
     near = np.linalg.norm(BODY.joints(found.poses)[:, HANDS[0], :2] - place, axis=1) < 4 * 3.0
     assert 0.5 * 0.25 * GUIDED < near.mean() < GUIDED
@@ -156,8 +156,8 @@ def test_weights_are_prediction_over_density_of_the_draw(side: int) -> None:
     past, dynamics = past_of(6, modes=1, each=1), BodyDynamics(BODY)
     place = BODY.joints(past.poses)[0, HANDS[side], :2] + (5.0, -5.0)
     targets = [[place], []] if side == 0 else [[], [place]]
-    found = GuidedSampler(dynamics).draw(
-        past, [(said_of(targets[0], targets[1], 6.0), 1.0)], 2000, np.random.default_rng(1)
+    found = draw_guided(
+        dynamics, past, [(said_of(targets[0], targets[1], 6.0), 1.0)], 2000, np.random.default_rng(1)
     )
     walks = dynamics.log_arm_steps(found.poses, past.poses.take(found.ancestors), DT).sum(axis=1)
     expected = (
@@ -224,7 +224,7 @@ def test_where_nothing_is_possible_there_are_no_draws() -> None:
     stiff = BodyDynamics(BODY, upper_arm=1e-3, forearm=1e-3, jumps=0.0)
     wrong = replace(past, poses=replace(past.poses, arms=arms))
     assert not BODY.allowed(wrong.poses).any()
-    found = GuidedSampler(stiff).draw(wrong, NOTHING, 50, np.random.default_rng(0))
+    found = draw_guided(stiff, wrong, NOTHING, 50, np.random.default_rng(0))
     assert len(found.poses) == len(found.log_weights) == len(found.ancestors) == 0
 
 
@@ -232,16 +232,18 @@ def test_arms_that_never_jump_are_guided_as_well() -> None:
     """To places at which the prediction's density is next to nothing, after a very short time."""
     past = replace(past_of(9), elapsed=1e-4)
     said = targets_of("far away", past)
-    found = GuidedSampler(BodyDynamics(BODY, jumps=0.0)).draw(past, said, 500, np.random.default_rng(0))
+    found = draw_guided(BodyDynamics(BODY, jumps=0.0), past, said, 500, np.random.default_rng(0))
     weights = np.exp(found.log_weights)
     assert weights.sum() == pytest.approx(1.0)
     assert np.count_nonzero(weights > 1e-9) > 50
 
 
 def test_seeds_decide() -> None:
-    past, sampler = past_of(7), GuidedSampler(BodyDynamics(BODY))
+    past, dynamics = past_of(7), BodyDynamics(BODY)
     said = targets_of("near", past)
-    one, same, other = (sampler.draw(past, said, 200, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    one, same, other = (
+        draw_guided(dynamics, past, said, 200, np.random.default_rng(seed)) for seed in (1, 1, 2)
+    )
     np.testing.assert_array_equal(one.poses.arms, same.poses.arms)
     np.testing.assert_array_equal(one.log_weights, same.log_weights)
     assert not np.array_equal(one.poses.arms[:100], other.poses.arms[:100])

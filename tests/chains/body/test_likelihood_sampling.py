@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from rsmcm.chains.body.dynamics import BodyDynamics
-from rsmcm.chains.body.proposals import LikelihoodSampler, draw_mixture
+from rsmcm.chains.body.proposals import draw_from_likelihood, draw_mixture
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 
@@ -29,12 +29,11 @@ def mixtures_about(places, spread):
 def test_weighted_proposals_are_draws_of_the_static_prior():
     random = np.random.default_rng(7)
     dynamics = BodyDynamics(BODY)
-    sampler = LikelihoodSampler(dynamics)
     size = (400, 400)
     direct = dynamics.draw_anywhere(20_000, size, random)
     direct = direct.take(random.random(20_000) < np.exp(dynamics.log_posture(direct)))
     mixtures = mixtures_about(BODY.parts(direct), 60.0)
-    proposal = sampler.draw(mixtures, 60_000, random)
+    proposal = draw_from_likelihood(dynamics, mixtures, 60_000, random)
     prior = dynamics.log_density_anywhere(proposal.poses, size)
     inside = ((proposal.poses.roots >= 0) & (proposal.poses.roots <= 400)).all(axis=1)
     hands = (BODY.joints(proposal.poses)[:, [4, 7]] - BODY.joints(proposal.poses)[:, [1]]).reshape(-1, 6)
@@ -51,7 +50,7 @@ def test_hands_are_where_the_mixtures_say():
     dynamics = BodyDynamics(BODY)
     places = np.array([[[320.0, 90.0], [370.0, 200.0], [270.0, 220.0]]])
     mixtures = mixtures_about(np.repeat(places, 3, axis=0), 2.0)
-    proposal = LikelihoodSampler(dynamics).draw(mixtures, 500, random)
+    proposal = draw_from_likelihood(dynamics, mixtures, 500, random)
     assert len(proposal.poses) == 500
     assert np.abs(BODY.parts(proposal.poses) - places).max() < 2.0 * 6
 
@@ -60,7 +59,7 @@ def test_out_of_reach_there_are_no_poses():
     random = np.random.default_rng(9)
     places = np.array([[[320.0, 90.0], [900.0, 200.0], [270.0, 220.0]]])
     mixtures = mixtures_about(np.repeat(places, 3, axis=0), 2.0)
-    proposal = LikelihoodSampler(BodyDynamics(BODY)).draw(mixtures, 100, random)
+    proposal = draw_from_likelihood(BodyDynamics(BODY), mixtures, 100, random)
     assert len(proposal.poses) == 0
     assert proposal.log_density.shape == (0,)
 
