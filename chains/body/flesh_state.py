@@ -89,15 +89,11 @@ class ClutterMatch:
         paired = mutual & (gain > 0)
         return cls(clutter, means, variances, new, np.where(paired, best, -1), np.where(paired, gain, 0.0))
 
-    @cached_property
-    def log_missed(self) -> Array:
-        """`(H, n)` nats: that a piece of clutter is not detected."""
-        return np.log1p(-FOUND * self.clutter.chances)
-
     @property
     def log_absent(self) -> Array:
         """`(H,)` nats: that all clutter is missed to which nothing in the picture corresponds."""
-        return np.asarray(np.where(self._found, 0.0, self.log_missed).sum(axis=1))
+        found = (self.pairs[:, :, None] == np.arange(self.clutter.chances.shape[1])).any(axis=1)
+        return np.asarray(np.where(found, 0.0, np.log1p(-FOUND * self.clutter.chances)).sum(axis=1))
 
     @property
     def log_known(self) -> Array:
@@ -108,11 +104,6 @@ class ClutterMatch:
     def known(self) -> Array:
         """`(H, k)`: probability that a thing, if it is no part, was there before."""
         return np.where(self.pairs >= 0, 1 / (1 + np.exp(-self.gains)), 0.0)
-
-    @cached_property
-    def _found(self) -> NDArray[np.bool_]:
-        """`(H, n)`."""
-        return np.asarray((self.pairs[:, :, None] == np.arange(self.clutter.chances.shape[1])).any(axis=1))
 
     def updated(self, hypotheses: NDArray[np.intp], parts: Array, radius: float) -> Clutter:
         """Clutter after the picture for some continuations of hypotheses.

@@ -13,7 +13,7 @@ from ...models.core.short_repr import short_repr
 from ...models.numerics.threads import over_bands
 from . import kernels
 from .pose_terms import SHORTEST
-from .texture_likelihood import MIDDLE_GREY
+from .texture_likelihood import MIDDLE_GREY, WORTH
 
 USUAL_RATE = 25.0  # frames a second at which gains and temperatures are those of the steady state
 
@@ -80,8 +80,6 @@ GAIN_LIMITS = (-6.0, 6.0)  # log odds between which a learned gain stays
 FIRST_GAIN = 0.05
 
 RETURN = 0.3  # s in which what sets a texel apart from its lasting texture decays to 1/e
-WORTH = 50_000  # texels from which on another thread is woken for them
-
 LEAST_INSIDE = 0.4
 """Share of the visible texels that has to lie in the picture, if a texture is to explain it."""
 

@@ -149,17 +149,12 @@ class TexturedObject:
         all_ends = np.concatenate([np.stack([every, every], axis=1), edges])
         return kernels.Pairs(all_ends.astype(np.uint32), of_group.astype(np.uint32))
 
-    def rows(self, poses: Poses) -> tuple[Map, Map]:
-        """Positions `(n, n_used, 2)` px of the vertices used, and their rows `(n, n_used, 2, width)`.
+    def rows(self, poses: Poses) -> tuple[Map, Map, Callable[[int, int], None]]:
+        """Places `(n, n_used, 2)` px of the vertices used and their rows `(n, n_used, 2, width)`, and what writes
+        both, of poses from one number to another.
 
         The width is the poses' dimension rounded up to whole vectors, filled with zeros.
         """
-        positions, rows, write = self.rows_to_write(poses)
-        write(0, len(poses))
-        return positions, rows
-
-    def rows_to_write(self, poses: Poses) -> tuple[Map, Map, Callable[[int, int], None]]:
-        """The same before they are known, and what writes them of poses from one number to another."""
         n, width = len(poses), self._bases.shape[2]
         positions = np.empty((n, len(self._used), 2), np.float32)
         rows = np.zeros((n, len(self._used), 2, width), np.float32)
@@ -214,17 +209,6 @@ class TexturedObject:
         over_bands(work, len(poses), worth=values.size > 3 * WORTH)
         return values, seen
 
-    def sampled(self, level: Level, poses: Poses, visible: NDArray[np.bool_]) -> tuple[Map, Map]:
-        """Grey levels of all texels on a level `(n, n_texels)`, and the areas that they stand for.
-
-        The area, px squared of the picture, is 0 of texels that are not `visible`, and not above 0 of those
-        off the picture.
-        """
-        shape = (len(poses), len(self.texels))
-        values, area = np.empty((shape[0], 1, shape[1]), np.float32), np.empty(shape, np.float32)
-        kernels.sample_texels(level, 0, 1, self.used_texels, visible, self.positions(poses), values, area)
-        return values[:, 0], area
-
 
 @dataclass(frozen=True, eq=False)
 class TextureLikelihood:
@@ -243,7 +227,7 @@ class TextureLikelihood:
 
     def equations(self, level: int, poses: Poses, owner: NDArray[np.int64]) -> "Equations":
         """Normal equations at `poses`, of which number m belongs to expert `owner[m]`."""
-        positions, rows, write_rows = self.surface.rows_to_write(poses)
+        positions, rows, write_rows = self.surface.rows(poses)
         n, width, dimension = len(poses), rows.shape[3], poses.dimension
         matrices, vectors = np.empty((n, width, width), np.float32), np.empty((n, width), np.float32)
         totals = np.empty((n, 3))
