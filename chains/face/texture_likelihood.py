@@ -150,8 +150,9 @@ class TexturedObject:
         return kernels.Pairs(all_ends.astype(np.uint32), of_group.astype(np.uint32))
 
     def rows(self, poses: Poses) -> tuple[Map, Map, Callable[[int, int], None]]:
-        """Places `(n, n_used, 2)` px of the vertices used and their rows `(n, n_used, 2, width)`, and what writes
-        both, of poses from one number to another.
+        """Places `(n, n_used, 2)` px and rows `(n, n_used, 2, width)` of the vertices, and what writes them.
+
+        It writes those of poses from one number to another.
 
         The width is the poses' dimension rounded up to whole vectors, filled with zeros.
         """
