@@ -17,15 +17,7 @@ from .dynamics import BodyDynamics
 from .fixed_lag import PoseTrajectory, predicted_messages, smoothed_poses
 from .likelihood import BodyLikelihood, PoseLikelihood
 from .proposals import Candidates
-from .samples import (
-    LEAST_SPREAD,
-    BodySamples,
-    first,
-    part_message,
-    predicted,
-    stationary,
-    weighted_moments,
-)
+from .samples import LEAST_SPREAD, BodySamples, first, part_message, predicted, stationary, weighted_moments
 from .tempering import temper
 
 Array = NDArray[np.float64]
@@ -177,10 +169,7 @@ class ArticulatedPose:
         return Smoothed(smoothed_poses(self, self._dynamics, likelihood, incoming_over_time))
 
     def messages(
-        self,
-        trajectory: PoseTrajectory,
-        feature: BodyParts,
-        incoming_over_time: Sequence[BatchIncoming] = (),
+        self, trajectory: PoseTrajectory, feature: BodyParts, incoming_over_time: Sequence[BatchIncoming] = ()
     ) -> list[PartMessage]:
         """Where parts should be by the poses of the frame before, with hindsight (mu_{X -> F})."""
         return predicted_messages(self, trajectory.samples, trajectory.times, feature)

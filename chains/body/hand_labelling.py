@@ -147,11 +147,7 @@ def both_names(
 
 
 def hand_labels(
-    numbers: NDArray[np.int64],
-    times: Array,
-    log_odds: Array,
-    confusable: Array,
-    known: float | None = None,
+    numbers: NDArray[np.int64], times: Array, log_odds: Array, confusable: Array, known: float | None = None
 ) -> HandLabels:
     """Labels of all frames by what each says.
 

@@ -496,9 +496,7 @@ def arm_terms(joints, arms, scales, points, weights, torso, missing, out):
                     over = off_x * axis_y - off_y * axis_x - above * length
                     outside = min(max(max(beside, over) / blur, _f4(-20.0)), _f4(20.0))
                     odds = _at(
-                        arms,
-                        (here_x + _f4(0.5)) * across - _f4(0.5),
-                        (here_y + _f4(0.5)) * down - _f4(0.5),
+                        arms, (here_x + _f4(0.5)) * across - _f4(0.5), (here_y + _f4(0.5)) * down - _f4(0.5)
                     ) / (_f4(1.0) + exponential(-outside))
                     total += _f4(weights[part]) * _seen_or_not(odds, hidden)
         out[k] += total

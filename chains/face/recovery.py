@@ -59,11 +59,7 @@ def likely_places(
     grid = np.stack(np.meshgrid(columns, rows, SIZES, TURNS, indexing="ij"), axis=-1).reshape(-1, 4)
     centre = middle - last.translations[0]
     turns = exponential(grid[:, 3:] * np.array([0.0, 1.0, 0.0]))
-    tried = Poses(
-        turns @ last.rotations[0],
-        grid[:, :2] - centre * grid[:, 2:3],
-        last.morphs * grid[:, 2:3],
-    )
+    tried = Poses(turns @ last.rotations[0], grid[:, :2] - centre * grid[:, 2:3], last.morphs * grid[:, 2:3])
     parts = [misfit(tried[first : first + AT_ONCE]) for first in range(0, len(tried), AT_ONCE)]
     return tried[np.argsort(np.concatenate(parts), kind="stable")[:n]]
 

@@ -116,10 +116,7 @@ class LearnedGain:
     def of(self, parents: NDArray[np.int64]) -> Self:
         """What the children of `parents` remember."""
         return replace(
-            self,
-            log_odds=self.log_odds[parents],
-            last=self.last[parents],
-            power=self.power[parents],
+            self, log_odds=self.log_odds[parents], last=self.last[parents], power=self.power[parents]
         )
 
     def updated(self, innovation: Map, seen: NDArray[np.bool_], elapsed: float) -> Self:

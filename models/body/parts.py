@@ -191,10 +191,7 @@ class BodyParts:
 
     @classmethod
     def learned(
-        cls,
-        images: Sequence[NDArray[np.uint8]],
-        detector: PartDetector,
-        face: BoundingBox | None = None,
+        cls, images: Sequence[NDArray[np.uint8]], detector: PartDetector, face: BoundingBox | None = None
     ) -> Self:
         """Learn the head's size and the skin's colour from the faces found in some frames of a clip.
 
@@ -326,16 +323,7 @@ class BodyParts:
         if points is not None:
             mixtures = mixtures * points.mixtures(hands.means, heads.means)
         seen = BodyImage(
-            skin,
-            moving,
-            edges,
-            directions,
-            hands.means,
-            hands.log_weights,
-            mixtures,
-            points,
-            self.bare,
-            arms,
+            skin, moving, edges, directions, hands.means, hands.log_weights, mixtures, points, self.bare, arms
         )
         return PartMessage(self.uniform().stacked, seen)
 

@@ -120,10 +120,7 @@ _TOLERANCE = 0.02  # share of the object's depth by which what hides a point is 
 
 
 def visible(
-    positions: Array,
-    triangles: NDArray[np.int64],
-    texels: SurfaceTexels,
-    facing: float = FACING,
+    positions: Array, triangles: NDArray[np.int64], texels: SurfaceTexels, facing: float = FACING
 ) -> NDArray[np.bool_]:
     """Find the texels of a triangle mesh that are seen, in many poses at once.
 
