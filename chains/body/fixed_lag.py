@@ -29,6 +29,7 @@ from .samples import LONGEST, BodySamples
 from .tempering import LogDensity, perturbed
 
 Array = NDArray[np.float64]
+State = TypeVar("State")
 
 SCALES = np.array([0.1, 0.3, 0.7, 1.2])
 """Sizes of an arm's move away from where it is in the next frame, over those of the dynamics."""
@@ -381,8 +382,6 @@ def thinned(samples: BodySamples, n: int, random: np.random.Generator) -> BodySa
 
 FILM_LAG = 25
 """Frames that are heard before one is answered: of a second ago, or more, nothing else is remembered."""
-
-State = TypeVar("State")
 
 
 class PartFilter(Chain[State], Protocol[State]):

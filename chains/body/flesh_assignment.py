@@ -17,6 +17,8 @@ from ...models.core.kernels import products
 from ...models.numerics.densities import log_sums
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+T = TypeVar("T", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +60,6 @@ class MovingParts:
 def _symmetric(matrices: Array) -> Array:
     return 0.5 * (matrices + matrices.swapaxes(-1, -2))
 
-
-Numbers = NDArray[np.intp]
-T = TypeVar("T", bound=np.generic)
 
 VISIBLE = 0.85  # share of the time in which a part is not hidden
 MOST_FOUND = 0.98  # chance that a part which is not hidden is detected, at most

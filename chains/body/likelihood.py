@@ -26,7 +26,7 @@ from .kernels import (
 )
 
 Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
+Map = NDArray[np.float32]
 
 OUTLINE_PARTS = (
     "head", "torso", "left_upper_arm", "left_forearm", "left_hand",
@@ -112,8 +112,6 @@ def _count(name: str) -> int:
     """Points of a part's outline."""
     return _COUNTS[name.removeprefix("left_").removeprefix("right_")]
 
-
-Map = NDArray[np.float32]
 
 CELLS = 5.0  # entries of the skin maps in a hand's radius
 

@@ -19,6 +19,7 @@ from .dynamics import BodyDynamics, around
 from .kernels import cut
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 MOST_STRATA = 12
 
@@ -56,7 +57,6 @@ class Strata:
         return normalised(log_weights + boost[self.numbers])
 
 
-Indices = NDArray[np.int64]
 LogDensity = Callable[[BodyPoses], Array]
 
 KEPT = 0.3  # effective share of the samples that a step of tempering leaves

@@ -33,9 +33,10 @@ from .recovery import CHANCE, ROUNDING, Finder, Trust, apart, brought_to, likely
 from .texture_filter import TexelNoise, Texture, explained
 from .texture_likelihood import Level, TexturedObject, TextureLikelihood, image_pyramid
 
-__all__ = ["GFlow", "GFlowState"]
-
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+__all__ = ["GFlow", "GFlowState"]
 
 N_LEVELS = 3
 ONE_AT_MODE: Mapping[str, Any] = {"experts": 1, "spread": 0.0, "recover": False}
@@ -116,8 +117,6 @@ class GFlowState:
         """How often it was lost and found again."""
         return self.trust.relocations
 
-
-Mask = NDArray[np.bool_]
 
 COVERING_TEXELS = 1500  # of the mesh where it is integrated over what it hides
 

@@ -26,6 +26,7 @@ from ...models.numerics.compiled import (
 )
 
 Map = NDArray[np.float32]
+Array = NDArray[np.float64]
 
 _f4 = np.float32
 
@@ -627,8 +628,6 @@ def _turn_into_pose(ends, blocks, right, rows, dimension, matrix, vector):
             both = matrix[i, j] + matrix[j, i]
             matrix[i, j] = matrix[j, i] = both
 
-
-Array = NDArray[np.float64]
 
 NOWHERE = 1e300  # energy of a pose in which nothing faces the viewer
 SLIGHTEST = 1e-12  # least pivot of a scaled curvature, which rounding may have made singular

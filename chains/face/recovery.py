@@ -16,6 +16,7 @@ from ...models.face.morphable_model import MorphableModel, Poses
 from ...models.numerics.rotations import exponential
 
 Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
 
 FARTHEST_AHEAD = 1.5  # share of an expert's last motion, up to which experts begin their search ahead
 ASIDE = 0.5  # how far they begin it aside, in standard deviations of the motion
@@ -81,8 +82,6 @@ def rolls(poses: Poses) -> Array:
         np.arctan2(turns[:, 1, 0] - turns[:, 0, 1], turns[:, 0, 0] + turns[:, 1, 1]), np.float64
     )
 
-
-Image = NDArray[np.uint8]
 
 WIDTH_OF_FACE = 0.85  # of a detector's box: what lies between the ears, which a model of a face spans
 

@@ -15,6 +15,8 @@ from . import kernels
 from .pose_terms import SHORTEST
 from .texture_likelihood import MIDDLE_GREY, WORTH
 
+Map = NDArray[np.float32]
+
 USUAL_RATE = 25.0  # frames a second at which gains and temperatures are those of the steady state
 
 
@@ -64,7 +66,6 @@ class TexelNoise:
         return self.steady_variance + self.rendering
 
 
-Map = NDArray[np.float32]
 AnyTuple = TypeVar("AnyTuple", kernels.Noises, kernels.Memory)
 
 UNKNOWN_VARIANCE = 60.0**2  # squared grey levels: of a texel that has never been seen

@@ -16,7 +16,9 @@ from ...models.numerics.compiled import LANES
 from ...models.numerics.threads import over_bands, side_by_side
 from . import kernels
 
-Picture = NDArray[np.float32]
+Array = NDArray[np.float64]
+Map = NDArray[np.float32]
+
 
 MIDDLE_GREY = 128.0
 DARKEST = 5.0  # grey levels added to the local mean, so that black regions do not blow up sensor noise
@@ -30,7 +32,7 @@ SMOOTHING = (0.0175, 0.05, 0.125)
 class Level(NamedTuple):
     """One level of a picture."""
 
-    image: Picture  # `(height, width)` float32 grey, its rows one after the other
+    image: Map  # `(height, width)` float32 grey, its rows one after the other
     # px of the level per px of the picture: pixel x of the picture is at x scale + (scale - 1) / 2
     scale: float
 
@@ -59,7 +61,7 @@ def image_pyramid(image: NDArray[np.uint8], size: float, *, n_levels: int, local
     return [level for part in side_by_side([fine, coarse]) for level in part]
 
 
-def _coarse_levels(picture: Picture, size: float, *, n_levels: int, local_mean: bool) -> Iterator[Level]:
+def _coarse_levels(picture: Map, size: float, *, n_levels: int, local_mean: bool) -> Iterator[Level]:
     if local_mean and n_levels > 1:
         picture = without_light(picture, COARSE_LIGHT_REACH * size)
     already = 0.0
@@ -75,17 +77,17 @@ def _coarse_levels(picture: Picture, size: float, *, n_levels: int, local_mean: 
         yield Level(picture, scale)
 
 
-def without_light(picture: Picture, reach: float) -> Picture:
+def without_light(picture: Map, reach: float) -> Map:
     """The picture divided by its mean about every pixel, of standard deviation `reach` px."""
     return picture * (np.float32(MIDDLE_GREY) / (blurred(picture, reach) + np.float32(DARKEST)))
 
 
-def smoothed(picture: Picture, deviation: float) -> Picture:
+def smoothed(picture: Map, deviation: float) -> Map:
     """Gaussian blur of a few px."""
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), float(deviation)), np.float32)
 
 
-def blurred(picture: Picture, deviation: float) -> Picture:
+def blurred(picture: Map, deviation: float) -> Map:
     """Gaussian mean about every pixel, worked out on a smaller picture where it is wide."""
     factor = max(int(deviation / 3), 1)
     height, width = picture.shape
@@ -96,8 +98,6 @@ def blurred(picture: Picture, deviation: float) -> Picture:
     return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-Array = NDArray[np.float64]
-Map = NDArray[np.float32]
 NO_MAP: Map = np.zeros((0, 0), np.float32)
 
 WORTH = 50_000  # texels from which on another thread is woken for them

@@ -15,6 +15,7 @@ from .keypoints import SeenKeypoints
 
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]
+Made = TypeVar("Made")
 
 COARSE_RADIUS = 7.0  # px: the radius sought in the picture that is searched, which is as much smaller as that
 
@@ -157,8 +158,6 @@ def _centres(weights: Array, steps: NDArray[np.int64]) -> Array:
     sums = np.stack([weights.sum(axis=1) @ steps, weights.sum(axis=2) @ steps], axis=1)
     return np.asarray(sums / total[:, None], np.float64)
 
-
-Made = TypeVar("Made")
 
 BLUR = 1.2  # px: of the picture in which edges are looked for
 

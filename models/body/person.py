@@ -14,6 +14,8 @@ from .kernels import blended
 from .skin import N_BINS, SkinColour, colour_counts, has_colour, log_ratio_of, looked_up_in
 
 Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Map = NDArray[np.float32]
 
 ALIKE = 1.4  # of two faces of one person, the higher one is at most so many times as high
 
@@ -112,9 +114,6 @@ def _distances(boxes: Array, box: Array) -> Array:
     steps = boxes[:, :2] + 0.5 * boxes[:, 2:] - box[:2] - 0.5 * box[2:]
     return np.asarray(np.linalg.norm(steps, axis=1), np.float64)
 
-
-Image = NDArray[np.uint8]
-Map = NDArray[np.float32]
 
 TRUNK = (0.5, 1.0, 2.3)
 """Head heights from the head's centre: half the width of the part of the trunk that is looked at, its upper

@@ -17,6 +17,7 @@ from .kernels import looked_up
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Map = NDArray[np.float32]
 
 BINS = (8, 64, 64)
 """Of luma and of the two differences of colour: shades of one skin differ in luma first of all."""
@@ -144,8 +145,6 @@ def _regions(shape: tuple[int, ...], box: Array) -> tuple[NDArray[np.bool_], NDA
     head = np.hypot(across / HEAD_AXES[0], (rows - y - height / 2) / (HEAD_AXES[1] * height)) < 1
     return face, ~head
 
-
-Map = NDArray[np.float32]
 
 AWAY = 0.2  # share of a clip in which a pixel has to be without skin, so that skin there says anything
 LEAST_FRAMES = 8  # Frames, spread over a clip, from which this can be learned

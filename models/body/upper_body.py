@@ -14,6 +14,7 @@ from ..numerics.threads import over_bands
 from .kernels import elbows, place_joints, place_parts, reach, within_limits
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 ANGLES = 16
 """Degrees of freedom: two of the root, three of torso and neck each, three of a shoulder, one of an elbow."""
@@ -212,8 +213,6 @@ def _head_height(seen: dict[str, Array], head_heights: Array | None) -> float:
         "joints tell of no length: no picture has both ends of a segment, nor is any head's height given"
     )
 
-
-Mask = NDArray[np.bool_]
 
 PARTS = ("head", "left_hand", "right_hand")  # parts that have features of their own in the picture
 

@@ -10,6 +10,9 @@ from ..numerics.threads import over_bands
 from . import kernels
 from .morphable_model import MorphableModel
 
+Array = NDArray[np.float64]
+Map = NDArray[np.float32]
+
 
 @dataclass(frozen=True, eq=False)
 class SurfaceTexels:
@@ -109,8 +112,6 @@ def _spread_in_triangle(number: NDArray[np.int64]) -> NDArray[np.float64]:
     return weights
 
 
-Array = NDArray[np.float64]
-
 FACING = 0.3
 """Least cosine between a triangle's normal and the direction to the viewer at which its texels are used."""
 
@@ -149,8 +150,6 @@ def visible(
     over_bands(work, len(positions), worth=len(positions) > 4)
     return seen
 
-
-Map = NDArray[np.float32]
 
 SPACING = 3.0  # px between points of an outline
 DEPTH = 1.5  # px outside an edge at which nothing may be covered, for it to be on the outline
