@@ -57,12 +57,6 @@ class PartMessage:
                 f"{len(self.log_hypotheses)} hypotheses"
             )
 
-    @cached_property
-    def hypotheses(self) -> tuple[GaussianMixtures, ...]:
-        """The mixtures of the three parts under each hypothesis."""
-        rows = np.arange(self.stacked.n_parts).reshape(-1, N_PARTS)
-        return tuple(self.stacked.take(row) for row in rows)
-
     @property
     def predicted(self) -> GaussianMixtures:
         """What chains say of each part, whatever holds for the others.
