@@ -18,7 +18,7 @@ SPHERE = 4 * np.pi
 
 USUAL_UPPER_ARMS = np.array([[0.2, 0.9, -0.35], [-0.2, 0.9, -0.35]])
 USUAL_UPPER_ARMS /= np.linalg.norm(USUAL_UPPER_ARMS, axis=1, keepdims=True)
-USUAL = 2.0  # middle and concentration of a person's upper arms: mostly they hang down
+USUAL = 2.0  # concentration of a person's upper arms about these: mostly they hang down
 
 CROSSED, CROSSED_TIME = 37.5, 0.1
 """Nats a second by which it grows less probable that hands are on the other's side by a head's height, and s

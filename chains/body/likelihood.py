@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ...models.body.image_features import BodyImage
 from ...models.body.skin import HIGHEST
-from ...models.body.upper_body import BodyPoses, UpperBody, over_bands_of
+from ...models.body.upper_body import BodyPoses, UpperBody
+from ...models.numerics.threads import over_bands
 from .kernels import (
     LANES,
     HandModel,
@@ -129,6 +130,7 @@ BARE_SCORES, BARE_HAND_SCORES = (14.0, -4.0, 0.2), (8.0, -1.0, 0.2)
 as one hand and a little more. Skin speaks less for a hand there, since a forearm that goes on shows two
 thirds of it: otherwise hands that are hidden would be drawn to their wrists."""
 
+WORTH_THREADS = 300  # poses from which several threads are faster than one
 LEVELS = 256  # entries of tables over distances and directions
 
 HEAD_WINDOWS = (0.5, 1.2)
@@ -237,7 +239,7 @@ class ImageLikelihood:
                 EDGE_POINTS / N_POINTS, EDGE_DIRECTIONS, NO_EDGE, total[first:end],
             )  # fmt: skip
 
-        over_bands_of(poses, work)
+        over_bands(work, len(poses), worth=len(poses) >= WORTH_THREADS)
         return total
 
     def inner_terms(self, poses: BodyPoses) -> Array:
@@ -247,7 +249,7 @@ class ImageLikelihood:
         def work(first: int, end: int) -> None:
             terms[:, first:end] = self._inner_terms(poses.take(slice(first, end)))
 
-        over_bands_of(poses, work)
+        over_bands(work, len(poses), worth=len(poses) >= WORTH_THREADS)
         return terms
 
     def _inner_terms(self, poses: BodyPoses) -> Array:

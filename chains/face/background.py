@@ -168,11 +168,10 @@ class SharedBackground:
     def trust_after(self, trust: Map, hidden: NDArray[np.bool_], box: Box, elapsed: float) -> Map:
         """Trust in each pixel after a picture, `elapsed` s after the last one.
 
-        It goes up where what was predicted came true, and down where not.
-        In pixels that may be `hidden` by the object, of the box, nothing is learned. What was behind it at
-        first, `UNSEEN`, stays unknown until a pixel is found to differ from what the background remembers
-        there: as long as it does not, both may be the object. Where the background says that it does not
-        know the scene, it does not remember the object either.
+        It goes up where what was predicted came true, and down where not; pixels of the box that may be
+        `hidden` by the object say nothing. What was behind it at first, `UNSEEN`, stays unknown until a pixel
+        differs from what the background remembers there, which may be the object. Where the background does
+        not know the scene, it does not remember the object either.
         """
         came_true = self.ratio > 0
         after: Map = trust - np.float32(np.expm1(-elapsed / TRUST_TIME)) * (came_true - trust)

@@ -362,7 +362,7 @@ class GFlow(PickledByFields):
         The covariance is the experts' spread and what each of them leaves open (nothing in the first one).
         """
         model = self.model
-        positions, rows = model.positions(state.poses), model.jacobian_with_depth(state.poses)
+        positions, rows = model.positions(state.poses), model.jacobian(state.poses, 3)
         mean = np.einsum("n,nva->va", state.weights, positions)
         off = positions - mean
         spread = np.einsum("n,nva,nvb->vab", state.weights, off, off)
@@ -383,14 +383,14 @@ class GFlow(PickledByFields):
     @cached_property
     def _whole(self) -> TexturedObject | None:
         """The whole mesh, as it hides what is behind it."""
-        model = self.object.model
+        model = self.model
         if not len(model.triangles):
             return None
         return TexturedObject(model, SurfaceTexels.dense(model, COVERING_TEXELS))
 
     @cached_property
     def _edges(self) -> MeshEdges:
-        return MeshEdges.of(self.object.model.triangles)
+        return MeshEdges.of(self.model.triangles)
 
     def _updated(self, state: GFlowState, message: PixelMessage, points: PointMessage | None) -> GFlowState:
         """The state after a picture, given the messages of the others to its pixels and points."""
@@ -540,12 +540,10 @@ class GFlow(PickledByFields):
         more: list[PoseEvidence] = []
         known = None
         if points is not None and len(self._tracked):
-            known = measured_points(self.object.model, points.positions, self._tracked)
+            known = measured_points(self.model, points.positions, self._tracked)
             more.append(known)
         if background is not None:
-            more.append(
-                Silhouette(self.object.model, self._edges, background.contrast, self.effective_pixels)
-            )
+            more.append(Silhouette(self.model, self._edges, background.contrast, self.effective_pixels))
         start = state.poses
         if len(start) > 1 and state.motion is not None:
             start = apart(start, state.elapsed * state.motion, prior.variance, state.random)
@@ -582,7 +580,7 @@ class GFlow(PickledByFields):
         size = pyramid[0].image.shape[0], pyramid[0].image.shape[1]
         places = likely_places(coarse, size, last, self.object.positions(last)[0].mean(axis=0), n)
         if shown is not None and len(shown):
-            places = Poses.concatenated([places, brought_to(self.object.model, last, shown[:n])])
+            places = Poses.concatenated([places, brought_to(self.model, last, shown[:n])])
         every = np.full(len(places), best)
         prior = PosePrior.after(places, self.dynamics, state.size, 1.0)
         likelihood = self._likelihood(
@@ -704,4 +702,4 @@ class GFlow(PickledByFields):
         return replace(state, background=after)
 
     def _coverage(self, state: GFlowState, size: tuple[int, int], margin: float = 2 * MARGIN) -> Coverage:
-        return Coverage.of(self.object.model, state.poses, state.weights, size, margin)
+        return Coverage.of(self.model, state.poses, state.weights, size, margin)

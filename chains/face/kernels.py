@@ -884,12 +884,11 @@ def place_equations(
 def find_edges(contrast, box, scans, share, noise, targets, information):
     """Where along their normals the edge of an object is, given what its background looks like.
 
-    `contrast` `(n_maps, height, width)` float32: log density of the background over that of the
-    object, of pixels of the `box`; one map for all, or one each. Writes `targets` `(n, n_points, 2)`
-    and `information` `(n, n_points, 3)`, zero where a scan says nothing. The
-    variance `noise` in steps is added to what it finds; `share` `(n,)` is
-    how much a px of outline counts. Nats are not tempered by it, or the edge would be found too far on the
-    side where the background speaks more softly.
+    `contrast` `(n_maps, height, width)` float32: log density of the background over that of the object, of
+    pixels of the `box`; one map for all, or one each. Writes `targets` `(n, n_points, 2)` and `information`
+    `(n, n_points, 3)`, zero where a scan says nothing. The variance `noise` in steps is added to what it
+    finds; `share` `(n,)` is how much a px of outline counts. Nats are not tempered by it, or the edge would
+    be found too far on the side where the background speaks more softly.
     """
     places, normals, lengths, reach, step = scans
     top, left, height, width = box

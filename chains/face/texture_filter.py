@@ -236,10 +236,9 @@ class Texture:
         """This prediction, made `elapsed` s after the last picture, with a picture: eq. (10), (11).
 
         `observed` `(n_experts, n_levels, n_texels)` are the texels as this frame shows them; where they are
-        not `seen` `(n_experts, n_texels)` both stay. Departures: only the finest
-        level is filtered. The coarse ones, which say where the search begins and nothing of the belief, hold
-        the texel as last seen: blurred texture is blurred light as well, which changes. And where nothing is
-        said to change (gain 0) the first picture is the template.
+        not `seen` `(n_experts, n_texels)` both stay. Departures: only the finest level is filtered. Coarse
+        ones, where the search begins, hold the texel as last seen: blurred texture is blurred light as well,
+        which changes. And where nothing is said to change (gain 0) the first picture is the template.
         """
         noises, unknown = self._noises(noise, elapsed), np.float32(0.5 * UNKNOWN_VARIANCE)
         mean, variance = np.empty_like(self.mean), np.empty_like(self.variance)
@@ -261,8 +260,7 @@ class Texture:
         return replace(self, mean=mean, variance=variance, learned=learned, lasting=lasting)
 
     def _noises(self, noise: TexelNoise, elapsed: float) -> kernels.Noises:
-        """Noises of texels `elapsed` s after the last picture; with a learned gain those of its steady
-        state."""
+        """Noises of texels `elapsed` s after the last picture; with a learned gain its steady state's."""
         if self.learned is None:
             rendering = self._everywhere(noise.rendering)
             process = self._everywhere(noise.process * elapsed)

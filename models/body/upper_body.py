@@ -1,6 +1,6 @@
 """The upper body of a person: poses, lengths of segments, joints and their limits, how arms reach."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Self
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
 from ..numerics.rotations import logarithm
-from ..numerics.threads import over_bands
 from .kernels import elbows, place_joints, place_parts, reach, within_limits
 
 Array = NDArray[np.float64]
@@ -18,8 +17,6 @@ Mask = NDArray[np.bool_]
 
 ANGLES = 16
 """Degrees of freedom: two of the root, three of torso and neck each, three of a shoulder, one of an elbow."""
-
-WORTH_THREADS = 300  # poses from which several threads are faster than one
 
 
 @short_repr
@@ -106,14 +103,6 @@ class BodyPoses:
         per_arm[:, :, :3] = logarithm(rotations.reshape(2 * n, 3, 3)).reshape(n, 2, 3)
         per_arm[:, :, 3] = flexions
         return angles
-
-
-def over_bands_of(poses: BodyPoses, work: Callable[[int, int], None]) -> None:
-    """Call `work(first, end)` on runs of the poses, on several threads if there are many."""
-    if len(poses) < WORTH_THREADS:
-        work(0, len(poses))
-    else:
-        over_bands(work, len(poses))
 
 
 def shoulder_rotations(arms: Array) -> tuple[Array, Array]:

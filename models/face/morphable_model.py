@@ -156,10 +156,6 @@ class SurfacePoints:
         bases[0] += self.offsets
         return bases
 
-    def positions(self, model: "MorphableModel", poses: Poses) -> Array:
-        """`(n_poses, n, 3)` px: where the points are seen (x, y), and how far behind the origin they are."""
-        return model.of_points(self).positions(poses)
-
     def project(self, model: "MorphableModel", poses: Poses) -> Array:
         """`(n_poses, n, 2)` px: where the points are seen."""
         return model.of_points(self).project(poses)
@@ -301,15 +297,11 @@ class MorphableModel(PickledByFields):
         projected: Array = self.positions(poses)[..., :2]
         return projected
 
-    def jacobian(self, poses: Poses) -> Array:
-        """d x_i / d u at each pose: `(n, n_vertices, 2, dimension)`, in the order of a change of `Poses`."""
-        return self._jacobian(poses, 2)
+    def jacobian(self, poses: Poses, n_axes: int = 2) -> Array:
+        """d x_i / d u at each pose, with depth for three axes: `(n, n_vertices, n_axes, dimension)`.
 
-    def jacobian_with_depth(self, poses: Poses) -> Array:
-        """The same of `positions`: `(n, n_vertices, 3, dimension)`."""
-        return self._jacobian(poses, 3)
-
-    def _jacobian(self, poses: Poses, n_axes: int) -> Array:
+        The order is that of a change of `Poses`.
+        """
         turned = self.turned(poses)
         rows = np.zeros((len(poses), self.n_vertices, n_axes, poses.dimension))
         rows[..., :3] = -cross_matrices(turned)[..., :n_axes, :]

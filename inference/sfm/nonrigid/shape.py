@@ -63,7 +63,7 @@ def without_triangles(bases: Numbers) -> MorphableModel:
 def frame_changes(bases: Numbers, poses: Poses) -> Numbers:
     """d shape / d (turn, log scale, translation, weights): `(n_frames, n_points, 3, 6 + n_modes)` px."""
     model = without_triangles(bases)
-    by_morph = model.jacobian_with_depth(poses)
+    by_morph = model.jacobian(poses, 3)
     growth = model.turned(poses)[..., None]
     along_weights = poses.sizes[:, None, None, None] * by_morph[..., RIGID + 1 :]
     return np.concatenate([by_morph[..., :3], growth, by_morph[..., 3:RIGID], along_weights], axis=3)

@@ -28,7 +28,7 @@ def test_points_are_weighted_means_of_their_vertices_and_offsets_turn_along(seed
     points, poses = SurfacePoints(vertices, weights, offsets), random_poses(model, 3, seed)
     on_surface = np.einsum("ja,njac->njc", weights, model.positions(poses)[:, vertices])
     off = np.einsum("n,nab,jb->nja", poses.sizes, poses.rotations, offsets)
-    np.testing.assert_allclose(points.positions(model, poses), on_surface + off, atol=1e-9)
+    np.testing.assert_allclose(model.of_points(points).positions(poses), on_surface + off, atol=1e-9)
     np.testing.assert_allclose(points.project(model, poses), (on_surface + off)[..., :2], atol=1e-9)
 
 
@@ -37,7 +37,9 @@ def test_of_vertices() -> None:
     poses = random_poses(model, 2, 0)
     points = SurfacePoints.of_vertices([5, 0, 17])
     assert len(points) == 3
-    np.testing.assert_allclose(points.positions(model, poses), model.positions(poses)[:, [5, 0, 17]])
+    np.testing.assert_allclose(
+        model.of_points(points).positions(poses), model.positions(poses)[:, [5, 0, 17]]
+    )
 
 
 @settings(max_examples=30)
@@ -77,7 +79,7 @@ def test_the_front_most_surface_is_taken() -> None:
     pose = Poses.upright(np.array([[50.0, 60.0]]), np.array([20.0]), 1)
     places = np.array([[51.0, 62.0], [45.0, 57.0], [58.0, 62.0], [80.0, 60.0]])
     points = SurfacePoints.attached(model, pose, places)
-    np.testing.assert_allclose(points.positions(model, pose)[0, :, 2], [-10, -10, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(model.of_points(points).positions(pose)[0, :, 2], [-10, -10, 0, 0], atol=1e-9)
     np.testing.assert_allclose(points.offsets, [[0, 0, 0]] * 3 + [[0.5, 0, 0]], atol=1e-12)
 
 
