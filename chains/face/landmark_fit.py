@@ -65,45 +65,52 @@ def fit_landmarks(
         )
     given = given.reshape(-1, *given.shape[-2:])
     if points is None:
-        if model.landmarks is not None and len(model.landmarks) == given.shape[1]:
-            present = model.landmarks >= 0
-            points, given = SurfacePoints.of_vertices(model.landmarks[present]), given[:, present]
-        elif given.shape[1] == model.n_vertices:
-            points = SurfacePoints.of_vertices(np.arange(model.n_vertices))
-        else:
-            own = "no landmarks" if model.landmarks is None else f"{len(model.landmarks)} landmarks"
-            raise ValueError(
-                f"landmarks: got {given.shape[1]}, but the model has {own} of its own and "
-                f"{model.n_vertices} vertices: say which points of it they are"
-            )
+        try:
+            chosen, points = own_points(model, given.shape[1])
+        except ValueError as error:
+            raise ValueError(f"{error}: say which points of it they are") from None
+        given = given[:, chosen]
     if len(points) != given.shape[1]:
         raise ValueError(f"landmarks: got {given.shape[1]}, expected one for each of {len(points)} points")
-    return _fit(model.of_points(points), given, start, noise)
-
-
-def _fit(points: MorphableModel, landmarks: Array, start: Poses | None, noise: float) -> Poses:
-    """Fit poses to landmarks `(n_frames, n_points, 2)` px of a model whose vertices are the points there."""
     if not noise > 0:
         raise ValueError(f"noise: got {noise}, expected a positive share of the object's size")
-    landmarks, seen = _checked(landmarks)
+    shape = model.of_points(points)
+    given, seen = _checked(given)
     if start is not None:
-        if len(start) not in (1, len(landmarks)) or start.morphs.shape[1] != points.n_bases:
+        if len(start) not in (1, len(given)) or start.morphs.shape[1] != shape.n_bases:
             raise ValueError(
                 f"start: got {len(start)} poses of {start.morphs.shape[1]} bases, expected one or "
-                f"{len(landmarks)} of {points.n_bases}"
+                f"{len(given)} of {shape.n_bases}"
             )
         if not (start.sizes > 0).all():
             raise ValueError("start: got a first morph coefficient that is not positive")
-        start = start[np.arange(len(landmarks)) % len(start)]
+        start = start[np.arange(len(given)) % len(start)]
     parts = []
-    for begin in range(0, len(landmarks), _BATCH):
+    for begin in range(0, len(given), _BATCH):
         batch = slice(begin, begin + _BATCH)
-        poses = _rigid_poses(points, landmarks[batch], seen[batch], noise) if start is None else start[batch]
+        poses = _rigid_poses(shape, given[batch], seen[batch], noise) if start is None else start[batch]
         # twice: noise is relative to a size that only the first fit tells
         for _ in range(2):
-            poses, _ = _peak(points, landmarks[batch], seen[batch], poses, noise)
+            poses, _ = _peak(shape, given[batch], seen[batch], poses, noise)
         parts.append(poses)
     return Poses.concatenated(parts)
+
+
+def own_points(model: MorphableModel, n_given: int) -> tuple[NDArray[np.int64], SurfacePoints]:
+    """Which of so many landmarks, its own or its vertices, the model has, and its points there.
+
+    Raises `ValueError` if it has neither in that number.
+    """
+    own = model.landmarks
+    if own is not None and len(own) == n_given:
+        chosen = np.flatnonzero(own >= 0)
+        return chosen, SurfacePoints.of_vertices(own[chosen])
+    if n_given == model.n_vertices:
+        return np.arange(n_given), SurfacePoints.of_vertices(np.arange(n_given))
+    has = "no landmarks" if own is None else f"{len(own)} landmarks"
+    raise ValueError(
+        f"landmarks: got {n_given}, but the model has {has} of its own and {model.n_vertices} vertices"
+    )
 
 
 def _checked(landmarks: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -9,13 +9,11 @@ from numpy.typing import NDArray
 from ...models.core.frame import BoundingBox, Frame
 from ...models.face.detectors import PartDetector, for_height
 from ...models.face.morphable_model import MorphableModel, Poses, SurfacePoints
-from .landmark_fit import LANDMARK_NOISE, fit_landmarks
+from .landmark_fit import FEWEST, LANDMARK_NOISE, fit_landmarks, own_points
 from .recovery import AROUND, FACE, UprightView, poses_in_boxes
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-
-FEWEST_LANDMARKS = 4
 
 USUAL_MISFIT = 2 * LANDMARK_NOISE
 """Distance of landmarks from a model that fits them, in its sizes: on a talking face at most 0.035."""
@@ -78,10 +76,10 @@ def start_from_landmarks(
     chosen, points = _points_of(model, landmarks, pairs)
     places = landmarks[chosen]
     known = ~np.isnan(places[:, 0])
-    if np.count_nonzero(known) < FEWEST_LANDMARKS:
+    if np.count_nonzero(known) < FEWEST:
         raise ValueError(
             f"landmarks: got {np.count_nonzero(known)} in the first frame that the model has as well, "
-            f"expected {FEWEST_LANDMARKS} or more"
+            f"expected {FEWEST} or more"
         )
     fitted = fit_landmarks(model, places, points)
     person = model.personalised(fitted.morphs[0])
@@ -110,15 +108,10 @@ def _points_of(
                 f"correspondences: got vertex {numbers.max()}, expected 1 to {model.n_vertices} of the model"
             )
         return chosen, SurfacePoints.of_vertices(numbers - 1)
-    if own is not None and len(own) == n_given:
-        chosen = np.flatnonzero(own >= 0)
-        return chosen, SurfacePoints.of_vertices(own[chosen])
-    if n_given == model.n_vertices:
-        return np.arange(n_given), SurfacePoints.of_vertices(np.arange(n_given))
-    expected = f"{model.n_vertices} (its vertices)"
-    if own is not None:
-        expected = f"{len(own)} (its landmarks) or {expected}"
-    raise ValueError(f"landmarks: got {n_given}, but the model has {expected}: give --correspondences")
+    try:
+        return own_points(model, n_given)
+    except ValueError as error:
+        raise ValueError(f"{error}: give --correspondences") from None
 
 
 def start_from_box(model: MorphableModel, box: BoundingBox) -> FaceStart:
