@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 
 from ...chains.body.articulated_pose import ArticulatedPose
 from ...chains.body.dynamics import BodyDynamics
-from ...chains.body.fixed_lag import BLOCK, FixedLag, WaitingFrame
+from ...chains.body.fixed_lag import BLOCK, FixedLag, SmoothedBelief, Smoother, WaitingFrame
 from ...chains.body.flesh_tracker import FleshTracker
-from ...chains.body.hypotheses import hypotheses
-from ...chains.body.relabelling import relabelled
-from ...chains.body.samples import moments
-from ...chains.body.smoother import SmoothedBelief, Smoother
+from ...chains.body.hand_labelling import relabelled
+from ...chains.body.samples import hypotheses, moments
 from ...chains.body.start import (
     BodyStart,
     ClickedJoints,

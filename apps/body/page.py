@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains.body.hand_labelling import HandLabels, hand_labels
-from ...chains.body.hypotheses import WORTH_SAYING
-from ...chains.body.relabelling import EXCHANGED_PARTS
+from ...chains.body.hand_labelling import EXCHANGED_PARTS, HandLabels, hand_labels
+from ...chains.body.samples import WORTH_SAYING
 from ...models.body.upper_body import JOINTS, PARTS
 from ..runs.row_log import RowLog
 from ..view.film import Film, Row

@@ -21,7 +21,7 @@ from rsmcm.apps.runs import loop
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.chains.body import start as body_start
 from rsmcm.chains.body.hand_labelling import HandLabels
-from rsmcm.chains.body.hypotheses import HANDS, Hypotheses
+from rsmcm.chains.body.samples import HANDS, Hypotheses
 from rsmcm.chains.body.start import SavedPerson, start_from_faces, start_from_head
 from rsmcm.models import Frame
 from rsmcm.models.body.parts import HEAD_OF_BOX

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.body.hypotheses import ENOUGH, MOST, WORTH_SAYING, Hypotheses, hypotheses
-from rsmcm.chains.body.samples import BodySamples
+from rsmcm.chains.body.samples import ENOUGH, MOST, WORTH_SAYING, BodySamples, Hypotheses, hypotheses
 from rsmcm.models.body.upper_body import BodyPoses, UpperBody
 
 from ...support.body_poses import resting

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import BodyDynamics
-from rsmcm.chains.body.relabelling import ELBOWS, HANDS, ROWS, SHOULDERS, relabelled, with_names_exchanged
+from rsmcm.chains.body.hand_labelling import ELBOWS, HANDS, ROWS, SHOULDERS, relabelled, with_names_exchanged
 from rsmcm.chains.body.samples import BodySamples, moments
 from rsmcm.models.body.upper_body import UpperBody
 
