@@ -179,11 +179,7 @@ class ArticulatedPose:
         return self.dynamics or BodyDynamics(self.body)
 
     def _mixtures(self, message: PartMessage, seen: GaussianMixtures, state: BodySamples) -> GaussianMixtures:
-        """What parts are drawn from: all that is said, and now and then only what the image says.
-
-        Other chains may be mistaken; a part that they do not expect where it is must be drawn to be found.
-        What was not detected is where it is predicted to be.
-        """
+        """What parts are drawn from: all that is said, now and then the image alone (others may be wrong)."""
         means, covariances = weighted_moments(self.body.parts(state.poses), state.weights)
         covariances += LEAST_SPREAD**2 * np.eye(2)
         area = np.log(float(state.size[0]) * state.size[1])

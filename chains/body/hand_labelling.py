@@ -208,8 +208,7 @@ def _sure(exchanged: Mask, probabilities: Array) -> Mask:
 def _with_any_arms(
     body: UpperBody, poses: BodyPoses, swap: bool, random: np.random.Generator, *, deep: bool = False
 ) -> BodyPoses:
-    """Those of the poses that are possible, in random order, when hands are where they are in the picture, or
-    where the other one is, with elbows anywhere, and as deep as they are or anywhere as well."""
+    """Possible ones of the poses, shuffled, with hands in place or swapped, elbows (and depths) anywhere."""
     n, joints = len(poses), body.joints(poses)
     arms, within = np.empty_like(poses.arms), np.ones(n, np.bool_)
     for side in (0, 1):

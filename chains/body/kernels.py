@@ -302,10 +302,7 @@ def _before(edge, spread):
 
 @inlined
 def _in_strip(right, below, arm, half, spread):
-    """Share of a Gaussian window that an arm covers, `half` px wide to each side.
-
-    `right` and `below`: the window's centre from the arm's beginning; `arm`: its direction and length.
-    """
+    """Share that an arm (direction, length) covers of a window `right` and `below` of its beginning."""
     along, off = right * arm[0] + below * arm[1], below * arm[0] - right * arm[1]
     covered = _before(arm[2] - along, spread) - _before(-along, spread)
     return covered * (_before(half - off, spread) - _before(-half - off, spread))
@@ -667,10 +664,7 @@ def _put_capsule(shapes, part, bounds, start, extent, first, last):
 
 @inlined
 def _put_torso(shapes, bounds, axes, depth, x, y, chin, torso, least):
-    """A torso whose plane is `depth` behind the root `(x, y)` and has these `axes`, with its neck.
-
-    The neck goes with the head, which is there already; the chin, `chin` before its middle, is before it.
-    """
+    """A torso whose plane is `depth` behind the root `(x, y)`, with its neck, which goes with the head."""
     right, down, away = axes
     cx, cy, cz = x + depth * away[0], y + depth * away[1], depth * away[2]
     scale = 1 / max(right[0] * down[1] - right[1] * down[0], _EDGE_ON)

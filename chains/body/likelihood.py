@@ -253,13 +253,7 @@ class ImageLikelihood:
         return terms
 
     def _inner_terms(self, poses: BodyPoses) -> Array:
-        """All terms but the outline's, which takes several times as long.
-
-        The face's is the image's mixture at the pose's head; where that says nothing, `head_terms` of skin
-        stands in for it, which is there also when the head is turned away. Hands count with `hand_terms`,
-        skin that looks like one more hand with `blob_terms`, bare forearms with `forearm_terms`, points of a
-        detector with `SeenKeypoints.log_ratios`, the colours along the arms with `arm_terms`.
-        """
+        """All terms but the outline's; where no face is found, its skin stands in for it."""
         body, image = self.body, self.image
         joints = body.joints(poses)[:, :, :2]
         parts = joints[:, [0, 4, 7]]

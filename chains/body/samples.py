@@ -1,4 +1,4 @@
-"""Weighted samples of an upper body's pose, the state of chains that track one, and the answers they come to."""
+"""Weighted samples of an upper body's pose, the state of chains that track one, and what they come to."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

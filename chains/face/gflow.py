@@ -422,11 +422,7 @@ class GFlow(PickledByFields):
     def _judged(
         self, state: GFlowState, seen: Sight, pyramid: list[Level], image: NDArray[np.uint8]
     ) -> tuple[Sight, GFlowState]:
-        """The state after a picture in which the object was followed, which may be somewhere else.
-
-        An object that fits no longer may have jumped: it is searched for as if it were lost, and believed
-        where it is found.
-        """
+        """After a picture in which the object was followed; it is searched for if it fits no longer."""
         trust, elapsed = state.trust, state.elapsed
         low = seen.fit < trust.least_fit
         if not self.recover:
@@ -448,13 +444,8 @@ class GFlow(PickledByFields):
     def _sought(
         self, state: GFlowState, pyramid: list[Level], image: NDArray[np.uint8]
     ) -> tuple[Sight, GFlowState]:
-        """The state after a picture in which a lost object was searched for by its texture and the finder.
-
-        Where the finder has it and its texture explains too little, it is tried with a new one.
-        """
-        trust = state.trust
-        best = int(state.log_weights.argmax())
-        places = None
+        """The state after a picture in which a lost object was searched for by texture and finder."""
+        trust, best, places = state.trust, int(state.log_weights.argmax()), None
         if self.finder is not None:
             places = self.finder.find(image, state.trusted[best], trust.searches)
         seen = self._seen(state, *self._relocated(state, pyramid, places), pyramid)

@@ -134,8 +134,7 @@ def _checked(landmarks: Array) -> tuple[Array, NDArray[np.bool_]]:
 def _rigid_poses(points: MorphableModel, landmarks: Array, seen: NDArray[np.bool_], noise: float) -> Poses:
     """Poses of the typical shape: the best that Gauss-Newton finds from three closed forms.
 
-    They are the scaled rotation nearest to the affine camera that fits best, the same seen with depth turned
-    round (which of them is right is told by the depth of the points alone), and an unturned one.
+    They are the rotation nearest to the best affine camera, its mirror image in depth, and an unturned one.
     """
     typical = type(points)(points.bases[:1], points.triangles)
     shape = np.append(typical.bases[0], np.ones((points.n_vertices, 1)), axis=1)
@@ -171,10 +170,7 @@ def _rigid_poses(points: MorphableModel, landmarks: Array, seen: NDArray[np.bool
 def _peak(
     points: MorphableModel, landmarks: Array, seen: NDArray[np.bool_], poses: Poses, noise: float
 ) -> tuple[Poses, Array]:
-    """The poses nearby of the highest posterior density, and their costs (twice its negative logarithm).
-
-    Levenberg and Marquardt's steps in units of rad and of the first size, so that all columns are alike.
-    """
+    """The likeliest poses nearby, by Levenberg and Marquardt's steps, and their costs, -2 log p."""
     units = np.ones((len(poses), poses.dimension))
     units[:, 3:] = poses.sizes[:, None]
     sigma = noise * poses.sizes  # px; held, or it would reward large objects

@@ -236,9 +236,5 @@ def edge_distances(image: NDArray[np.uint8], reach: float) -> tuple[NDArray[np.f
 
 
 def _off_ties(threshold: float) -> float:
-    """A threshold that no gradient equals: their squares are whole numbers.
-
-    `threshold` comes from the image, so some pixels have just that gradient. OpenCV finds edges with its own
-    code on several threads and with IPP's on one, and these two do not agree about such pixels.
-    """
+    """A threshold that no gradient equals (squares are whole): about ties OpenCV's two codes differ."""
     return float(np.sqrt(np.floor(threshold**2) + 0.5))

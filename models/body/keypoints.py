@@ -146,9 +146,7 @@ class SeenKeypoints:
 
     @property
     def _exchanged(self) -> float:
-        """Probability that hands are exchanged, by the order of the shoulders: who is seen from the front
-        has the left one on the right.
-        """
+        """Probability that hands are exchanged, by the order of the shoulders in the picture."""
         _, arms, all_of_it = EXCHANGED
         left, right = (KEYPOINTS.index(f"{side}_shoulder") for side in ("left", "right"))
         if self.probabilities[left] > 0 and self.probabilities[right] > 0:

@@ -158,13 +158,7 @@ class YuNetFaces:
         return type(self), (self.path,)  # networks cannot be copied
 
     def __call__(self, frame: Frame) -> Array:
-        """Boxes `(k, 4)` px, the surest first.
-
-        Raises
-        ------
-        ValueError
-            if the model turns out to be another network's.
-        """
+        """Boxes `(k, 4)` px, the surest first. Raises `ValueError` if the model is another network's."""
         if frame.image is None:
             return np.zeros((0, 4))
         image = cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR) if frame.image.ndim == 2 else frame.image

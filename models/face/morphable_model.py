@@ -162,10 +162,7 @@ class SurfacePoints:
 
 
 def _seen_at(places: Array, corners: Array) -> tuple[NDArray[np.int64], Array]:
-    """The triangle of each place, and weights of its corners: front-most under it, or else the nearest.
-
-    `places` `(n, 2)`; `corners` `(n_triangles, 3, 3)` as seen.
-    """
+    """The triangle of each place, and weights of its corners: front-most under it, or else the nearest."""
     weights = _nearest_weights(places, corners[..., :2])
     found = np.einsum("nta,tac->ntc", weights, corners)
     distance = np.linalg.norm(places[:, None] - found[..., :2], axis=2)
