@@ -27,10 +27,7 @@ CANDIDATES, LOOKED_AT = 10, 4
 
 FIRST = 10_000  # poses that are drawn in the first frame, at least: nothing is known of the arms
 IMAGE_ONLY = 0.4  # share of a part's draws, of poses without a past, for which other chains are not asked
-
-PREDICTED = 0.3
-"""Share of the hands that are drawn where other chains expect them; others are drawn where they are seen."""
-
+PREDICTED = 0.3  # share of the hands drawn where other chains expect them, not where they are seen
 GROUPS = 4  # Gaussians by which each part is predicted
 
 

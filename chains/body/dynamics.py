@@ -24,16 +24,10 @@ CROSSED, CROSSED_TIME = 37.5, 0.1
 """Nats a second by which it grows less probable that hands are on the other's side by a head's height, and s
 after which it does no more: hands change places seldom and not for long."""
 
-LEAST_FLOOR = 1e-15
-"""Of an arm's density by its peak: the product of two is still a number of single precision."""
-
-LEAST_EXPONENT = -700.0
-"""Of which the exponential is still a number: without jumps, an arm's density has this floor."""
-
+LEAST_FLOOR = 1e-15  # of an arm's density by its peak: two of them are still a number of single precision
+LEAST_EXPONENT = -700.0  # whose exponential is a number: without jumps, an arm's density has this floor
 LEAST_COSINE = 1e-3  # mean cosine to where a direction was, below which it is as good as anywhere
-
-MOST_JUMPS = 1 - 1e-6
-"""Chance of a jump in however long a time: densities are relative to those of arms that have not jumped."""
+MOST_JUMPS = 1 - 1e-6  # chance in however long a time: densities are relative to arms that have not jumped
 
 
 @short_repr

@@ -34,15 +34,10 @@ from .tempering import LogDensity, perturbed
 Array = NDArray[np.float64]
 State = TypeVar("State")
 
-SCALES = np.array([0.1, 0.3, 0.7, 1.2])
-"""Sizes of an arm's move away from where it is in the next frame, over those of the dynamics."""
-
+SCALES = np.array([0.1, 0.3, 0.7, 1.2])  # of an arm's move from the next frame's, over the dynamics'
 CENTRES = 64  # poses of the filter about whose arms others are drawn
 BREADTH = 0.5  # how far from these, over what the dynamics move it
-
-NEXT = 0.3
-"""Share of arms that are drawn near the next frame's: so where a hand was found goes back to where it was
-lost."""
+NEXT = 0.3  # share of arms drawn near the next frame's: so a found hand goes back to where it was lost
 
 LEAST_DENSITY, IMPOSSIBLE = 1e-30, -1e300
 """Of an arm that is drawn; nats of a pose that joints do not allow, which any other replaces."""
@@ -383,8 +378,7 @@ def thinned(samples: BodySamples, n: int, random: np.random.Generator) -> BodySa
     )
 
 
-FILM_LAG = 25
-"""Frames that are heard before one is answered: of a second ago, or more, nothing else is remembered."""
+FILM_LAG = 25  # frames that are heard before one is answered: a second and more
 
 
 class PartFilter(Chain[State], Protocol[State]):

@@ -270,8 +270,7 @@ class FleshTracks:
         return replace(best, log_weights=sums[again] - log_sums(sums))
 
 
-HANDS_BELOW = 0.25
-"""Of an arm's length: how far below the shoulder the middle of the places is where a hand may be."""
+HANDS_BELOW = 0.25  # of an arm's length: how far below the shoulder hands are in the middle
 
 
 def anywhere(

@@ -34,9 +34,7 @@ from .flesh_state import HANDS, HEAD, Clutter, ClutterMatch, FleshTracks, anywhe
 
 Array = NDArray[np.float64]
 
-EXCHANGE_TIME = 60.0
-"""s, time constant with which it is forgotten which hand is which: they may be exchanged unnoticed."""
-
+EXCHANGE_TIME = 60.0  # s, time constant with which it is forgotten which hand is which
 MOST_TRUST = 0.8  # however long it goes well, the tracker may be wrong about a part, as others are told
 LEAST_PROBABILITY = 1e-6  # that a part is where it should be, or that it is not
 HIDDEN_TIME = 0.28  # s for which a part is hidden on average
@@ -47,9 +45,7 @@ JITTER = 0.5
 """Hand radii: standard deviation with which clutter is found again. It is about that of a place at which a
 hand is expected, or else a hand that rests would be clutter."""
 
-BESIDE, ABOUT = 2.0, 0.6
-"""Other things that one hand or face shows as, and their standard deviation about it in hand radii."""
-
+BESIDE, ABOUT = 2.0, 0.6  # other things that a hand or face shows as; their deviation about it, hand radii
 TOUCHING = 0.8  # hand radii: two places that are closer are one hand
 WITHIN = 0.5  # hand radii: standard deviation, at least, of a part in a thing that it shares with another one
 FACE_RADIUS = 0.42  # head heights: standard deviation of the window in which a face hides a hand

@@ -60,13 +60,8 @@ SURE = 0.99
 """Probability that has to be reached somewhere in a stretch before its names are exchanged: what a filter
 says is the better answer until then, since it has weighed more than arms."""
 
-MOST_DOUBT = 0.3
-"""Share of poses with exchanged names, at most, where that is not sure: the other answer is said, and the
-first one stays what it is."""
-
-APART, TOGETHER = 0.01, 0.3
-"""Exchanges in one second by mistake, of hands that are apart, and of hands that could be confused."""
-
+MOST_DOUBT = 0.3  # most share of poses with exchanged names where that is not sure
+APART, TOGETHER = 0.01, 0.3  # exchanges in a second by mistake, of hands apart and of confusable ones
 MISTAKEN = 0.05  # probability that a filter has begun with the wrong names: it has weighed both
 NEAR = 3.0  # hand radii: hands that are so near could be confused
 

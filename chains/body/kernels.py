@@ -602,10 +602,7 @@ N_PARTS = 8
 
 NUMBERS = 13  # at most so many describe the place of a part
 ROW = 5  # numbers of each point of an outline: x, y, depth, the normal's x and y
-
-_EDGE_ON = 0.1
-"""Cosine to which a torso is turned away at most as far as its picture goes, so that it has an inverse."""
-
+_EDGE_ON = 0.1  # cosine to which a torso's picture turns away at most, so that it has an inverse
 FAR = _f4(1e9)  # depth where a part is not
 
 

@@ -44,9 +44,7 @@ N_POINTS = (
 """Of a whole outline."""
 
 _HEAD_DEPTH = 0.85  # depth of a head over its height
-
-_RIM = np.float32(0.06)
-"""Share of a part's squared radius that hides nothing, so that ends that touch do not hide each other."""
+_RIM = np.float32(0.06)  # share of a part's squared radius that hides nothing: ends may touch
 
 
 @lru_cache(maxsize=8)
@@ -132,24 +130,15 @@ thirds of it: otherwise hands that are hidden would be drawn to their wrists."""
 
 WORTH_THREADS = 300  # poses from which several threads are faster than one
 LEVELS = 256  # entries of tables over distances and directions
-
-HEAD_WINDOWS = (0.5, 1.2)
-"""Half widths and heights of the head: standard deviations of the windows for its skin."""
+HEAD_WINDOWS = (0.5, 1.2)  # half widths and heights of the head: deviations of the windows for its skin
 
 HEAD_SCORES = (5.0, 0.2)
 """Nats of a place with all the skin of a head, where no face is detected; probability of a head without."""
 
-NECK_RADIUS, NO_NECK = 0.28, -9.0
-"""Head heights: of bare skin between head and shoulders; of none, since all that rests is left out."""
-
+NECK_RADIUS, NO_NECK = 0.28, -9.0  # head heights: of bare skin above the shoulders; of none
 BLOB_COST = 4.0  # Nats: of what looks like a hand and is neither hand nor head
-
-BLOB_REACH = (0.6, 0.35, 0.35, 0.25)
-"""Head heights: within which head, hands and bare forearms explain a blob."""
-
-EDGE_SPREAD = 0.05
-"""Head heights: standard deviation of an edge about the outline of a body that is only nearly right."""
-
+BLOB_REACH = (0.6, 0.35, 0.35, 0.25)  # head heights: within which parts and bare forearms explain a blob
+EDGE_SPREAD = 0.05  # head heights: standard deviation of an edge about the outline of a nearly right body
 EDGE_WINDOW = 0.5  # head heights: standard deviation of the window in which an image's own edges are counted
 COUNTED = 5.0  # entries of the map of these counts in that length
 
@@ -157,10 +146,7 @@ LEAST_EDGES, LEAST_ALIKE = 0.2, 0.25
 """Share of places near an edge that is assumed at least; share of edges of one direction, of an even one."""
 
 EDGE_SHARPNESS = 4.0  # concentration (von Mises) of twice the angle between an edge and the outline
-
-EDGE_DIRECTIONS = np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)])
-"""The same, and what the density is divided by."""
-
+EDGE_DIRECTIONS = np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)])  # that, and the density's divisor
 NO_EDGE = 0.4  # probability that a point of the outline shows no edge of its own
 EDGE_POINTS = 20.0  # independent points of a whole outline: neighbours on it err together
 

@@ -112,10 +112,7 @@ def draw_mixture(mixtures: GaussianMixtures, part: int, n: int, random: np.rando
 
 
 GUIDED = 0.35  # share of the poses of which a hand is drawn where it is seen
-
-ANYWHERE = 0.2
-"""Share of these whose depth and swivel are drawn without regard to the past, which may be wrong of them."""
-
+ANYWHERE = 0.2  # share of these whose depth and swivel are drawn without the past, which may be wrong
 FARAWAY = 1e-3  # how readily a pose is chosen whose hand is far away, over one whose hand is there: arms jump
 HANDS = (4, 7)  # of `models.body.upper_body.JOINTS`
 
@@ -313,8 +310,7 @@ def _chosen(
     return chosen, np.repeat(np.append(np.arange(len(shares)), -1), counts)
 
 
-ANEW = 0.1
-"""Least share of candidates that do not ask the past: who comes back elsewhere must be drawn to be found."""
+ANEW = 0.1  # least share of candidates without a past: who comes back elsewhere must be drawn to be found
 
 
 @dataclass(frozen=True, eq=False)

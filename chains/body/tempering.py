@@ -62,11 +62,7 @@ LogDensity = Callable[[BodyPoses], Array]
 KEPT = 0.3  # effective share of the samples that a step of tempering leaves
 MOST_STEPS = 3  # of tempering; the last one goes all the way
 MOVES = 4  # Metropolis moves of every sample after each step
-
-SCALES = (0.1, 0.25, 0.6, 1.2)
-"""Sizes of moves over those of the dynamics in the time of one frame: any of them, since peaks are as narrow
-as the image makes them."""
-
+SCALES = (0.1, 0.25, 0.6, 1.2)  # of moves over the dynamics' in a frame: peaks may be narrow
 A_FRAME = 0.04  # s
 
 BLOCKS = 6

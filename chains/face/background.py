@@ -38,16 +38,9 @@ Array = NDArray[np.float64]
 Map = NDArray[np.float32]
 
 TRUST_TIME = 0.3  # s in which the trust in a pixel's background follows whether its prediction came true
-
-UNSEEN = -1.0
-"""Trust in the background of a pixel that the object has hidden from the beginning; as good as none."""
-
-LOUDEST = 3.0
-"""Nats of a pixel for or against an edge: with more on one side, the edge would be found off to the other."""
-
-INDEPENDENT = 0.3
-"""Share of them that counts: pixels side by side are alike, and all of them err together where an object has
-the tones of what is behind it."""
+UNSEEN = -1.0  # trust in the background of a pixel hidden from the beginning; as good as none
+LOUDEST = 3.0  # nats of a pixel for or against an edge: else the edge would be found off to one side
+INDEPENDENT = 0.3  # share of them that counts: neighbours are alike, and err together
 
 N_GREYS = 256.0
 
@@ -285,9 +278,7 @@ def _noise(elapsed: float) -> kernels.MapNoise:
 
 MARGIN = 4  # px about the object in which its model may be wrong, and nothing is learned of the background
 LEAST_SHARE = 1e-3  # weight of the experts who say that a pixel is covered, from which on it may be
-
-STRENGTH = 100.0
-"""How much likelier the object is to be where it is followed than something that nobody knows."""
+STRENGTH = 100.0  # how much likelier the object is where it is followed than something unknown
 
 
 @dataclass(frozen=True, eq=False)

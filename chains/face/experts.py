@@ -20,8 +20,7 @@ from .texture_likelihood import NO_MAP, TextureLikelihood
 
 Array = NDArray[np.float64]
 
-LONGEST_STEP = (2.0, 4.0, 8.0)
-"""px of the picture that a vertex may move in one step, by level, for an object of `REFERENCE_SIZE`."""
+LONGEST_STEP = (2.0, 4.0, 8.0)  # px that a vertex may move in a step, by level, for `REFERENCE_SIZE`
 RELATIVE_ROUNDING = 1e-6
 SHORTEST_STEP = 0.03  # px: shorter steps end the search on a level
 REFERENCE_SIZE = 40.0

@@ -14,9 +14,7 @@ _BATCH = 256  # frames fitted at once, which bounds the memory of their Jacobian
 _MOST_STEPS = 60
 
 _SMALL_STEP = 1e-6  # step (rad, and share of the object's size) at which a fit is finished
-
-_DEPTH_DOUBT = 0.05
-"""How far a point may be from where the typical shape has it, in units of c_1, at the start."""
+_DEPTH_DOUBT = 0.05  # how far a point may be off the typical shape at the start, in units of c_1
 
 
 def fit_landmarks(

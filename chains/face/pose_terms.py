@@ -218,5 +218,4 @@ class Silhouette:
         return PointTerms(np.ascontiguousarray(bases), targets, information)
 
 
-PoseEvidence = PointTerms | Silhouette
-"""What else is known of poses, of which terms can be made about any."""
+PoseEvidence = PointTerms | Silhouette  # what else is known of poses, of which terms can be made about any

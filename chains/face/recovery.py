@@ -84,10 +84,7 @@ def rolls(poses: Poses) -> Array:
 
 
 WIDTH_OF_FACE = 0.85  # of a detector's box: what lies between the ears, which a model of a face spans
-
-FACE = 52.0
-"""px: width of a face's box in the pictures that a detector is given: twice what cascades were trained at."""
-
+FACE = 52.0  # px: width of a face in pictures given to a detector: twice what cascades were trained at
 AROUND = 2.0  # side of the picture about a pose, in widths of the face's box
 OFF = 0.2  # how far the middle of a box may be from that of a face which it confirms, in its widths
 TRIED_SIZES = 0.7, 1.45  # of a box that confirms a face, in its widths
@@ -213,9 +210,7 @@ def poses_in_boxes(model: MorphableModel, boxes: Array) -> Poses:
 
 
 LEAST_SHARE = 0.5  # of the usual fit, below which the object is doubted
-
-RETURN_SHARE = 0.75
-"""The same for an object that was lost and is found elsewhere: chance has had many places to try."""
+RETURN_SHARE = 0.75  # the same for a lost object found elsewhere: chance has had many places to try
 
 CHANCE, CHANCE_ANYWHERE = 0.2, 0.4
 """Fits below which they are doubted whatever is usual. In films of other things, the texture of a face

@@ -72,17 +72,13 @@ UNKNOWN_VARIANCE = 60.0**2  # squared grey levels: of a texel that has never bee
 MEMORY = 1.0  # s over which the square of innovations is averaged, where gains are learned
 PACE = 15.0  # change of a gain's log odds in that time, at full correlation of large innovations
 SMALL = 36.0  # squared grey levels: innovations whose square is well below it say little of the gain
-
-MISPLACED = 3.0
-"""Squared grey levels: persistent innovations of this product come from texels that are seen a little off."""
-
+MISPLACED = 3.0  # squared grey levels: product of successive innovations of texels seen a little off
 GAIN_LIMITS = (-6.0, 6.0)  # log odds between which a learned gain stays
 
 FIRST_GAIN = 0.05
 
 RETURN = 0.3  # s in which what sets a texel apart from its lasting texture decays to 1/e
-LEAST_INSIDE = 0.4
-"""Share of the visible texels that has to lie in the picture, if a texture is to explain it."""
+LEAST_INSIDE = 0.4  # share of the visible texels that must lie in the picture for a texture to explain it
 
 
 @short_repr

@@ -24,9 +24,7 @@ MIDDLE_GREY = 128.0
 DARKEST = 5.0  # grey levels added to the local mean, so that black regions do not blow up sensor noise
 FINE_LIGHT_REACH = 0.1  # standard deviation of the local mean on the finest level, in sizes of the object
 COARSE_LIGHT_REACH = 0.25  # the same on the others, whose textures are wider than the finest one's reach
-
-SMOOTHING = (0.0175, 0.05, 0.125)
-"""Standard deviation of the smoothing of each level, in sizes of the object, fine to coarse."""
+SMOOTHING = (0.0175, 0.05, 0.125)  # standard deviations by level, fine to coarse, in sizes of the object
 
 
 class Level(NamedTuple):

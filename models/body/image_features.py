@@ -35,10 +35,7 @@ level. On 16 frames of a real signer, hands had 0.6 and clutter -0.6 on average,
 
 OF_HEAD = 0.3  # as much does the head's skin count when a hand's middle is worked out
 HIDDEN_BY_HEAD = 6.0  # Nats: the face has such places of its own, and a hand in front of it adds no skin
-
-ONE_HAND = 0.9
-"""Radii^2 times pi, under a Gaussian window of one radius: more skin than one hand shows (0.55 to 0.8)."""
-
+ONE_HAND = 0.9  # pi radii^2 in a Gaussian window of one radius: more skin than a hand's 0.55 to 0.8
 HALF_APART = 0.55  # Radii: half the distance of the two hands that such a place may be
 
 SPREAD, ELONGATION = 0.2, 0.15

@@ -27,23 +27,18 @@ FROM_ELBOW, WITHOUT_ELBOW = 0.22, 0.28
 """Head heights: standard deviations of a hand's centre of which the wrist is known, with the elbow and
 without: a wrist that is bent by half a rad takes the hand 0.15 off, one that points anywhere by 0.2."""
 
-SURE = 0.9
-"""Probability that a point is where a detector says that is wholly sure: errors of a network last for many
-frames, and speak anew in each."""
+SURE = 0.9  # probability that a wholly sure point is right: a network's errors last for many frames
 
 EXCHANGED = (0.95, 0.03, 0.02)
 """Probability that sides are told rightly, that arms are exchanged below the shoulders, and that all are."""
 
 SOMEBODY_ELSE = 0.05  # probability that all points are another person's
-
-AROUND = 4.0
-"""Head heights: side of the square in which false points are, since they are mostly of the same person."""
+AROUND = 4.0  # head heights: side of the square of false points, which are mostly the same person's
 
 KEPT = (("shoulder", "elbow", "hand", "wrist"), ("shoulder",), ())
 """Kinds of points whose sides are told rightly, in the order of `EXCHANGED`."""
 
-SAME_THING = 0.3
-"""Head heights: so near to each other a point and a blob of skin, or a face, are the same thing."""
+SAME_THING = 0.3  # head heights: so near to each other a point and a blob of skin, or a face, are one
 
 OTHER = {"left": "right", "right": "left"}
 

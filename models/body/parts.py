@@ -138,9 +138,7 @@ ANYWHERE = 5
 """Of so many frames, faces are sought in the whole picture in one, wherever the head is taken to be: chains
 that follow something else see the person again."""
 
-FACE_FOUND, FALSE_FACES = 0.8, 0.05
-"""Chance that a face is detected, and number of false detections in an image."""
-
+FACE_FOUND, FALSE_FACES = 0.8, 0.05  # chance that a face is detected, and number of false ones in an image
 HEAD_SKIN, FALSE_HEADS = 0.6, 3.0  # the same of a head's blob of skin
 HAND_FOUND, FALSE_HANDS = 0.8, 4.0  # the same of a hand's blob
 COLOURS = ((60, 220, 60), (60, 60, 255), (255, 190, 40))  # BGR, of parts that are drawn

@@ -18,11 +18,7 @@ Image = NDArray[np.uint8]
 Map = NDArray[np.float32]
 
 ALIKE = 1.4  # of two faces of one person, the higher one is at most so many times as high
-
-APART = 2.0
-"""Face heights that a person has moved at most from one picture to the next: of one who moves farther less is
-learned."""
-
+APART = 2.0  # face heights that a person has moved at most from one picture to the next
 SWAY = 0.5  # face heights: standard deviation of faces about the places where they were seen
 
 
@@ -119,9 +115,7 @@ TRUNK = (0.5, 1.0, 2.3)
 """Head heights from the head's centre: half the width of the part of the trunk that is looked at, its upper
 and its lower end. Arms and hands before it do no harm: most of it is clothes."""
 
-ELSEWHERE = (1.3, 0.8)
-"""Head heights: what is further to the side than the first, or higher than the second, is not the trunk."""
-
+ELSEWHERE = (1.3, 0.8)  # head heights: further to the side or higher than this is not the trunk
 SHRINK = 0.5  # the map of a picture is so much smaller
 BLUR = 0.06  # head heights: of the map; a sleeve is three times as broad
 
@@ -172,9 +166,7 @@ IN_SLEEVE, WITH_FOREARM = 0.65, 1.9
 """Discs of a hand's radius: skin that a hand alone shows (0.55 to 0.8), and with a forearm, whose own 1.4
 discs are mostly seen from aslant."""
 
-BETWEEN_PEOPLE, BETWEEN_FRAMES = 0.2, 0.4
-"""Standard deviations of the logs of both: proportions and colour; how an arm is held."""
-
+BETWEEN_PEOPLE, BETWEEN_FRAMES = 0.2, 0.4  # standard deviations of logs: of people, and of frames
 SURE = 0.02  # probabilities that are less than that, or that far from 1, are taken for 0 and 1
 SKIN_FROM = 1.0  # Nats: log odds from which a pixel counts
 HEAD_MARGIN = 1.15  # over the ellipses of head and neck: what is left of their rims is no hand

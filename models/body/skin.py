@@ -19,20 +19,14 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Map = NDArray[np.float32]
 
-BINS = (8, 64, 64)
-"""Of luma and of the two differences of colour: shades of one skin differ in luma first of all."""
+BINS = (8, 64, 64)  # of luma and two differences of colour: shades of one skin differ in luma first of all
 
 N_BINS = int(np.prod(BINS))
 
 SMOOTHING = (0.7, 1.5, 1.5)  # of the histograms, bins: one face has too few pixels for 32,768 of them
-
-FLOOR = 1 / 30
-"""Added to both densities, in units of the uniform one: colours that nobody has seen say nothing."""
-
+FLOOR = 1 / 30  # added to both densities, in units of the uniform one: unseen colours say nothing
 HIGHEST = 4.0  # Nats: as much as one pixel can say for or against skin
-
-LEAST_COLOUR = 4.0
-"""Levels that the colour of one pixel in a hundred has to differ from grey; compression makes 1 to 3."""
+LEAST_COLOUR = 4.0  # levels by which one pixel in a hundred differs from grey; compression makes 1 to 3
 
 FACE_CENTRE, FACE_AXES = 0.52, (0.33, 0.42)
 """In a detector's box: skin without the background beside the chin, and mostly without hair."""

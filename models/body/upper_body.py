@@ -15,8 +15,7 @@ from .kernels import elbows, place_joints, place_parts, reach, within_limits
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-ANGLES = 16
-"""Degrees of freedom: two of the root, three of torso and neck each, three of a shoulder, one of an elbow."""
+ANGLES = 16  # degrees of freedom: 2 of the root, 3 of torso and neck each, 3 of a shoulder, 1 of an elbow
 
 
 @short_repr
@@ -138,9 +137,7 @@ def transport(upper: Array) -> Array:
     return rotations
 
 
-_SPREAD = 0.15
-"""Standard deviation of log lengths of people about the usual proportions (and about a wrong head height)."""
-
+_SPREAD = 0.15  # standard deviation of log lengths of people about the usual proportions
 _NOISE = 0.03  # usual error of a joint along a segment, over the height of the head; known to a factor of two
 _WRONG = 0.05  # share of joints that are somewhere else
 

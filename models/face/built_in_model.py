@@ -15,8 +15,7 @@ from .morphable_model import MorphableModel
 Array = NDArray[np.float64]
 
 HALF_WIDTH, HALF_HEIGHT, DEPTH = 0.78, 1.0, 0.85
-RIM = np.radians(80.0)
-"""Angle between the gaze and the ellipsoid's normal where the surface ends, short of the ears."""
+RIM = np.radians(80.0)  # between the gaze and the normal where the surface ends, short of the ears
 
 # where vertices of the right half of the picture are put, (x, y) in front view; the left half mirrors it
 MIDDLE = {
@@ -79,8 +78,7 @@ RELIEF = np.array(
     ]
 )
 
-SHIELD = np.array([0.42, 0.18, -1.35])
-"""Middle of the right one of two shields before the cheeks, half a half height off the skin."""
+SHIELD = np.array([0.42, 0.18, -1.35])  # middle of the right one of two, half a half height off the cheek
 SHIELD_RADIUS = 0.27
 SHIELD_IN_PLANE, SHIELD_RADIUS_IN_PLANE = np.array([0.93, 1.21]), 0.14  # beyond the rim, in a corner
 

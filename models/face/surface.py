@@ -112,9 +112,7 @@ def _spread_in_triangle(number: NDArray[np.int64]) -> NDArray[np.float64]:
     return weights
 
 
-FACING = 0.3
-"""Least cosine between a triangle's normal and the direction to the viewer at which its texels are used."""
-
+FACING = 0.3  # least cosine between a triangle's normal and the direction to the viewer for texels in use
 _CELLS = 128  # most cells of the z-buffer along the longer side of the object's box
 _LEAST_CELL = 1.0  # px, least side of a cell
 _TOLERANCE = 0.02  # share of the object's depth by which what hides a point is nearer
