@@ -164,9 +164,7 @@ class FleshTracks:
     covariances: Array  # `(H, 3, 4, 4)`, in the same order
     visible: Array  # `(H, 3)`: probability that a part is not hidden just now
     since: Array  # `(H, 3)` s since a part was last confirmed by a detection; infinite before the first time
-    # `(H, 3)` int64: number of the detection in the last picture that a part was, or was hidden by; -1 for
-    # none
-    things: NDArray[np.int64]
+    things: NDArray[np.int64]  # `(H, 3)`: number of the detection that a part was, or was hidden by, or -1
     clutter: Clutter  # what else there is
     elapsed: float = 0.0  # s since the last update
 

@@ -122,9 +122,7 @@ class Guided:
     """Draws of poses."""
 
     poses: BodyPoses  # n of them, all possible; none, if no draw was
-    # `(n,)` of the prediction p(x_t | past): what it says of a pose and its ancestor together, over the
-    # density of their draw; normalised
-    log_weights: Array
+    log_weights: Array  # `(n,)`, normalised: p(x_t | past) of pose and ancestor over their draw's density
     ancestors: NDArray[np.int64]  # `(n,)` int64: of each, the pose of the past that it was drawn from
 
 

@@ -53,15 +53,12 @@ class BackgroundContrast:
     """The background of a frame, one for all experts or one for each."""
 
     box: Box  # of the picture, outside of which nothing is known
-    # `(n_maps, height, width)` float32: nats by which the background explains the pixel better than anything
-    # would, times `trust`
+    # `(n_maps, height, width)` float32: nats for the background against anything, times `trust`
     log_ratio: Map
     trust: Map  # `(n_maps, height, width)` float32, from 0, nothing is known of the background there, to 1
-    # `(n_maps, height, width)` float32: nats by which the background explains the pixel better than the
-    # object's usual tones do, times `trust`, as they count in a row of pixels
+    # the same against the object's usual tones, as they count in a row of pixels
     border: Map
-    # `(height, width)` float32 of the whole picture: log by which a density of the values in which textures
-    # are compared exceeds the uniform one
+    # `(height, width)` float32 of the whole picture: see `units`
     unit: Map
     everywhere: Array  # `(n_maps,)`: sum of `log_ratio` over the whole picture, where there is a map for each
 
@@ -79,8 +76,7 @@ class OccludedBackground:
 
     contrast: BackgroundContrast  # of the frame
     surface: TexturedObject  # the whole mesh with texels, whatever the object's texture is known on
-    # `(n_experts, n_texels)` bool: texels of it that are in front, also those that are seen at a grazing
-    # angle; held while poses change. Empty before `around`.
+    # `(n_experts, n_texels)`: texels in front, if grazing; held while poses change, empty before `around`
     covering: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), np.bool_))
 
     def around(self, poses: Poses) -> "OccludedBackground":

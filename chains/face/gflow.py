@@ -64,14 +64,12 @@ class GFlowState:
     random: np.random.Generator  # source of all draws
     # `(n_experts, dimension, dimension)`: of what each expert believed of its pose, by Laplace's method
     covariance: Array
-    # `(height, width)` float32, from 0 to 1: how well the background of each pixel is known, where another
-    # chain predicts it; `None` without one
+    # `(height, width)`, from 0 to 1: how well the background is known that another chain predicts
     known: NDArray[np.float32] | None = None
     background: ExpertBackground | None = None  # of every expert, where each has its own
     # `(n_experts, dimension)` per second: last change of each expert's pose, where there was one
     motion: Array | None = None
-    # `(n_experts, n_texels)`: texels that the object in the poses does not hide itself; `None` where that has
-    # not been found out
+    # `(n_experts, n_texels)`: texels that the object does not hide itself; `None` where that is not known
     visible: NDArray[np.bool_] | None = None
     # texture of the best expert as it was lost, where an object with a new one is on trial
     remembered: Texture | None = None

@@ -125,8 +125,7 @@ class PosePrior:
 class PointTerms:
     """Points of the surface that are known to be at a place: sum of (x_i - t_i)' I_i (x_i - t_i) / 2."""
 
-    # `(n, n_points, n_bases, 3)`: the points as linear combinations of the morph coefficients, those of each
-    # expert, or one row for all
+    # `(n, n_points, n_bases, 3)`: the points by morph coefficients, of each expert, or one row for all
     bases: Array
     targets: Array  # `(n, n_points, 2)` px
     # `(n, n_points, 3)` 1/px^2: the elements xx, xy and yy of I, all 0 where nothing is known

@@ -36,9 +36,7 @@ class FaceStart:
     # on its surface at the landmarks that are there, which are met exactly in this pose
     points: SurfacePoints
     present: NDArray[np.bool_]  # `(n_landmarks,)` bool: which of the given landmarks these are
-    # px: root mean square distance of the landmarks from the model's points before they were attached; `None`
-    # without landmarks
-    fit_error: float | None
+    fit_error: float | None  # px: root mean square distance of landmarks from the model's points, if any
 
     @property
     def misfit(self) -> str | None:

@@ -169,8 +169,7 @@ stays below twice its median, and soft shades go by steps of one level."""
 class BodyImage:
     """Everything that is asked of an image when poses of a body are compared with it, worked out once."""
 
-    # `(height, width)` float32 nats: log odds of the pixel's colour on skin against anything else, between -4
-    # and 4; `None` where there is no colour to tell from
+    # `(height, width)` float32 nats, from -4 to 4: log odds of skin; `None` without colour
     skin: NDArray[np.float32] | None
     moving_skin: NDArray[np.float32] | None  # the same less what is skin all the time: for hands
     # `(height, width)` float32 px: distance to the nearest edge, capped at a sixth of the head's height
@@ -179,15 +178,12 @@ class BodyImage:
     edge_directions: NDArray[np.float32]
     # `(m, 2)` px: centres of places with as much skin as a hand shows, the strongest first
     blobs: NDArray[np.float64]
-    # `(m,)`: log of the probability ratio that the blob is some given hand against clutter, up to one
-    # constant
-    blob_log_weights: NDArray[np.float64]
+    blob_log_weights: NDArray[np.float64]  # `(m,)`: log odds of a hand against clutter, up to a constant
     # the evidence phi(I, F) of head and hands that faces, blobs and keypoints give
     mixtures: GaussianMixtures
     keypoints: SeenKeypoints | None = None  # points of this body that a detector has found, if there are any
     bare: float = 0.0  # probability that forearms are bare
-    # nats: log odds that a pixel's colour is that of an arm, half as large as the image; `None` where
-    # clothes' colours are not known
+    # nats: log odds of an arm's colour, half as large as the image; `None` where clothes are not known
     arms: NDArray[np.float32] | None = None
     _made: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 

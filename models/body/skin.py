@@ -40,8 +40,7 @@ BLUR = 0.8  # px: single pixels' noise is no colour
 class SkinColour:
     """How much more often colours are seen in a face than elsewhere."""
 
-    # `(8, 64, 64)` float32 nats, over bins of Y, Cr and Cb: log of a colour's density in the face over its
-    # density in the rest of the images, between -4 and 4
+    # `(8, 64, 64)` float32 nats, from -4 to 4, by Y, Cr, Cb: log of a colour's density in faces over others
     table: NDArray[np.float32]
 
     @classmethod

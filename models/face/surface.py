@@ -31,9 +31,7 @@ class SurfaceTexels:
     first: NDArray[np.int32]
     weights: NDArray[np.float32]  # `(n_texels, 3)` float32, barycentric; (1, 0, 0) in a patch
     offsets: NDArray[np.float32]  # `(n_texels, 2)` float32 px in the picture; zero in a mesh
-    # `(n_groups,)` float32 px squared that a texel of the group stands for; 0 in a mesh, where it is the
-    # triangle's projected area by the number of its texels
-    areas: NDArray[np.float32]
+    areas: NDArray[np.float32]  # `(n_groups,)` px squared of each texel; 0 in a mesh: by the triangle's area
 
     def __len__(self) -> int:
         return len(self.weights)
