@@ -183,11 +183,12 @@ def test_faces_are_sought_about_the_head_first(monkeypatch: pytest.MonkeyPatch) 
         known = GaussianMixtures.of_parts(
             [np.zeros(1)] * 3, [np.array([place])] * 3, [25.0 * np.eye(2)[None]] * 3
         )
-        boxes = node._faces(Frame(image, 0.0, number), PartMessage(known))
+        head = node._known_head(PartMessage(known), image.shape)
+        boxes = node._faces(Frame(image, 0.0, number), head)
         np.testing.assert_allclose(boxes, [[279.5, 114.5, 60, 60]])
         assert shown == size
     shown.clear()
-    node._faces(Frame(image, 0.0, 1), node.uniform())
+    node._faces(Frame(image, 0.0, 1), node._known_head(node.uniform(), image.shape))
     assert shown == [(360, 640)], "of a head that nobody knows of"
 
 
