@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
 from . import checkpoint
-from .graph import MultiChain, require_model
+from .graph import MultiChain, as_frame, require_later, require_model
 from .protocols import (
     BatchChain,
     BatchIncoming,
@@ -284,8 +284,7 @@ class Solution:
             return self._slices.trajectories[name]
         if name in self._slices.model.features:
             return [self._slices.belief(name, time) for time in range(len(self.frames))]
-        known = ", ".join([*self._slices.model.chains, *self._slices.model.features])
-        raise KeyError(f"{name}: not part of the model, expected one of {known}")
+        raise self._slices.model.unknown(name)
 
     @overload
     def messages(self, chain: Named | str, feature: FeatureNode[MessageType]) -> Sequence[MessageType]: ...
@@ -486,18 +485,9 @@ class CoordinateAscent:
 def _as_frames(items: Iterable[Frame | NDArray[np.uint8] | None], dt: float) -> Sequence[Frame]:
     if isinstance(items, LazyFrames):
         return items
-    frames = [
-        item
-        if isinstance(item, Frame)
-        else Frame(None if item is None else np.asarray(item), index * dt, index + 1)
-        for index, item in enumerate(items)
-    ]
+    frames = [as_frame(item, index * dt, index + 1) for index, item in enumerate(items)]
     if not frames:
         raise ValueError("frames: got none, expected at least one")
     for before, after in pairwise(frames):
-        if not after.time > before.time:
-            raise ValueError(
-                f"frames: got time {after.time} s at frame {after.number}, "
-                f"expected later than {before.time} s at frame {before.number}"
-            )
+        require_later(after, before.time, before.number)
     return frames

@@ -7,7 +7,10 @@ from pathlib import Path
 from typing import Any, Never, Protocol, Self, TypeVar
 
 import networkx as nx
+import numpy as np
+from numpy.typing import NDArray
 
+from ...models.core.frame import Frame
 from .protocols import (
     BatchChain,
     BatchIncoming,
@@ -210,6 +213,11 @@ class MultiChain:
             f"expected {self.message_kinds[feature].__name__}"
         )
 
+    def unknown(self, name: str) -> KeyError:
+        """The error about a name that is neither a chain's nor a feature's."""
+        known = ", ".join([*self.chains, *self.features])
+        return KeyError(f"{name}: not part of the model, expected one of {known}")
+
     def check_complete(self) -> None:
         """Raise a `ValueError` unless every chain is connected to what it cannot do without."""
         for name, chain in self.chains.items():
@@ -321,3 +329,19 @@ def require_model(model: object) -> None:
         )
     if not model.chains:
         raise ValueError("model: got no chain, expected at least one")
+
+
+def as_frame(item: Frame | NDArray[np.uint8] | None, time: float, number: int) -> Frame:
+    """A frame as it is, or that of a plain image."""
+    return (
+        item if isinstance(item, Frame) else Frame(None if item is None else np.asarray(item), time, number)
+    )
+
+
+def require_later(frame: Frame, time: float, number: int) -> None:
+    """Raise a `ValueError` unless a frame is later than the one before, of this time and number."""
+    if not frame.time > time:
+        raise ValueError(
+            f"frames: got time {frame.time} s at frame {frame.number}, "
+            f"expected later than {time} s at frame {number}"
+        )

@@ -14,7 +14,7 @@ from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.numerics.threads import side_by_side
 from . import checkpoint
-from .graph import IMAGE, MultiChain, Step, require_model
+from .graph import IMAGE, MultiChain, Step, as_frame, require_later, require_model
 from .protocols import (
     BatchIncoming,
     Cavity,
@@ -305,8 +305,7 @@ class Belief:
             return self.state.states[name]
         if name in self._slice.model.features:
             return self._slice.product(name)
-        known = ", ".join([*self._slice.model.chains, *self._slice.model.features])
-        raise KeyError(f"{name}: not part of the model, expected one of {known}")
+        raise self._slice.model.unknown(name)
 
 
 class RecursiveBP:
@@ -361,11 +360,7 @@ class RecursiveBP:
             if a chain gives something that is no message of the feature, or no state.
         """
         shape = state.shape if frame.image is None else frame.image.shape
-        if not frame.time > state.time:
-            raise ValueError(
-                f"frames: got time {frame.time} s at frame {frame.number}, "
-                f"expected later than {state.time} s at frame {state.number}"
-            )
+        require_later(frame, state.time, state.number)
         if state.shape is not None and shape != state.shape:
             raise ValueError(
                 f"frames: got {shape} uint8 at frame {frame.number}, expected {state.shape} uint8"
@@ -422,13 +417,8 @@ class RecursiveBP:
             )
         state = state or RunState()
         for item in frames:
-            if isinstance(item, Frame):
-                frame = item
-            else:
-                image = None if item is None else np.asarray(item)
-                time = state.time + dt if state.time > -inf else 0.0
-                frame = Frame(image, time, state.number + 1)
-            belief = self.step(state, frame)
+            time = state.time + dt if state.time > -inf else 0.0
+            belief = self.step(state, as_frame(item, time, state.number + 1))
             state = belief.state
             yield belief
 
