@@ -85,10 +85,10 @@ class NonrigidStructure:
         """
         identities, positions, weights = observations(incoming_over_time)
         positions[weights == 0] = np.nan
-        found = learn_associated(positions, self.bases, associate=self.associate)
+        shape, point = learn_associated(positions, self.bases, associate=self.associate)
         stated = 1 / float(np.median(weights[weights > 0]))
-        scatter = max(found.shape.noise**2 - stated, 0.0)
-        return Smoothed(NonrigidTrajectory(identities, found.point_of_track, found.shape, scatter))
+        scatter = max(shape.noise**2 - stated, 0.0)
+        return Smoothed(NonrigidTrajectory(identities, point, shape, scatter))
 
     def messages(
         self,

@@ -96,6 +96,10 @@ class State:
     noise: float
     damping: Numbers
 
+    def begun(self, **changes: Numbers) -> Self:
+        """The same with these changes, before the first step."""
+        return replace(self, damping=np.full(len(self.scales), FIRST_DAMPING), **changes)
+
     @property
     def seen_axes(self) -> Numbers:
         """c R: `(n_frames, 2, 3)`, the part of the pose that is seen."""

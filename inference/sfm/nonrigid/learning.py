@@ -121,7 +121,7 @@ def with_modes(tracks: Tracks, state: State, count: int) -> State:
     values, vectors = np.linalg.eigh(displacement.T @ displacement / (share**2 * tracks.n_frames))
     modes = (vectors * np.sqrt(np.maximum(values, 0)))[:, : -count - 1 : -1].T
     bases = np.concatenate([state.bases, modes.reshape(count, -1, 3)])
-    return replace(state, bases=bases, damping=np.full(tracks.n_frames, FIRST_DAMPING))
+    return state.begun(bases=bases)
 
 
 def without_modes(state: State, n_bases: int) -> State:
@@ -129,11 +129,7 @@ def without_modes(state: State, n_bases: int) -> State:
     flat = state.bases[1:].reshape(len(state.bases) - 1, -1)
     order = np.linalg.eigh(flat @ flat.T)[1][:, ::-1]
     modes = np.tensordot(order.T[: n_bases - 1], state.bases[1:], 1)
-    return replace(
-        state,
-        bases=np.concatenate([state.bases[:1], modes]),
-        damping=np.full(len(state.scales), FIRST_DAMPING),
-    )
+    return state.begun(bases=np.concatenate([state.bases[:1], modes]))
 
 
 # --- which way it turns -------------------------------------------------------------------------------------
@@ -156,8 +152,7 @@ def with_smooth_turns(tracks: Tracks, state: State) -> State | None:
     turned_over = _smoothest(likelihoods / DOUBT, rotations) == 1
     if turned_over.all() or not (_angles(*rotations[turned_over].swapaxes(0, 1)) > TURNED_OVER).any():
         return None
-    smooth = chosen_poses(turned_over, mirrored, state)
-    return replace(smooth, damping=np.full(tracks.n_frames, FIRST_DAMPING))
+    return chosen_poses(turned_over, mirrored, state).begun()
 
 
 def _smoothest(likelihoods: Numbers, rotations: Numbers) -> NDArray[np.int64]:
@@ -287,15 +282,6 @@ NEARLY = 0.05  # optima are as good as each other if their noise differs by no m
 RANKS = (6, 9, 15, 24)  # of factorisations whose rotations are tried, beside thrice the numbers of bases
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """The likeliest state, the history of its last climb, and others that are nearly as likely."""
-
-    state: State
-    history: list[float]
-    others: tuple[tuple[float, State], ...]
-
-
 def search(
     tracks: Tracks,
     positions: Numbers,
@@ -304,9 +290,10 @@ def search(
     iterations: int,
     tolerance: float,
     on_iteration: Callable[[], None],
-) -> Found:
+) -> tuple[State, list[float], list[tuple[float, State]]]:
     """Climb from many starts, with more modes than are asked for, and go on with the best.
 
+    Gives the likeliest state, the history of its last climb, and others that are nearly as likely.
     A model with few modes explains finer deformations by turns of the object; the likelihood then prefers
     wrong poses to true ones. Modes that do not pay by the criterion of Hannan and Quinn (1979) are taken
     away at the end. There will be `bases` at least, and the tracks can tell `most` apart.
@@ -326,10 +313,10 @@ def search(
     second = [climbed(state, SECOND_ROUND) for _, state in _best_first(tracks, first)[:KEPT]]
     (likelihood, best), *rest = _best_first(tracks, second)
     nearly = -tracks.count * float(np.log1p(-NEARLY))
-    others = tuple((likelihood - other, state) for other, state in rest if likelihood - other < nearly)
+    others = [(likelihood - other, state) for other, state in rest if likelihood - other < nearly]
     best = _pruned(tracks, best, bases, climbed)
     state, history = run_em(tracks, best, iterations, tolerance, on_iteration)
-    return Found(state, history, others)
+    return state, history, others
 
 
 def _pruned(tracks: Tracks, state: State, bases: int, climbed: Callable[[State, int], State]) -> State:
@@ -441,13 +428,15 @@ def learn_shape(
         raise ValueError("tracks: got points that all lie in one place, expected a shape")
     centred /= unit
     observed = Tracks.of(centred)
-    found = search(observed, centred, bases, most_bases(centred), iterations, tolerance, on_iteration)
-    state = found.state
+    state, history, others = search(
+        observed, centred, bases, most_bases(centred), iterations, tolerance, on_iteration
+    )
     if smooth:
         state, weights = smoothed(observed, state, on_iteration)
     else:
         weights = e_step(state, point_sums(observed, state.bases))
-    return _in_pixels(observed, replace(found, state=state), weights, bases, unit, middles, determined)
+    unlike = [(gap, whole_shapes(observed, other)) for gap, other in others]
+    return _in_pixels(observed, state, weights, history, unlike, bases, unit, middles, determined)
 
 
 def _check(positions: Numbers, bases: int) -> NDArray[np.bool_]:
@@ -484,15 +473,16 @@ def most_bases(positions: Numbers) -> int:
 
 def _in_pixels(
     tracks: Tracks,
-    search: Found,
+    state: State,
     found: WeightPosterior,
+    history: list[float],
+    others: list[tuple[float, Numbers]],
     n_bases: int,
     unit: float,
     middles: Numbers,
     determined: NDArray[np.bool_],
 ) -> NonrigidShape:
     """The result in px and in the axes and order that `NonrigidShape` promises."""
-    state = search.state
     turn = nearest_rotation(state.rotations.mean(axis=0))
     bases, rotations = state.bases @ turn.T, state.rotations @ turn.T
     centroids = bases.mean(axis=1)
@@ -532,13 +522,11 @@ def _in_pixels(
         noise=noise,
         rmse=unit * float(np.sqrt(_squared_error(tracks, state, found) / tracks.count)),
         log_likelihood=float(found.log_likelihood.sum()) - tracks.count * float(np.log(unit)),
-        history=tuple(value - tracks.count * float(np.log(unit)) for value in search.history),
+        history=tuple(value - tracks.count * float(np.log(unit)) for value in history),
         frame_determined=determined,
         frame_covariances=everywhere(frame_covariances(bases, poses, seen, noise)),
         basis_covariances=basis_covariances(bases, poses, weights, spread, seen, noise),
-        rivals=tuple(
-            Rival(gap, shape_error(whole_shapes(tracks, other), shapes)) for gap, other in search.others
-        ),
+        rivals=tuple(Rival(gap, shape_error(other, shapes)) for gap, other in others),
     )
 
 
@@ -630,20 +618,12 @@ SHARP = 0.1  # places are expected to this share of the object's size, or tracks
 ROUNDS = 3
 
 
-@dataclass(frozen=True, eq=False)
-class AssociatedShape:
-    """A shape, and the point `(n_tracks,)` int64 that each track shows; -1 where a track is too short."""
-
-    shape: NonrigidShape
-    point_of_track: Indices
-
-
-def learn_associated(positions: Numbers, bases: int, *, associate: bool) -> AssociatedShape:
+def learn_associated(positions: Numbers, bases: int, *, associate: bool) -> tuple[NonrigidShape, Indices]:
     """Learn a shape from tracks `(n_frames, n_tracks, 2)` px, NaN where not seen.
 
     With `associate`, pairs of tracks that were never seen at once, of which each lies where the shape
-    expects the other and no other one lies nearer, are united, and the shape is learned again. A
-    `ValueError` as of `learn_shape`.
+    expects the other and no other one lies nearer, are united, and the shape is learned again. Also gives
+    the point of each track, -1 where that is too short. A `ValueError` as of `learn_shape`.
     """
     point = _long_enough(positions)
     for _ in range(ROUNDS):
@@ -657,7 +637,7 @@ def learn_associated(positions: Numbers, bases: int, *, associate: bool) -> Asso
         point[point >= 0] = np.unique(point[point >= 0], return_inverse=True)[1]
     else:
         shape = learn_shape(_merged(positions, point), bases)
-    return AssociatedShape(shape, point)
+    return shape, point
 
 
 def _long_enough(positions: Numbers) -> Indices:
