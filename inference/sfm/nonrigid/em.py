@@ -14,9 +14,9 @@ differences of rotations are N(0, s^2 I). Poses then climb the posterior with th
 integrated out, all frames together. Frames that are left out count as none.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from typing import Self
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,13 +126,6 @@ class WeightPosterior:
         """`(n_frames, n_bases)`: with the weight 1 of the mean shape in front."""
         return np.concatenate([np.ones((len(self.mean), 1)), self.mean], axis=1)
 
-    def replaced(self, where: NDArray[np.bool_], other: Self) -> Self:
-        """These, with those of `other` in the frames `where`."""
-        pairs = ((getattr(other, each.name), getattr(self, each.name)) for each in fields(self))
-        return type(self)(
-            *(np.where(where.reshape(-1, *[1] * (new.ndim - 1)), new, old) for new, old in pairs)
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class PointSums:
@@ -198,7 +191,7 @@ def pose_step(state: State, sums: PointSums, found: WeightPosterior) -> tuple[St
     reached = e_step(moved, sums)
     better = reached.log_likelihood >= found.log_likelihood
     stay = replace(state, damping=np.minimum(state.damping * 10, MOST_DAMPING))
-    return chosen_poses(better, moved, stay), found.replaced(better, reached)
+    return chosen_poses(better, moved, stay), chosen(better, reached, found, vars(found))
 
 
 def moved_poses(state: State, step: Numbers) -> State:
@@ -261,30 +254,32 @@ def _uncertain_shape(sums: PointSums, found: WeightPosterior, n_bases: int) -> N
     return summed
 
 
+OfFrames = TypeVar("OfFrames", State, WeightPosterior)
+
+
 def chosen_poses(first: NDArray[np.bool_], one: State, other: State) -> State:
     """The state `other` with the poses of `one` in the frames `first` `(n_frames,)`."""
-    return replace(
-        other,
-        rotations=np.where(first[:, None, None], one.rotations, other.rotations),
-        scales=np.where(first, one.scales, other.scales),
-        translations=np.where(first[:, None], one.translations, other.translations),
-        damping=np.where(first, one.damping, other.damping),
-    )
+    return chosen(first, one, other, ("rotations", "scales", "translations", "damping"))
 
 
-def basis_covariance(state: State) -> Numbers:
-    """Prior covariance `(n_bases, n_bases)` of a point's bases along any axis of space: as they are seen.
+def chosen(first: NDArray[np.bool_], one: OfFrames, other: OfFrames, names: Iterable[str]) -> OfFrames:
+    """`other` with these of the arrays of `one` in the frames `first`."""
+
+    def mixed(name: str) -> Numbers:
+        new, old = getattr(one, name), getattr(other, name)
+        return np.where(first.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+    return replace(other, **{name: mixed(name) for name in names})
+
+
+def basis_covariance(bases: Numbers, axes: Numbers) -> Numbers:
+    """Prior covariance `(n_bases, n_bases)` of a point's bases along any axis: as seen by `(n_frames, 2, 3)`.
 
     Where an object hardly turns, its likelihood grows with its depth: whatever does not fit the model is
     best explained by deep shapes that turn by a trifle. The prior says that a basis is about as deep as it
     is wide; it is taken to the power `ALIKE`, since successive frames err alike. The mean is independent of
     the modes.
     """
-    return basis_covariance_of_axes(state.bases, state.seen_axes)
-
-
-def basis_covariance_of_axes(bases: Numbers, axes: Numbers) -> Numbers:
-    """The same for bases that are seen by `axes` `(n_frames, 2, 3)`."""
     seen = np.matmul(axes.transpose(0, 2, 1), axes).mean(axis=0)
     scale = np.trace(seen) / 2
     n_points = bases.shape[1]
@@ -349,7 +344,7 @@ def run_em(
     Extrapolated from the last iterations (Anderson); what lowers the likelihood is taken back. Also returns
     the log likelihood with the prior before each iteration that counts, which never falls.
     """
-    covariance = basis_covariance(state)
+    covariance = basis_covariance(state.bases, state.seen_axes)
     acceleration = Anderson()
     plain, extrapolated = state, False
     history: list[float] = []
@@ -412,7 +407,7 @@ WINDOW = 200  # frames from which the spread of turns is learned; its posterior 
 def smoothed(tracks: Tracks, state: State, on_iteration: Callable[[], None]) -> tuple[State, WeightPosterior]:
     """The state and its weights after EM with the prior of smoothness; frames' own log likelihoods."""
     correlations, spread = np.zeros(len(state.bases) - 1), None
-    prior, damping = basis_covariance(state), DAMPING.first
+    prior, damping = basis_covariance(state.bases, state.seen_axes), DAMPING.first
     for _ in range(ITERATIONS):
         sums = point_sums(tracks, state.bases)
         found = smooth_weights(state, sums, correlations)[0]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ....models.core.short_repr import short_repr
 from ....models.face.morphable_model import RIGID, MorphableModel, Poses
-from .em import ALIKE, basis_covariance_of_axes
+from .em import ALIKE, basis_covariance
 
 Numbers = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ def basis_covariances(
     products = np.einsum("nkl,nab->nkalb", second, axes.transpose(0, 2, 1) @ axes) / noise**2
     size = 3 * len(bases)
     information = (seen.T.astype(np.float64) @ products.reshape(len(seen), -1)).reshape(-1, size, size)
-    prior = ALIKE * np.linalg.inv(basis_covariance_of_axes(bases, axes))
+    prior = ALIKE * np.linalg.inv(basis_covariance(bases, axes))
     covariances: Numbers = np.linalg.inv(information + np.kron(prior, np.eye(3)))
     return covariances
 

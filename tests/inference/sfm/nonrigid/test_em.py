@@ -95,7 +95,7 @@ def test_bases_are_where_the_expected_squares_with_the_prior_are_least() -> None
     # without the change back to N(0, I)
     found = replace(found, mean=found.mean - found.mean.mean(axis=0))
     second = found.mean.T @ found.mean / 8 + found.covariance.mean(axis=0)
-    prior = em.basis_covariance(state)
+    prior = em.basis_covariance(state.bases, state.seen_axes)
     after, _ = em.shape_step(state, tracks, found, prior)
     after.bases[1:] = np.tensordot(np.linalg.inv(np.linalg.cholesky(second)).T, after.bases[1:], 1)
 
