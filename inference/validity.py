@@ -281,8 +281,22 @@ class StatedComparison:
     gain: Interval[float]
 
 
+class Judged:
+    """A gain from so many independent groups."""
+
+    groups: int
+    gain: Interval[float]
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether combining pays, in a word."""
+        if self.groups >= FEWEST_GROUPS and self.gain.low > 0:
+            return "helps"
+        return "does not help" if self.groups >= FEWEST_GROUPS and self.gain.high < 0 else "not sure"
+
+
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Judged):
     """What recorded predictions of two chains say about combining them.
 
     Parameters
@@ -322,11 +336,6 @@ class Comparison:
     gain: Interval[float]
     theorem_holds: bool
     stated: StatedComparison | None
-
-    @property
-    def verdict(self) -> Verdict:
-        """Whether combining pays, in a word."""
-        return _verdict(self.gain, self.groups)
 
     @property
     def reason(self) -> str:
@@ -489,12 +498,6 @@ def _summarised(means: Numbers) -> StatedComparison:
     return StatedComparison(*map(interval_of, [*means[:, :3].T, *gains]))
 
 
-def _verdict(gain: Interval[float], groups: int) -> Verdict:
-    if groups >= FEWEST_GROUPS and gain.low > 0:
-        return "helps"
-    return "does not help" if groups >= FEWEST_GROUPS and gain.high < 0 else "not sure"
-
-
 def _bearable_correlation(correlation: float, factor: float) -> float:
     return correlation * factor if correlation > 0 and np.isfinite(factor) else float("inf")
 
@@ -534,7 +537,7 @@ def _check_positive(name: str, covariances: Numbers) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class ScoreComparison:
+class ScoreComparison(Judged):
     """What recorded log densities of two chains and of their product say about combining them.
 
     Parameters
@@ -553,11 +556,6 @@ class ScoreComparison:
     second: Interval[float]
     product: Interval[float]
     gain: Interval[float]
-
-    @property
-    def verdict(self) -> Verdict:
-        """Whether combining pays, in a word."""
-        return _verdict(self.gain, self.groups)
 
     @property
     def reason(self) -> str:

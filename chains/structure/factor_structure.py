@@ -85,27 +85,21 @@ class StructureTrajectory:
 @short_repr
 @dataclass(frozen=True)
 class FactorStructure:
-    """Batch chain of shape and motion over `PointTracks`.
+    """Batch chain of shape and motion over `PointTracks`: cameras M_t, points S_i, RSMCM eq. (18) to (20).
 
-    The model, with cameras M_t, points S_i and features F_ti of RSMCM eq. (18) to (20):
-
-        p(S_i) = N(0, I),  p(M_t | M_t-1) by eq. (19) or p(M_t) = N(0, diag), its variances learned,
-        p(F_ti | M_t, S_i) = N(M_t (S_i, 1), s r_ti I),
-
-    r_ti the variance of what comes in and s a factor common to all that is learned. The message to a point is
-    N(M_t (S_i, 1), P_ti) with P_ti the covariance that shape and cameras leave and the features' own scatter;
-    it says by `same_as` which tracks it takes for one point. Frames are taken to be evenly spaced: a step of
-    eq. (19) is one from frame to frame, and its noise is learned from the film, whatever the rate of that.
-
-    Places are right with a probability that is learned, or else outliers; see `factorise_robustly`.
+    The message to a point is N(M_t (S_i, 1), P_ti) with P_ti the covariance that shape and cameras leave and
+    the features' own scatter; it says by `same_as` which tracks it takes for one point. Variances of what
+    comes in count up to a common factor that is learned. Frames are taken to be evenly spaced: a step of eq.
+    (19) is one from frame to frame. Places are right with a probability that is learned, or else outliers;
+    see `factorise_robustly`.
 
     Parameters
     ----------
     coherence
         whether cameras move smoothly, eq. (19), or each frame is on its own.
     associate
-        whether partial tracks may show the same point; see `associate_tracks`. If not, every track is a point
-        of its own.
+        whether partial tracks may show the same point; see `associate_tracks`. If not, every track is a
+        point of its own.
     """
 
     coherence: bool = True

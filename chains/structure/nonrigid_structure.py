@@ -50,10 +50,6 @@ class NonrigidTrajectory:
 class NonrigidStructure:
     """Batch chain of a deforming shape and its poses over `PointTracks`, in place of `FactorStructure`.
 
-    The model, with scales c_t, rotations R_t (their first two rows), translations l_t and bases v_jk:
-
-        p(z_t) = N(0, I),  p(F_tj | z_t) = N(c_t R_t (v_j0 + sum_k z_tk v_jk) + l_t, s^2 I).
-
     The message to a point is its expected place, and the covariance that pose, weights and bases leave, with
     the features' own scatter, in every frame that shows four points or more; whether the point is seen there
     or not. It says by `same_as` which tracks it takes for one point.
@@ -63,8 +59,8 @@ class NonrigidStructure:
     bases
         number of morph bases with the mean shape, 2 or more.
     associate
-        whether partial tracks may show the same point; see `learn_associated`. If not, every track is a point
-        of its own.
+        whether partial tracks may show the same point; see `learn_associated`. If not, every track is a
+        point of its own.
     """
 
     bases: int = 3

@@ -622,21 +622,15 @@ class StructureState:
 @short_repr
 @dataclass(frozen=True)
 class RecursiveStructure:
-    """Rigid shape and camera motion, from the points that others track.
-
-    The model, with rows m of the camera M_t, points S_i and features F_ti of RSMCM eq. (18) to (20):
-
-        p(m_t, m_t', m_t'' | t - dt) = N(Taylor's polynomial over dt, Q(dt)),  p(S_i) = N(0, 3^2 I),
-        p(F_ti | M_t, S_i) = N(M_t (S_i, 1), sigma_i^2 I).
+    """Rigid shape and camera motion, from the points that others track; RSMCM eq. (18) to (20), filtered.
 
     The message to a point is `N(M_-i (S_i, 1), P_i)` with `M_-i` the camera that the frame's other points
-    show and P_i the covariance that this camera and S_i leave.
+    show (its cavity; where none is seen, the camera's motion) and P_i the covariance that this camera and
+    S_i leave.
 
     Until the points' motion determines a shape the chain says nothing, so before a static camera, a flat
-    scene, or fewer than six points it never does. Then it predicts every point that it knows, seen or not:
-    from the camera that the other points of the frame show (its cavity), and where none is seen from the
-    camera's motion. A camera that gets lost (other scene, nothing known in sight) is the end of the shape,
-    and a new one begins.
+    scene, or fewer than six points it never does. A camera that gets lost (other scene, nothing known in
+    sight) is the end of the shape, and a new one begins.
 
     Parameters
     ----------
