@@ -564,9 +564,7 @@ class ScoreComparison(Judged):
         return f"The product scores {self.gain:.2g} nats above the better chain{few}"
 
 
-def compare_scores(
-    scores: Numbers, groups: ArrayLike, random: np.random.Generator | None = None, resamples: int = 1000
-) -> ScoreComparison:
+def compare_scores(scores: Numbers, groups: ArrayLike, resamples: int = 1000) -> ScoreComparison:
     """Judge from log densities whether combining two chains pays; arguments as of `compare`.
 
     `scores` are `(n, 3)` nats: of what was observed under the first chain's prediction, the second's, their
@@ -583,7 +581,7 @@ def compare_scores(
     if not np.isfinite(scores).all():
         raise ValueError("scores: got one that is not finite, expected finite ones")
     sums = group_sums(scores, labels)
-    means = sums.resampled(np.random.default_rng(0) if random is None else random, resamples)
+    means = sums.resampled(np.random.default_rng(0), resamples)
     gain = means[:, 2] - np.maximum(means[:, 0], means[:, 1])
     first, second, product = (interval_of(each) for each in means.T)
     return ScoreComparison(len(scores), sums.count, first, second, product, interval_of(gain))

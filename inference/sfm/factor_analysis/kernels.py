@@ -165,37 +165,6 @@ def _invert(information, prior, scale, factor, inverse, covariance):
 
 
 @compiled
-def connected_frames(by_frame, by_point, first, second, shared, views):
-    """Frames that hang together with two frames to begin with, bool `(n_frames,)`.
-
-    Points are known once `views` frames that hang together show them, frames as soon as they show `shared`
-    known points.
-    """
-    n_frames, n_points = by_frame.edges.size - 1, by_point.edges.size - 1
-    joined = np.zeros(n_frames, np.bool_)
-    seen_in, known_in = np.zeros(n_points, np.int64), np.zeros(n_frames, np.int64)
-    waiting = np.empty(n_frames, np.int64)
-    waiting[0], waiting[1] = first, second
-    joined[first] = joined[second] = True
-    done, end = 0, 2
-    while done < end:
-        t = waiting[done]
-        done += 1
-        for k in range(by_frame.edges[t], by_frame.edges[t + 1]):
-            i = by_frame.other[k]
-            seen_in[i] += 1
-            if seen_in[i] == views:
-                for n in range(by_point.edges[i], by_point.edges[i + 1]):
-                    other = by_point.other[n]
-                    known_in[other] += 1
-                    if known_in[other] >= shared and not joined[other]:
-                        joined[other] = True
-                        waiting[end] = other
-                        end += 1
-    return joined
-
-
-@compiled
 def point_leverages(listed, cameras, inverses):
     """Share of each observation `(n_observations,)`, by frame, in its point: mean of both coordinates, 0..1.
 

@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
-from .kernels import connected_frames
-
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -198,8 +196,7 @@ def determined(observations: Observations, *, apart: bool = False) -> tuple[Mask
             f"positions: got {frames.sum()} frames with {LEAST_POINTS} points that other frames show too, "
             f"expected {LEAST_FRAMES} or more"
         )
-    lost = frames & ~_joined(part)
-    if lost.any() and not apart:
+    if not apart and (lost := frames & ~_joined(part)).any():
         raise ValueError(
             f"positions: got frames {ranges(np.flatnonzero(lost))} that share fewer than {LEAST_POINTS} "
             "points with the other frames, expected frames that hang together (take the sets one by one)"
@@ -208,17 +205,24 @@ def determined(observations: Observations, *, apart: bool = False) -> tuple[Mask
 
 
 def _joined(part: Observations) -> Mask:
-    """Frames that hang together with the fullest one and the one that shares most points with it."""
-    listed = part.by_frame
+    """Frames that hang together with the fullest one and the one that shares most points with it.
+
+    Points are known once enough of these frames show them, frames come in as soon as they show enough known
+    points.
+    """
+    listed, n_frames = part.by_frame, part.n_frames
     fullest = int(np.argmax(np.diff(listed.edges)))
     shown = np.zeros(part.n_points, bool)
     shown[listed.other[listed.edges[fullest] : listed.edges[fullest + 1]]] = True
-    shared = np.bincount(listed.own[shown[listed.other]], minlength=part.n_frames)
+    shared = np.bincount(listed.own[shown[listed.other]], minlength=n_frames)
     shared[fullest] = 0
-    joined: Mask = connected_frames(
-        listed, part.by_point, fullest, int(np.argmax(shared)), LEAST_POINTS, LEAST_VIEWS
-    )
-    return joined
+    joined = np.isin(np.arange(n_frames), (fullest, np.argmax(shared)))
+    while True:
+        known = np.bincount(listed.other[joined[listed.own]], minlength=part.n_points) >= LEAST_VIEWS
+        more = joined | (np.bincount(listed.own[known[listed.other]], minlength=n_frames) >= LEAST_POINTS)
+        if np.array_equal(more, joined):
+            return joined
+        joined = more
 
 
 def ranges(numbers: Sequence[int] | NDArray[np.int64]) -> str:

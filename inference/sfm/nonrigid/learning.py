@@ -564,7 +564,6 @@ def choose_bases(
     tracks: ArrayLike,
     candidates: Sequence[int] | None = None,
     *,
-    seed: int = 0,
     on_iteration: Callable[[], None] = lambda: None,
 ) -> BasesChoice:
     """Number of bases by cross-validation: the fewest that are no worse than the best by one standard error.
@@ -575,7 +574,7 @@ def choose_bases(
     as far as the tracks can tell so many apart; other arguments and errors are those of `learn_shape`.
     """
     positions = np.array(tracks, np.float64)
-    hidden = withheld(positions, seed)
+    hidden = withheld(positions)
     partial = positions.copy()
     partial[hidden] = np.nan
     if candidates is None:
@@ -596,10 +595,10 @@ def choose_bases(
     return BasesChoice(candidates[chosen], tuple(candidates), np.sqrt(means))
 
 
-def withheld(positions: Numbers, seed: int) -> NDArray[np.bool_]:
+def withheld(positions: Numbers) -> NDArray[np.bool_]:
     """`(n_frames, n_points)`: which positions that were seen are not to be learned from."""
     seen = ~np.isnan(positions[..., 0])
-    draws = np.where(seen, np.random.default_rng(seed).random(seen.shape), 2.0)
+    draws = np.where(seen, np.random.default_rng(SEED).random(seen.shape), 2.0)
     # those that a frame, or a point, has to keep are the ones with the largest draws among what was seen
     hidden = seen & (draws < WITHHELD)
     for axis in (0, 1):

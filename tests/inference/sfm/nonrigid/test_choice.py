@@ -20,7 +20,7 @@ def test_frames_and_points_keep_what_they_need() -> None:
     positions[5, 5:] = np.nan
     positions[6:, 3] = np.nan
     seen = ~np.isnan(positions[..., 0])
-    hidden = withheld(positions, 0)
+    hidden = withheld(positions)
     assert not (hidden & ~seen).any()
     assert not hidden[5].any()
     left = seen & ~hidden
