@@ -308,11 +308,16 @@ def _before_affine_cameras(solution: Solution, n_tracks: int | None) -> Reconstr
     fit = found.factorisation
     positions, covariances = predicted(fit)
     observations, observed = _observations_of_points(solution, found, len(fit.shape))
-    geometry, reason = _geometry(observations, fit)
+    geometry: Geometry = "none"
+    reason = ""
+    if len(fit.shape) < FEWEST_POINTS:
+        reason = f"the tracks determine {len(fit.shape)} points, and {FEWEST_POINTS} are needed"
+    elif not depth(observations, None, fit).determined:
+        reason = "a flat shape explains the tracks as well as one in depth does"
     cameras, shape, shape_covariances = fit.cameras, fit.shape, fit.shape_covariance
-    if geometry != "none":
+    if not reason:
         metric = euclidean(cameras, shape, fit.camera_covariance)
-        geometry, reason = ("euclidean", "") if metric.determined else ("affine", metric.reason)
+        geometry, reason = "euclidean" if metric.determined else "affine", metric.reason
         cameras, shape = metric.cameras, metric.shape
         shape_covariances = metric.transform @ shape_covariances @ metric.transform.T
     return Reconstruction(
@@ -403,16 +408,6 @@ def _without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruc
     if not reason:
         return found
     return replace(found, geometry="none", reason=reason, perspective=None, affine_reason="")
-
-
-def _geometry(observations: Numbers, fit: Factorisation) -> tuple[Geometry, str]:
-    """Whether the motion shows depth, and why it does not."""
-    n_points = len(fit.shape)
-    if n_points < FEWEST_POINTS:
-        return "none", f"the tracks determine {n_points} points, and {FEWEST_POINTS} are needed"
-    if not depth(observations, None, fit).determined:
-        return "none", "a flat shape explains the tracks as well as one in depth does"
-    return "affine", ""
 
 
 def _points_of_tracks(

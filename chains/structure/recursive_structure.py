@@ -24,6 +24,8 @@ from ...models.numerics.densities import squared_distances
 from ...models.points.point_tracks import NOWHERE, PointMessage, PointTracks
 
 Numbers = NDArray[np.float64]
+Identities = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 ROW = 4
 ORDERS = 3
@@ -123,9 +125,6 @@ def learned_noise(
         prior = estimate_cameras(of_grid, vector_of_grid, 1.0, prior).better
     return prior.variance / per_step
 
-
-Identities = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 GATE = 9.21  # squared Mahalanobis distance of a position (two numbers) that one inlier in a hundred exceeds
 MEDIAN = 2 * np.log(2)  # of squared Mahalanobis distances of positions

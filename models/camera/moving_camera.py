@@ -19,6 +19,11 @@ from ..core.pictures import grey_of
 from ..core.short_repr import short_repr
 from ..numerics.compiled import compiled
 
+Numbers = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Image = NDArray[np.uint8]
+Value = TypeVar("Value", np.uint8, np.float32)
+
 STEP_UNKNOWNS = 7  # the six of an affine map, and the contrast
 
 
@@ -85,10 +90,6 @@ def normal_equations(off, values, gradients, about, variance, information, vecto
         for j in range(i):
             information[i, j] = information[j, i]
 
-
-Numbers = NDArray[np.float64]
-Image = NDArray[np.uint8]
-Value = TypeVar("Value", np.uint8, np.float32)
 
 UNKNOWNS = 6  # numbers of an affine map
 
@@ -176,8 +177,6 @@ class AffineMap:
         seen = cv2.warpAffine(mask, self.matrix, self.size[::-1], flags=cv2.INTER_NEAREST)
         return np.asarray(seen, mask.dtype)
 
-
-Floats = NDArray[np.float32]
 
 POINTS = 3000  # by which pictures are registered, at most, on each level
 

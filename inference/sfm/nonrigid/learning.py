@@ -45,6 +45,7 @@ from .shape import (
 )
 
 Numbers = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 USUAL_DEPTH = 0.7  # of objects that hardly turn, in root mean squares of their width and height
 RIGID_ITERATIONS = 60
@@ -371,8 +372,6 @@ def _best_first(tracks: Tracks, states: Sequence[State]) -> list[tuple[float, St
             shapes.append(shape)
     return different
 
-
-Indices = NDArray[np.int64]
 
 LEAST_FRAMES = 3  # that a point is seen in, and that there are; two views leave depth open
 LEAST_POINTS = 4  # of a frame, for its pose to be known
