@@ -1,7 +1,8 @@
 """How good masks are: pixels against labels, components against objects."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
+from operator import add
 
 import cv2
 import numpy as np
@@ -82,20 +83,11 @@ class PixelScore:
             if the two differ in size.
         """
         _check_same_size(foreground, labels)
-        found = foreground != 0
-        positive = labels == FOREGROUND
-        negative = labels <= SHADOW
-        true_positives = int(np.count_nonzero(found & positive))
-        false_positives = int(np.count_nonzero(found & negative))
+        found, positive, negative = foreground != 0, labels == FOREGROUND, labels <= SHADOW
+        right, wrong = (int(np.count_nonzero(found & each)) for each in (positive, negative))
+        missed, rest = int(np.count_nonzero(positive)) - right, int(np.count_nonzero(negative)) - wrong
         self.numbers.append(number)
-        self.counts.append(
-            (
-                true_positives,
-                false_positives,
-                int(np.count_nonzero(positive)) - true_positives,
-                int(np.count_nonzero(negative)) - false_positives,
-            )
-        )
+        self.counts.append((right, wrong, missed, rest))
 
     def total(self) -> PixelScores:
         """Return the measures over all frames."""
@@ -146,14 +138,7 @@ class ErrorClasses:
         return self.missed_pedestrians + self.missed_vehicles + self.missed_objects + self.ghosts
 
     def __add__(self, other: "ErrorClasses") -> "ErrorClasses":
-        return ErrorClasses(
-            self.missed_pedestrians + other.missed_pedestrians,
-            self.missed_vehicles + other.missed_vehicles,
-            self.missed_objects + other.missed_objects,
-            self.ghosts + other.ghosts,
-            self.missed_by_pixels + other.missed_by_pixels,
-            self.objects + other.objects,
-        )
+        return ErrorClasses(*map(add, astuple(self), astuple(other)))
 
 
 def error_classes(foreground: NDArray[np.uint8], truth: BoxTruth, min_area: int = MIN_AREA) -> ErrorClasses:
@@ -276,11 +261,7 @@ def _check_same_size(foreground: NDArray[np.uint8], labels: NDArray[np.uint8]) -
 
 
 def _sum_counts(counts: list[tuple[int, int, int, int]]) -> PixelScores:
-    return (
-        PixelScores(*(sum(column) for column in zip(*counts, strict=True)))
-        if counts
-        else PixelScores(0, 0, 0, 0)
-    )
+    return PixelScores(*map(sum, zip((0, 0, 0, 0), *counts, strict=True)))
 
 
 def ratio(numerator: float, denominator: float) -> float:

@@ -33,7 +33,15 @@ NAMES = ("first", "second", "feature", "unit")
 
 
 @dataclass(frozen=True, eq=False)
-class PairRecord:
+class _Pair:
+    first: str
+    second: str
+    feature: str
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class PairRecord(_Pair):
     """Predictions of one pair of chains.
 
     Parameters
@@ -50,29 +58,18 @@ class PairRecord:
         `(n,)` int64, numbers of the frames.
     """
 
-    first: str
-    second: str
-    feature: str
-    unit: str
     predictions: RecordedPredictions
     tracks: NDArray[np.int64]
     frames: NDArray[np.int64]
 
-    def thinned(self, most: int) -> "PairRecord":
-        """At most so many rows, evenly chosen."""
-        if len(self.tracks) <= most:
-            return self
-        kept = np.array(evenly_spread(len(self.tracks), most))
-        return replace(
-            self,
-            predictions=self.predictions.rows(kept),
-            tracks=self.tracks[kept],
-            frames=self.frames[kept],
-        )
+    def rows(self, kept: NDArray[np.int64]) -> "PairRecord":
+        """Some of its rows."""
+        predictions = self.predictions.rows(kept)
+        return replace(self, predictions=predictions, tracks=self.tracks[kept], frames=self.frames[kept])
 
 
 @dataclass(frozen=True, eq=False)
-class ScoreRecord:
+class ScoreRecord(_Pair):
     """Log densities that a pair of chains and their product gave to what was observed.
 
     Parameters
@@ -85,18 +82,11 @@ class ScoreRecord:
         `(n,)` int64, numbers of the frames.
     """
 
-    first: str
-    second: str
-    feature: str
-    unit: str
     scores: NDArray[np.float64]
     frames: NDArray[np.int64]
 
-    def thinned(self, most: int) -> "ScoreRecord":
-        """At most so many rows, evenly chosen."""
-        if len(self.frames) <= most:
-            return self
-        kept = np.array(evenly_spread(len(self.frames), most))
+    def rows(self, kept: NDArray[np.int64]) -> "ScoreRecord":
+        """Some of its rows."""
         return replace(self, scores=self.scores[kept], frames=self.frames[kept])
 
 
@@ -205,7 +195,8 @@ def write_predictions(folder: Path, records: Sequence[Record]) -> None:
     members: dict[str, NDArray[Any]] = {}
     names: list[dict[str, str]] = []
     for number, record in enumerate(records):
-        thin = record.thinned(MOST_ROWS)
+        count = len(record.frames)
+        thin = record if count <= MOST_ROWS else record.rows(np.array(evenly_spread(count, MOST_ROWS)))
         arrays: dict[str, Any] = {"frames": thin.frames}
         if isinstance(thin, ScoreRecord):
             arrays["scores"] = thin.scores

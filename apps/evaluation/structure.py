@@ -64,29 +64,8 @@ def score_structure(
         `(n_tracks,)`: the estimated point to which each track was assigned, `REJECTED` for none.
     truth
         the generated sequence.
-
-    Raises
-    ------
-    ValueError
-        if the arrays do not fit each other or the truth.
     """
-    n_frames, n_true = truth.visible.shape
-    n_estimated = positions.shape[1] if positions.ndim == 3 else -1
-    if positions.shape != (n_frames, n_estimated, 2):
-        raise ValueError(f"positions: got {positions.shape}, expected ({n_frames}, n_estimated, 2)")
-    if shape is not None and shape.shape != (n_estimated, 3):
-        raise ValueError(f"shape: got {shape.shape}, expected ({n_estimated}, 3)")
-    if point_of_track.shape != truth.point_of_track.shape:
-        raise ValueError(
-            f"point_of_track: got {point_of_track.shape}, expected {truth.point_of_track.shape}, "
-            "one point for every track"
-        )
-    if len(point_of_track) and not (REJECTED <= point_of_track.min() <= point_of_track.max() < n_estimated):
-        raise ValueError(
-            f"point_of_track: got {point_of_track.min()} to {point_of_track.max()}, "
-            f"expected {REJECTED} to {n_estimated - 1}"
-        )
-
+    n_true, n_estimated = truth.visible.shape[1], positions.shape[1]
     counts = np.zeros((n_estimated, n_true), np.int64)  # observations of true points in estimated ones
     taken = point_of_track != REJECTED
     lengths = np.count_nonzero(~np.isnan(truth.tracks()[:, :, 0]), axis=0)
@@ -100,7 +79,7 @@ def score_structure(
         shape_error = affine_alignment(shape[backed], truth.shape[stands_for]).error
     n_represented = len(np.unique(stands_for))
     return StructureScores(
-        reprojection_error=_root_mean(np.square(error).sum(axis=2)),
+        reprojection_error=float(np.sqrt(np.square(error).sum(axis=2).mean())) if error.size else np.nan,
         shape_error=shape_error,
         n_points=n_estimated,
         n_spurious=n_estimated - n_represented,
@@ -108,7 +87,3 @@ def score_structure(
         n_rejected=int(np.count_nonzero(~taken)),
         purity=float(np.mean(np.count_nonzero(counts, axis=1) == 1)) if n_estimated else np.nan,
     )
-
-
-def _root_mean(squares: Numbers) -> float:
-    return float(np.sqrt(squares.mean())) if squares.size else np.nan

@@ -7,72 +7,55 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Entry:
-    """A line of the table of experiments.
+    """A line of the table of experiments."""
 
-    Parameters
-    ----------
-    about
-        what it shows.
-    function
-        module and function that does the work: from here, and imported when it is run.
-    long
-        what it does beside that when there is time; empty if it does nothing more.
-    parallel
-        whether it has several sequences that can be worked on at once.
-    """
-
-    about: str
-    function: str
-    long: str = ""
-    parallel: bool = False
+    about: str  # what it shows
+    function: str  # module and function that does the work: from here, and imported when it is run
+    parallel: bool = False  # whether it has several sequences that can be worked on at once
+    long: str = ""  # what it does beside that when there is time; empty if it does nothing more
 
 
 EXPERIMENTS = {
     "sleeping-man": Entry(
         "Figures 1 and 7 of the RSMCM paper: a person stands still and stays foreground.",
-        "sleeping_man:sleeping_man",
-        "Also a person who stands for 1300 frames, and shadows of clouds.",
+        "masks:sleeping_man",
         parallel=True,
+        long="Also a person who stands for 1300 frames, and shadows of clouds.",
     ),
-    "pets": Entry(
-        "Figures 8 and 11 of the RSMCM paper, on PETS2009 S2.L1.",
-        "pets:pets",
-        "Try all settings of MOG2 and KNN, and all clean-ups, instead of the middle ones.",
-        parallel=True,
-    ),
-    "highway": Entry("Foreground of CDnet's highway, against its masks.", "highway:highway"),
+    "pets": Entry("Figures 8 and 11 of the RSMCM paper, on PETS2009 S2.L1.", "pets:pets", parallel=True),
+    "highway": Entry("Foreground of CDnet's highway, against its masks.", "masks:highway"),
     "cylinder": Entry(
         "Figures 9 and 10 of the RSMCM paper: a cylinder whose points are lost, found again and drift.",
-        "cylinder:turning_cylinder",
+        "structure:turning_cylinder",
         parallel=True,
     ),
-    "box": Entry("Figure 12 of the RSMCM paper, on CMU's hotel and a table top.", "box:box"),
+    "box": Entry("Figure 12 of the RSMCM paper, on CMU's hotel and a table top.", "structure:box"),
     "shapes": Entry(
         "Morph bases learned from tracks of points, against the true shapes of three public sets.",
         "shapes:shapes",
     ),
     "talking-face": Entry(
         "A real film: landmarks carried by G-flow with a generic model, and with one learned from the film.",
-        "talking_face:talking_face",
+        "faces:talking_face",
     ),
     "experts": Entry(
         "Figure 3a of the G-flow paper: one expert and several, flow and a slow texture, on quick motion.",
-        "experts:experts",
+        "faces:experts",
         parallel=True,
     ),
     "gain": Entry(
         "Figure 3b of the G-flow paper: gains from template to flow, and learned ones.",
-        "gain:gain",
+        "faces:gain",
         parallel=True,
     ),
     "recovery": Entry(
         "Figure 4 of the G-flow paper: experts scattered about the pose find it.",
-        "recovery:recovery",
+        "faces:recovery",
         parallel=True,
     ),
     "face-background": Entry(
         "What a background and the surface's own occlusion are worth to G-flow.",
-        "face_background:face_background",
+        "faces:face_background",
         parallel=True,
     ),
     "body": Entry(
@@ -90,16 +73,7 @@ def usual_folder(name: str) -> Path:
 
 
 def run_experiment(name: str, out: Path, *, long: bool = False) -> None:
-    """Run an experiment, and leave all results in a folder.
-
-    Parameters
-    ----------
-    name
-        one of `EXPERIMENTS`.
-    out
-        folder, made if need be.
-    long
-        whether to do what takes longer, where there is such.
+    """Run one of `EXPERIMENTS`, perhaps with what takes longer, and leave all results in a folder.
 
     Raises
     ------

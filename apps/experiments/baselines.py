@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ..evaluation.tracks import box_overlap
-from ..io.sources.open_source import open_source
-from ..runs.progress import Progress
 
+Boxes = NDArray[np.float64]  # `(n, 4)`: x, y, width, height (px)
+Image = NDArray[np.uint8]
 T = TypeVar("T")
 
 
 class Subtractor(Protocol):
     """Anything that tells foreground from background in one picture after the other."""
 
-    def apply(self, image: NDArray[np.uint8], /) -> NDArray[np.uint8]:
+    def apply(self, image: Image, /) -> Image:
         """Take the next `(height, width[, 3])` picture.
 
         Returns
@@ -32,55 +32,21 @@ class Subtractor(Protocol):
         ...
 
 
-class OpenCVSubtractor:
-    """OpenCV's MOG2 or KNN.
+def opencv_subtractor(method: str, history: int, threshold: float) -> Subtractor:
+    """OpenCV's "MOG2" or "KNN" with shadows, which remembers `history` frames.
 
-    Parameters
-    ----------
-    method
-        "MOG2" or "KNN".
-    history
-        frames that the model remembers.
-    threshold
-        squared distance between pixel and model from which a pixel is foreground: `varThreshold` (in
-        variances) for MOG2, `dist2Threshold` (in squared grey values) for KNN.
-
-    Raises
-    ------
-    ValueError
-        for another method.
+    `threshold` is the squared distance between pixel and model from which a pixel is foreground:
+    `varThreshold` (in variances) for MOG2, `dist2Threshold` (in squared grey values) for KNN.
     """
-
-    def __init__(self, method: str, history: int, threshold: float):
-        # KNN draws from OpenCV's generator: the same run must give the same masks.
-        cv2.setRNGSeed(0)
-        if method == "MOG2":
-            self._model: cv2.BackgroundSubtractor = cv2.createBackgroundSubtractorMOG2(
-                history, threshold, True
-            )
-        elif method == "KNN":
-            self._model = cv2.createBackgroundSubtractorKNN(history, threshold, True)
-        else:
-            raise ValueError(f"method: got {method!r}, expected 'MOG2' or 'KNN'")
-
-    def apply(self, image: NDArray[np.uint8], /) -> NDArray[np.uint8]:
-        """Take the next picture; return 0 background, 127 shadow, 255 foreground."""
-        return self._model.apply(image).astype(np.uint8, copy=False)
+    cv2.setRNGSeed(0)  # KNN draws from OpenCV's generator: the same run must give the same masks
+    make = {"MOG2": cv2.createBackgroundSubtractorMOG2, "KNN": cv2.createBackgroundSubtractorKNN}[method]
+    subtractor: Subtractor = make(history, threshold, True)  # type: ignore[operator]
+    return subtractor
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A subtractor to be tried.
-
-    Parameters
-    ----------
-    method
-        name of the method, the same for all its settings.
-    parameters
-        what sets this one apart, for tables.
-    make
-        returns a fresh subtractor.
-    """
+    """A subtractor to be tried: its method, what sets it apart in words, and what makes a fresh one."""
 
     method: str
     parameters: str
@@ -91,7 +57,7 @@ SETTINGS = tuple(
     Setting(
         method,
         f"history {history}, threshold {threshold}",
-        partial(OpenCVSubtractor, method, history, threshold),
+        partial(opencv_subtractor, method, history, threshold),
     )
     for method, thresholds in (("MOG2", (8, 16, 32, 64)), ("KNN", (200, 400, 800, 1600)))
     for history in (100, 200, 500, 1000)
@@ -102,25 +68,16 @@ SETTINGS = tuple(
 
 @dataclass(frozen=True)
 class CleanUp:
-    """What is done to a mask before it is used: shadows, median, opening, closing, least area, in this order.
+    """What is done to a mask: shadows, median, opening, closing, least area, in this order."""
 
-    Parameters
-    ----------
-    keep_shadows
-        whether a shadow is foreground: dark clothes are often taken for one.
-    median, opening, closing
-        width of the window or elliptic structuring element in px; 0 for none.
-    min_area
-        px; smaller connected components (8-connected) are removed.
-    """
-
-    keep_shadows: bool = False
+    keep_shadows: bool = False  # whether a shadow is foreground: dark clothes are often taken for one
+    # median, opening, closing: width of the window or elliptic structuring element in px; 0 for none
     median: int = 0
     opening: int = 0
     closing: int = 0
-    min_area: int = 0
+    min_area: int = 0  # px; smaller connected components (8-connected) are removed
 
-    def apply(self, mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def apply(self, mask: Image) -> Image:
         """Return the cleaned `(height, width)` mask, 0 or 255."""
         return next(_clean(mask, [self]))[1]
 
@@ -130,7 +87,7 @@ CLEAN_UPS = tuple(
     for keep_shadows, (median, opening, closing), min_area in product(
         (False, True),
         ((0, 0, 0), (5, 0, 0), (5, 0, 9), (0, 3, 0), (0, 3, 9), (0, 3, 15), (0, 3, 21)),
-        (100, 200, 400, 600, 800),
+        (100, 400, 800),
     )
 )
 """The clean-ups of which each method gets its best one."""
@@ -146,30 +103,17 @@ class Row(Generic[T]):
 
 
 def sweep_subtractors(
-    frames: Callable[[], Iterable[tuple[int, NDArray[np.uint8]]]],
+    frames: Callable[[], Iterable[tuple[int, Image]]],
     wanted: Container[int],
-    evaluate: Callable[[int, NDArray[np.uint8]], T],
-    settings: Sequence[Setting] = SETTINGS,
-    clean_ups: Sequence[CleanUp] = CLEAN_UPS,
+    evaluate: Callable[[int, Image], T],
+    settings: Sequence[Setting],
+    clean_ups: Sequence[CleanUp],
 ) -> Iterator[Row[T]]:
-    """Run every setting once over the frames, with every clean-up at the wanted ones.
+    """Run every setting once over the frames, with every clean-up at the wanted ones; yield a row for each.
 
+    `frames` starts over and yields number and picture of all frames in order; it is called once per setting.
+    `wanted` are the frame numbers of which `evaluate` takes the number and the cleaned foreground, 0 or 255.
     One subtractor and one frame are in memory at a time.
-
-    Parameters
-    ----------
-    frames
-        starts over and yields number and picture of all frames in order; called once per setting.
-    wanted
-        the frame numbers to evaluate.
-    evaluate
-        takes a frame's number and its cleaned foreground, 0 or 255.
-    settings, clean_ups
-        what to combine.
-
-    Yields
-    ------
-    one row for each setting and clean-up, setting by setting.
     """
     for setting in settings:
         subtractor = setting.make()
@@ -182,21 +126,7 @@ def sweep_subtractors(
         yield from rows.values()
 
 
-def readable_images(video: str, progress: Progress) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """Yield number and picture of every frame that can be read, and count all of them as done."""
-    with open_source(video) as source:
-        for frame in source:
-            if frame.image is not None:
-                yield frame.number, frame.image
-            progress.update()
-
-
-def component_boxes(mask: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Return the bounding boxes `(n, 4)`, x, y, width, height (px), of the mask's 8-connected components."""
-    return components(mask)[:, :4]
-
-
-def components(mask: NDArray[np.uint8]) -> NDArray[np.float64]:
+def components(mask: Image) -> NDArray[np.float64]:
     """Return box and area `(n, 5)`, x, y, width, height (px), px, of the mask's 8-connected components."""
     return _labelled(mask)[1][1:].astype(np.float64)
 
@@ -218,19 +148,17 @@ class KalmanHungarian:
     """
 
     def __init__(self, least_overlap: float = 0.1, min_hits: int = 5, max_age: int = 20):
-        self._least_overlap = least_overlap
-        self._min_hits = min_hits
-        self._max_age = max_age
+        self._least_overlap, self._min_hits, self._max_age = least_overlap, min_hits, max_age
         self._tracks: list[_BoxTrack] = []
         self._next_identity = 1
 
-    def update(self, boxes: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    def update(self, boxes: Boxes | None) -> NDArray[np.float64]:
         """Take the next frame's boxes.
 
         Parameters
         ----------
         boxes
-            `(n, 4)`: x, y, width, height (px); `None` where nobody has looked for any.
+            `None` where nobody has looked for any.
 
         Returns
         -------
@@ -245,7 +173,7 @@ class KalmanHungarian:
         found = [track for track in self._tracks if not track.lost and track.hits >= self._min_hits]
         return np.array([[track.identity, *track.box()] for track in found]).reshape(-1, 5)
 
-    def _correct(self, boxes: NDArray[np.float64]) -> None:
+    def _correct(self, boxes: Boxes) -> None:
         predicted = np.array([track.box() for track in self._tracks]).reshape(-1, 4)
         overlap = box_overlap(predicted, boxes)
         rows, columns = linear_sum_assignment(overlap, maximize=True)
@@ -262,11 +190,8 @@ class KalmanHungarian:
 class _BoxTrack:
     """One box's filter, how often it was found, how long ago, and whether it was missed the last time."""
 
-    def __init__(self, identity: int, box: NDArray[np.float64]):
-        self.identity = identity
-        self.hits = 1
-        self.age = 0
-        self.lost = False
+    def __init__(self, identity: int, box: Boxes):
+        self.identity, self.hits, self.age, self.lost = identity, 1, 0, False
         self._filter = KalmanFilter(dim_x=6, dim_z=4)
         self._filter.x[:4, 0] = _centre_and_size(box)
         self._filter.F[[0, 1], [4, 5]] = 1
@@ -280,25 +205,21 @@ class _BoxTrack:
         self._filter.predict()
         self.age += 1
 
-    def correct(self, box: NDArray[np.float64]) -> None:
+    def correct(self, box: Boxes) -> None:
         self._filter.update(_centre_and_size(box))
-        self.hits += 1
-        self.age = 0
-        self.lost = False
+        self.hits, self.age, self.lost = self.hits + 1, 0, False
 
-    def box(self) -> NDArray[np.float64]:
+    def box(self) -> Boxes:
         state = self._filter.x[:, 0]
         size = np.maximum(state[2:4], 1)
         return np.concatenate([state[:2] - size / 2, size])
 
 
-def _centre_and_size(box: NDArray[np.float64]) -> NDArray[np.float64]:
+def _centre_and_size(box: Boxes) -> Boxes:
     return np.concatenate([box[:2] + box[2:] / 2, box[2:]])
 
 
-def _clean(
-    mask: NDArray[np.uint8], clean_ups: Sequence[CleanUp]
-) -> Iterator[tuple[CleanUp, NDArray[np.uint8]]]:
+def _clean(mask: Image, clean_ups: Sequence[CleanUp]) -> Iterator[tuple[CleanUp, Image]]:
     """Clean a mask in several ways; ways that differ in the least area alone share the rest of the work."""
     groups: dict[CleanUp, list[CleanUp]] = {}
     for clean_up in clean_ups:

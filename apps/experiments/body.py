@@ -1,57 +1,258 @@
 """Fig. 6 of the RSMCM paper: likelihood sampling with a tracker of flesh, without it, and CONDENSATION.
 
-All of them as filters, and two with hindsight as well.
+All of them as filters, and two with hindsight as well, on generated signers.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
-from typing import Any
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Literal, Self
 
+import cv2
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ...chains.body.articulated_pose import ArticulatedPose
+from ...chains.body.condensation import Condensation
+from ...chains.body.dynamics import BodyDynamics
+from ...chains.body.fixed_lag import FixedLag
+from ...chains.body.flesh_tracker import FleshTracker
+from ...chains.body.samples import BodySamples, moments
+from ...inference import MultiChain, RecursiveBP
+from ...inference.engine.recursive_bp import RunState
+from ...models.body.parts import BodyParts
+from ...models.body.upper_body import JOINTS, PARTS
 from ...models.core.frame import Frame
+from ...models.numerics.densities import squared_distances
 from ..body.measures import (
+    APART,
     ELBOWS,
     FOUND,
     HANDS,
     LEAST_OFF,
+    LEAST_VARIANCE,
     OFF,
+    PLACES,
     SOON,
     BodyTrial,
     coverage,
+    exchanged_hands,
     pooled,
     recoveries,
 )
-from ..runs.parallel import in_parallel
-from ..scenes import signer
-from ..view.overlay import BodyOverlay
-from .body_trackers import LAG, BodyTracker, System, on_one_scene
-from .expectations import Expectation, over_seeds
-from .experiment import Findings, Picture, Plot
+from ..scenes import SignerScene, signer
+from ..view.overlay import BodyOverlay, TrackedBody
+from .experiment import Findings, Picture, by_seed
 from .mosaic import mosaic
-from .record import Table
+from .record import Expectation, Table, over_seeds
 
 Image = NDArray[np.uint8]
+Numbers = NDArray[np.float64]
+
+HEAD_AND_HANDS = [JOINTS.index(name) for name in PARTS]
+HAND_JOINTS = HEAD_AND_HANDS[1:]
+
+LAG = 12  # frames by which answers with hindsight are late
+N_SHOWN = 40  # poses that are drawn from a posterior to be shown, as in the paper
+
+# --- trackers, which go through films in turns and are timed ------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class SignerFilm:
+    """A scene whose pictures are drawn once for all trackers, and what is to be known of its colours."""
+
+    scene: SignerScene
+    frames: Sequence[Frame]
+    parts: BodyParts
+
+    @classmethod
+    def of(cls, **settings: Any) -> Self:
+        """The scene of these settings of `signer`; skin is learned from it as from any clip."""
+        scene = signer(**settings)
+        frames = list(scene)
+        images = [frame.image for frame in frames if frame.image is not None]
+        parts = BodyParts.learned(images, scene.detector)
+        return cls(scene, frames, replace(parts, head_height=scene.body.head_height))
+
+
+System = Literal["rsmcm", "sampler", "condensation", "flesh"]
+
+
+@dataclass(frozen=True)
+class BodyTracker:
+    """One of the trackers that are compared."""
+
+    name: str  # for tables
+    # `"rsmcm"`: likelihood sampling and the tracker of flesh correct each other. `"sampler"`: the same
+    # without the message of the tracker of flesh. `"condensation"`: the bootstrap filter. `"flesh"`: the
+    # tracker of flesh alone, which finds the hands only
+    system: System
+    samples: int  # number of poses; 0 where there are none
+    # frames by which answers with hindsight are late, which are then given beside the filter's; 0 for none
+    lag: int = 0
+
+    def connected(self, film: SignerFilm) -> tuple[MultiChain, str]:
+        """The model for a film, and the name of the chain that is measured."""
+        body, parts, seed = film.scene.body, film.parts, film.scene.seed
+        model = MultiChain()
+        if self.system == "condensation":
+            cloud = Condensation(body, self.samples, seed=seed)
+            return model.connect(cloud, parts), cloud.name
+        flesh = FleshTracker(body)
+        model.connect(flesh, parts, feedback=self.system != "sampler")
+        if self.system == "flesh":
+            return model, flesh.name
+        pose = ArticulatedPose(body, self.samples, seed=seed)
+        return model.connect(pose, parts), pose.name
+
+
+class _Run:
+    """A tracker on its way through a film, and what was measured so far.
+
+    After the first frame it is given the true pose, which CONDENSATION cannot find by itself. A tracker of
+    flesh keeps what it has found.
+    """
+
+    def __init__(self, tracker: BodyTracker, film: SignerFilm, shown: Sequence[int]) -> None:
+        model, self._chain = tracker.connected(film)
+        self._engine, self._film, self._state = RecursiveBP(model), film, RunState()
+        self._now, self._later = _Answers(film.scene, shown), _Answers(film.scene, shown)
+        dynamics, seed = BodyDynamics(film.scene.body), film.scene.seed
+        self._hindsight = FixedLag(dynamics, tracker.lag, seed=seed) if tracker.lag else None
+
+    def step(self, index: int) -> None:
+        """Take in frame `index`."""
+        frame = self._film.frames[index]
+        started = time.perf_counter()
+        belief = self._engine.step(self._state, frame)
+        seconds = time.perf_counter() - started
+        self._state, found = belief.state, belief.state.states[self._chain]
+        if index == 0 and isinstance(found, BodySamples):
+            truth = self._film.scene.poses.take(np.zeros(len(found.poses), np.int64))
+            found = BodySamples.even(truth, found.size, found.random)
+            self._state = replace(belief.state, states={**belief.state.states, self._chain: found})
+        self._now.add(found)
+        self._now.seconds.append(seconds)
+        if self._hindsight is None:
+            return
+        started = time.perf_counter()
+        answers = self._hindsight.add(frame, found, belief.evidence(self._film.parts).image)
+        if index == len(self._film.frames) - 1:
+            answers += self._hindsight.rest()
+        self._later.seconds.append(seconds + time.perf_counter() - started)
+        for answer in answers:
+            self._later.add(answer.samples)
+
+    def trial(self) -> BodyTrial:
+        """What was measured."""
+        trial = self._now.trial()
+        return trial if self._hindsight is None else replace(trial, later=self._later.trial())
+
+
+class _Answers:
+    """What is said of one frame after the other, beside the truth."""
+
+    def __init__(self, scene: SignerScene, shown: Sequence[int]) -> None:
+        self._scene, self._shown = scene, shown
+        self._random = np.random.default_rng([scene.seed, 40])
+        self._rows: list[tuple[Numbers, Numbers, Numbers, Numbers, float]] = []
+        self._pictures: dict[int, TrackedBody] = {}
+        self.seconds: list[float] = []
+
+    def add(self, after: Any) -> None:
+        """Take in what a chain knows of the next frame."""
+        index, effective = len(self._rows), np.nan
+        if isinstance(after, BodySamples):
+            joints, covariances = self._of_samples(index, after)
+            effective = after.effective
+        else:
+            joints, covariances = np.full((8, 3), np.nan), np.full((8, 3, 3), np.nan)
+            joints[HEAD_AND_HANDS, :2] = after.positions
+            covariances[HEAD_AND_HANDS, :2, :2] = after.position_covariances
+        apart = joints - self._scene.joints[index]
+        of_hands = covariances[PLACES[HANDS], :2, :2] + LEAST_VARIANCE * np.eye(2)
+        nees = squared_distances(apart[PLACES[HANDS], :2], of_hands)
+        flat, deep = (np.linalg.norm(apart[PLACES, :axes], axis=1) for axes in (2, 3))
+        self._rows.append((flat, deep, nees, joints[HAND_JOINTS, :2], effective))
+
+    def _of_samples(self, index: int, after: BodySamples) -> tuple[Numbers, Numbers]:
+        """Means and covariances of the joints; poses are drawn if they are shown."""
+        body = self._scene.body
+        found = moments(body, after)
+        if index in self._shown:
+            samples = body.joints(after.drawn(N_SHOWN, self._random))
+            self._pictures[index] = TrackedBody(samples, found.joints, found.joint_covariances)
+        return found.joints, found.joint_covariances
+
+    def trial(self) -> BodyTrial:
+        """What was measured."""
+        flat, deep, nees, hands, effective = (np.array(row) for row in zip(*self._rows, strict=True))
+        scene = self._scene
+        truth = scene.joints[: len(hands), HAND_JOINTS, :2]
+        return BodyTrial(
+            errors=flat,
+            errors_3d=deep,
+            nees=nees,
+            effective=effective,
+            seconds=np.array(self.seconds),
+            hidden=scene.hidden[: len(flat), 1:],
+            exchanged=exchanged_hands(hands, truth, APART * scene.body.head_height),
+            head_height=scene.body.head_height,
+            shown=self._pictures,
+        )
+
+
+def in_turns(film: SignerFilm, trackers: Sequence[BodyTracker], shown: Sequence[int] = ()) -> list[BodyTrial]:
+    """Run all trackers through a film; they take turns at every frame, so that times compare."""
+    runs = [_Run(tracker, film, shown) for tracker in trackers]
+    with _opencv_in_one_thread():
+        for index in range(len(film.frames)):
+            for run in runs:
+                run.step(index)
+    return [run.trial() for run in runs]
+
+
+def on_one_scene(
+    trackers: Sequence[BodyTracker], scene: Mapping[str, Any], shown: Sequence[int], n_frames: int, seed: int
+) -> dict[str, BodyTrial]:
+    """Draw a scene and run all trackers on it; answers with hindsight have a name of their own."""
+    found = {}
+    trials = in_turns(SignerFilm.of(**{**scene, "n_frames": n_frames, "seed": seed}), trackers, shown)
+    for tracker, trial in zip(trackers, trials, strict=True):
+        found[tracker.name] = trial
+        if trial.later is not None:
+            found[LATER.format(tracker.name)] = trial.later
+    return found
+
+
+@contextmanager
+def _opencv_in_one_thread() -> Iterator[None]:
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+# --- Fig. 6 -------------------------------------------------------------------------------------------------
 
 SEEDS = range(20)
 N_FRAMES = 120
 SCENE: Mapping[str, Any] = {"n_frames": N_FRAMES, "detector_dropout": 0.2}
 SHOWN = tuple(range(19, N_FRAMES, 20))
 """Indices of the frames of the figure: every twentieth, as in the paper."""
-PICTURE_WIDTH = 520  # px
 
 SAMPLES = 1000
-MULTIPLES = (1, 3.2)
-"""Of RSMCM's time a frame, hindsight included, that CONDENSATION is given."""
-NEAR = 1.25
-"""Ratio of errors below which a tracker comes near to another."""
+MULTIPLES = (1, 3.2)  # of RSMCM's time a frame, hindsight included, that CONDENSATION is given
+NEAR = 1.25  # ratio of errors below which a tracker comes near to another
 
 TIMED_FRAMES, WARM_UP = 53, 5
 """Length of the scenes on which times are taken, and frames that do not count in any."""
-TIMED_SEEDS = (100, 101)
-"""Of these scenes."""
+TIMED_SEEDS = (100, 101)  # of these scenes
 TIMED_SAMPLES: Mapping[System, tuple[int, int]] = {"sampler": (1000, 2000), "condensation": (2000, 10_000)}
 """Of those whose number of samples follows from the time that they are given: that of other numbers follows
 from that of these."""
@@ -60,19 +261,9 @@ FEWEST_SAMPLES = 100
 RSMCM = BodyTracker("RSMCM", "rsmcm", SAMPLES, LAG)
 SAMPLER = "likelihood sampler, 1x the time"
 FLESH = BodyTracker("flesh tracker alone", "flesh", 0)
-CONDENSATION = "CONDENSATION, {}x the time"
-CLOUDS = tuple(map(CONDENSATION.format, MULTIPLES))
-LATER = f"{{}}, {LAG} frames later"
-"""A tracker with hindsight."""
-IN_FIGURE = (RSMCM.name, LATER.format(RSMCM.name), SAMPLER, CLOUDS[0])
+CLOUDS = tuple(f"CONDENSATION, {multiple}x the time" for multiple in MULTIPLES)
+LATER = f"{{}}, {LAG} frames later"  # a tracker with hindsight
 
-CLOUD_COLOURS = ("#e0a050", "#803030")
-COLOURS = {
-    RSMCM.name: "#1f5fa8",
-    LATER.format(RSMCM.name): "#6aa8e0",
-    SAMPLER: "#2a8a4b",
-    **dict(zip(CLOUDS, CLOUD_COLOURS, strict=True)),
-}
 ERRORS = (
     "tracker", "samples", "error, px", "head heights", "median, px", "hands, px", "elbows, px",
     "hands in 3-D, px", "elbows in 3-D, px",
@@ -82,6 +273,7 @@ BEHAVIOUR = (
     "a hand off, % of frames", "mis-tracks", f"recovered in {SOON}, %", f"exchanged > {SOON} frames, scenes",
 )  # fmt: skip
 FAIR = (
+    "Of the posterior mean, over all frames but the first. "
     "All trackers see the same pictures through the same features and the same likelihood, know the true "
     "lengths of the body, assume the same dynamics, and are given the true pose of the first frame, which "
     "CONDENSATION cannot find by itself. The first frame does not count."
@@ -94,72 +286,42 @@ NOTE = (
     "frames from the first in which that hand looks like skin."
 )
 
-Found = dict[str, list[BodyTrial]]
-"""By tracker, one for each seed."""
+Found = dict[str, list[BodyTrial]]  # by tracker, one for each seed
 
 
 def body() -> Findings:
     """Fig. 6, with what is wanted of it."""
     trackers = compared()
-    work = [(on_one_scene, (trackers, {**SCENE, "seed": seed}, SHOWN)) for seed in SEEDS]
-    found = by_name(trackers, in_parallel("body", work))
-    expectations = over_seeds(expectations_of, found)
+    measure = partial(on_one_scene, trackers, SCENE, SHOWN)
+    (found,) = by_seed("body", measure, [SCENE["n_frames"]], SEEDS).values()
     samples = {name: each.samples for each in trackers for name in (each.name, LATER.format(each.name))}
     errors = [[name, samples[name] or "", *errors_of(trials)] for name, trials in found.items()]
     behaviour = [[name, *behaviour_of(trials, found[RSMCM.name])] for name, trials in found.items()]
     scene = signer(**SCENE, seed=SEEDS[0])
-    frames = {index: scene.frame(index) for index in SHOWN}
-    reach = scene.body.upper_arm + scene.body.forearm
-    sheet = draw_samples(frames, {name: found[name][0] for name in IN_FIGURE}, reach)
-    caption = f"Mean over {len(SEEDS)} scenes: over time, and over the time that is spent."
-    poses = "Fig. 6: 40 poses of the posterior, over the picture and from the side."
+    names = (RSMCM.name, LATER.format(RSMCM.name), SAMPLER, CLOUDS[0])
+    sheet = draw_samples(scene, {name: found[name][0] for name in names})
+    poses = f"Fig. 6: {N_SHOWN} poses of the posterior, over the picture and from the side."
     return Findings(
         "Body",
+        [Table(ERRORS, errors, FAIR), Table(BEHAVIOUR, behaviour, NOTE)],
+        over_seeds(expectations_of, found),
         [
-            Table(ERRORS, errors, f"Of the posterior mean, over all frames but the first. {FAIR}"),
-            Table(BEHAVIOUR, behaviour, NOTE),
-        ],
-        expectations,
-        [
-            Plot("errors.png", lambda canvas: draw_errors(canvas, found), (12.0, 4.5), caption),
             Picture("fig-6.png", sheet, poses),
         ],
-        runs={name: {"samples": samples[name], **as_json(trials)} for name, trials in found.items()},
     )
-
-
-def by_name(trackers: Sequence[BodyTracker], trials: Sequence[Sequence[BodyTrial]]) -> Found:
-    """Trials `[scene][tracker]` by the tracker's name, those with hindsight by one of their own."""
-    found: Found = {}
-    for tracker, of_scenes in zip(trackers, zip(*trials, strict=True), strict=True):
-        found[tracker.name] = list(of_scenes)
-        later = [trial.later for trial in of_scenes if trial.later is not None]
-        if later:
-            found[LATER.format(tracker.name)] = later
-    return found
-
-
-# How many samples take as long
 
 
 def compared() -> list[BodyTracker]:
     """All trackers; those of `TIMED_SAMPLES` with as many samples as take the time they are given."""
-    scenes = [{**SCENE, "n_frames": TIMED_FRAMES, "seed": seed} for seed in TIMED_SEEDS]
-    timed = [
-        RSMCM,
-        *(
-            BodyTracker(f"{system} {n}", system, n)
-            for system, counts in TIMED_SAMPLES.items()
-            for n in counts
-        ),
-    ]
-    found = by_name(timed, in_parallel("times", [(on_one_scene, (timed, scene)) for scene in scenes]))
-    times = {name: seconds(trials) for name, trials in found.items()}
-    whole = times[LATER.format(RSMCM.name)]
+    timed = [RSMCM]
+    timed += [BodyTracker(f"{system} {n}", system, n) for system, both in TIMED_SAMPLES.items() for n in both]
+    measure = partial(on_one_scene, timed, SCENE, ())
+    (found,) = by_seed("times", measure, [TIMED_FRAMES], TIMED_SEEDS).values()
+    whole = seconds(found[LATER.format(RSMCM.name)])
 
     def given(name: str, system: System, multiple: float, lag: int = 0) -> BodyTracker:
         counts = TIMED_SAMPLES[system]
-        few, many = (times[f"{system} {count}"] for count in counts)
+        few, many = (seconds(found[f"{system} {count}"]) for count in counts)
         return BodyTracker(name, system, samples_in(multiple * whole, counts, (few, many)), lag)
 
     clouds = [
@@ -172,10 +334,7 @@ def compared() -> list[BodyTracker]:
 def samples_in(seconds: float, counts: tuple[int, int], timed: tuple[float, float]) -> int:
     """How many samples a tracker takes in so many seconds a frame, to two digits.
 
-    Parameters
-    ----------
-    counts, timed
-        two numbers of samples, and s that it takes with each; in between and beyond, time is linear.
+    It is known what it takes with two `counts` of samples; in between and beyond, time is linear.
     """
     few, many = timed
     slope = max(many - few, 1e-9) / (counts[1] - counts[0])
@@ -183,48 +342,41 @@ def samples_in(seconds: float, counts: tuple[int, int], timed: tuple[float, floa
     return int(float(f"{count:.2g}"))
 
 
-# Figures
-
-
 def errors_of(trials: Sequence[BodyTrial]) -> list[float | str]:
     """A tracker's cells of `ERRORS`, after its name and samples."""
     errors, deep = pooled(trials, "errors"), pooled(trials, "errors_3d")
     heads = np.mean([trial.error / trial.head_height for trial in trials])
-    values = (
-        errors.mean(),
-        heads,
-        np.median(errors),
-        errors[:, HANDS].mean(),
-        errors[:, ELBOWS].mean(),
-        deep[:, HANDS].mean(),
-        deep[:, ELBOWS].mean(),
-    )
-    return [_cell(value) for value in values]
+    parts = [each[:, part].mean() for each in (errors, deep) for part in (HANDS, ELBOWS)]
+    return _cells(errors.mean(), heads, np.median(errors), *parts)
 
 
 def behaviour_of(trials: Sequence[BodyTrial], rsmcm: Sequence[BodyTrial]) -> list[float | str]:
     """A tracker's cells of `BEHAVIOUR`, after its name."""
     recovered, known = recoveries(trials)
-    values = (
+    return _cells(
         100 * coverage(trials),
         np.median(pooled(trials, "effective")),
         1e3 * seconds(trials),
         seconds(trials) / seconds(rsmcm),
-        100 * np.mean([trial.off for trial in trials]),
+        100 * off(trials),
         sum(len(trial.mis_tracks) for trial in trials),
         100 * recovered / known if known else np.nan,
         exchanged(trials),
     )
-    return [_cell(value) for value in values]
 
 
-def _cell(value: float | np.floating[Any]) -> float | str:
-    return float(value) if np.isfinite(value) else "–"
+def _cells(*values: float | np.floating[Any]) -> list[float | str]:
+    return [float(value) if np.isfinite(value) else "–" for value in values]
 
 
 def error(trials: Sequence[BodyTrial]) -> float:
     """px: mean over hands and elbows, frames and scenes."""
     return float(np.mean([trial.error for trial in trials]))
+
+
+def off(trials: Sequence[BodyTrial]) -> float:
+    """Share of frames in which a hand is not followed."""
+    return float(np.mean([trial.off for trial in trials]))
 
 
 def exchanged(trials: Sequence[BodyTrial]) -> int:
@@ -256,106 +408,43 @@ def time_to_come_near(times: Sequence[float], ratios: Sequence[float]) -> float:
 
 def expectations_of(found: Found) -> list[Expectation]:
     """What is wanted."""
-    now, later = found[RSMCM.name], found[LATER.format(RSMCM.name)]
-    clouds = [found[name] for name in CLOUDS]
+    now, later, sampler = found[RSMCM.name], found[LATER.format(RSMCM.name)], found[SAMPLER]
+    clouds, cloud_later = [found[name] for name in CLOUDS], found[LATER.format(CLOUDS[0])]
     ratios = [error(cloud) / error(now) for cloud in clouds]
     times = [seconds(cloud) / seconds(now) for cloud in clouds]
-    need = f"time in which CONDENSATION comes within {NEAR:g} of RSMCM's error, filtering, over RSMCM's"
-    if min(ratios) > NEAR:
-        need += " (more than)"
+    more = " (more than)" if min(ratios) > NEAR else ""
     recovered, known = recoveries(later)
-    covered = coverage(later)
-    cloud_later = found[LATER.format(CLOUDS[0])]
-    hindsight = f"RSMCM, {LAG} frames later"
+    share = recovered / known if known else 1.0
+    same = "error of RSMCM over the likelihood sampler's in the same time, both filtering"
+    need = f"time in which CONDENSATION comes within {NEAR:g} of RSMCM's error, filtering, over RSMCM's{more}"
+    who = f"RSMCM, {LAG} frames later"
+    again = f"{who}: {known} mis-tracks, recovered within {SOON} frames, share"
+    swapped = f"{who}: scenes with hands exchanged for more than {SOON} frames"
     return [
-        Expectation(
-            "error of RSMCM over the likelihood sampler's in the same time, both filtering",
-            error(now) / error(found[SAMPLER]),
-            "<=",
-            0.5,
-        ),
+        Expectation(same, error(now) / error(sampler), "<=", 0.5),
         Expectation("over CONDENSATION's in the same time, both filtering", 1 / ratios[0], "<=", 0.7),
         Expectation(
-            f"error of {hindsight}, over CONDENSATION's filtering", error(later) / error(clouds[0]), "<=", 0.5
+            f"error of {who}, over CONDENSATION's filtering", error(later) / error(clouds[0]), "<=", 0.5
         ),
         Expectation(f"the same over CONDENSATION's {LAG} frames later", error(later) / error(cloud_later)),
         Expectation(need, time_to_come_near(times, ratios), ">=", 3.0),
-        Expectation(
-            f"{hindsight}: {known} mis-tracks, recovered within {SOON} frames, share",
-            recovered / known if known else 1.0,
-            ">=",
-            0.95,
-        ),
-        Expectation(f"{hindsight}: hands within the 90 % region, share", covered, ">=", 0.85),
-        Expectation("the same, from above", covered, "<=", 0.95),
-        Expectation(
-            f"{hindsight}: a hand off by {OFF:g} head heights, share of frames",
-            float(np.mean([trial.off for trial in later])),
-            "<=",
-            0.06,
-        ),
-        Expectation(
-            f"{hindsight}: scenes with hands exchanged for more than {SOON} frames", exchanged(later), "<=", 0
-        ),
+        Expectation(again, share, ">=", 0.95),
+        Expectation(f"{who}: hands within the 90 % region, share", coverage(later), ">=", 0.85),
+        Expectation("the same, from above", coverage(later), "<=", 0.95),
+        Expectation(f"{who}: a hand off by {OFF:g} head heights, share of frames", off(later), "<=", 0.06),
+        Expectation(swapped, exchanged(later), "<=", 0),
     ]
 
 
-def as_json(trials: Sequence[BodyTrial]) -> dict[str, Any]:
-    """A tracker's measures, by seed."""
-    return {
-        "error": [trial.error for trial in trials],
-        "hands": [trial.hands for trial in trials],
-        "head_height": [trial.head_height for trial in trials],
-        "coverage": [coverage([trial]) for trial in trials],
-        "seconds": [seconds([trial]) for trial in trials],
-        "off": [trial.off for trial in trials],
-        "longest_exchange": [trial.longest_exchange for trial in trials],
-        "mis_tracks": [[asdict(one) for one in trial.mis_tracks] for trial in trials],
-    }
-
-
-def draw_samples(frames: Mapping[int, Frame], trials: Mapping[str, BodyTrial], reach: float) -> Image:
-    """Poses drawn from the posteriors, as in the paper: a row for each frame, a column for each tracker.
-
-    Parameters
-    ----------
-    frames
-        by their index.
-    trials
-        by the tracker's name, with what is shown in these frames.
-    reach
-        px: of a stretched arm.
-    """
-    overlay, rows = BodyOverlay(reach), []
-    for index, frame in frames.items():
+def draw_samples(scene: SignerScene, trials: Mapping[str, BodyTrial]) -> Image:
+    """Poses drawn from the posteriors, as in the paper: a row for each frame, a column for each tracker."""
+    overlay, rows = BodyOverlay(scene.body.upper_arm + scene.body.forearm), []
+    for index in SHOWN:
+        frame = scene.frame(index)
         assert frame.image is not None
         pictures = [
             overlay.draw(frame.image, trial.shown[index], f"error {trial.errors[index].mean():.0f} px")
             for trial in trials.values()
         ]
         rows.append((f"frame {frame.number}", pictures))
-    return mosaic(rows, list(trials), PICTURE_WIDTH)
-
-
-def draw_errors(canvas: Figure, found: Found) -> None:
-    """Mean error over time, and over the time that a frame takes."""
-    over_time, over_cost = canvas.subplots(1, 2, sharey=True)
-    for name, colour in COLOURS.items():
-        trials = found[name]
-        errors = np.mean([trial.errors.mean(axis=1) for trial in trials], axis=0)
-        over_time.plot(np.arange(2, len(errors) + 1), errors[1:], color=colour, linewidth=1.3, label=name)
-        over_cost.plot(1e3 * seconds(trials), error(trials), "o", color=colour)
-    clouds = [found[name] for name in CLOUDS]
-    line = [1e3 * seconds(cloud) for cloud in clouds], [error(cloud) for cloud in clouds]
-    over_cost.plot(*line, color=CLOUD_COLOURS[-1], linewidth=1, zorder=0)
-    wanted = NEAR * error(found[RSMCM.name])
-    over_cost.axhline(wanted, color=COLOURS[RSMCM.name], linestyle="--", linewidth=1)
-    over_cost.set_xscale("log")
-    over_time.set_yscale("log")
-    for scale in (over_cost.xaxis, over_time.yaxis):
-        scale.set_major_formatter("{x:g}")
-        scale.set_minor_formatter("{x:g}")
-    over_time.set_xlabel("frame")
-    over_cost.set_xlabel(f"ms a frame (dashed: {NEAR:g} x RSMCM's error)")
-    over_time.set_ylabel("mean error of hands and elbows, px")
-    over_time.legend(fontsize=8)
+    return mosaic(rows, list(trials), 520)

@@ -5,7 +5,7 @@
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -20,9 +20,8 @@ from ..body.job import BodyJob
 from ..body.joint_files import read_joints
 from ..body.measures import APART, SOON, exchanged_hands, longest_exchange
 from ..runs.parallel import chosen_workers, in_parallel, working
-from .expectations import Expectation, over_seeds
 from .experiment import Findings, publish
-from .record import Table
+from .record import Expectation, Table, over_seeds
 
 Numbers = NDArray[np.float64]
 
@@ -30,8 +29,7 @@ HANDS, ELBOWS = (
     [JOINTS.index(f"{side}_{joint}") for side in ("left", "right")] for joint in ("hand", "elbow")
 )
 
-FAR = 50.0
-"""px: a hand is nowhere near."""
+FAR = 50.0  # px: a hand is nowhere near
 
 COLUMNS = (
     "seed", "hands, median px", f"hands over {FAR:g} px, %", "elbows, median px", "frames exchanged",
@@ -43,21 +41,11 @@ app = App(name="body_film", help=__doc__.splitlines()[0])
 
 @dataclass(frozen=True, eq=False)
 class FilmTrial:
-    """What a run found in the frames that somebody has looked at.
+    """What a run found in the frames that somebody has looked at."""
 
-    Parameters
-    ----------
-    errors
-        `(n, 8)` px: distance of each joint in the picture; NaN where it was not noted.
-    exchanged
-        `(n,)` as of `exchanged_hands`.
-    longest
-        frames of the film in the longest stretch with exchanged hands.
-    """
-
-    errors: Numbers
-    exchanged: Numbers
-    longest: int
+    errors: Numbers  # `(n, 8)` px: distance of each joint in the picture; NaN where it was not noted
+    exchanged: Numbers  # `(n,)` as of `exchanged_hands`
+    longest: int  # frames of the film in the longest stretch with exchanged hands
 
     @classmethod
     def of(cls, poses: Mapping[str, Numbers], noted: ClickedJoints) -> "FilmTrial":
@@ -109,17 +97,8 @@ def main(
         Runs at once; as many as there are cores if not given.
     """
     noted = read_joints(joints)
-    runs = [
-        BodyJob(
-            source=str(film),
-            out=out / f"seed-{seed}",
-            seed=seed,
-            head=head,
-            detector=detector,
-            overwrite=True,
-        )
-        for seed in range(seeds)
-    ]
+    common = BodyJob(source=str(film), out=out, head=head, detector=detector, overwrite=True)
+    runs = [replace(common, out=out / f"seed-{seed}", seed=seed) for seed in range(seeds)]
     with working(chosen_workers(jobs, None)):
         publish("body-film", f"body_film {film}", out, lambda: compared(runs, noted))
 
@@ -143,15 +122,11 @@ def tracked(job: BodyJob, noted: ClickedJoints) -> FilmTrial:
 
 def cells_of(trial: FilmTrial) -> list[float | str]:
     """A run's cells of `COLUMNS`, after its seed."""
-    hands = _known(trial.errors[:, HANDS])
-    elbows = _known(trial.errors[:, ELBOWS])
-    return [
-        float(np.median(hands)) if len(hands) else "–",
-        100 * float((hands > FAR).mean()) if len(hands) else "–",
-        float(np.median(elbows)) if len(elbows) else "–",
-        int(np.nansum(trial.exchanged)),
-        trial.longest,
-    ]
+    hands, elbows = _known(trial.errors[:, HANDS]), _known(trial.errors[:, ELBOWS])
+    values = [np.median(hands), 100 * (hands > FAR).mean()] if len(hands) else [np.nan] * 2
+    values.append(np.median(elbows) if len(elbows) else np.nan)
+    known = ["–" if np.isnan(value) else float(value) for value in values]
+    return [*known, int(np.nansum(trial.exchanged)), trial.longest]
 
 
 def expectations_of(found: Mapping[str, Sequence[FilmTrial]]) -> list[Expectation]:

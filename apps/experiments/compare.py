@@ -24,7 +24,7 @@ from ..io.tracks import TrackedBox
 from ..runs.interruption import Interruption, Outcome
 from ..runs.progress import Progress
 from ..runs.region import inside, read_region
-from .baselines import CleanUp, KalmanHungarian, OpenCVSubtractor, Subtractor, component_boxes
+from .baselines import CleanUp, KalmanHungarian, Subtractor, components, opencv_subtractor
 from .experiment import Findings, Picture, Plot, publish
 from .mosaic import fitting, mosaic
 from .record import Table
@@ -40,9 +40,7 @@ CHAINS: tuple[tuple[str, Engine], ...] = (("feed-forward", "feed-forward"), ("RS
 PRIORS = (0.5, 0.7, 0.9, 0.99)  # P(B) of the stand-alone background, as in Fig. 8
 SHOWN_PRIOR = 0.9  # which of them Fig. 11's picture shows
 COLUMNS = 5  # of Fig. 11's picture
-MOST_PICTURES = 2 * COLUMNS
 PICTURE_WIDTH = 240  # px
-USUAL_CLEAN_UP = CleanUp(median=5, min_area=50)
 
 
 class Method(Protocol):
@@ -57,16 +55,9 @@ class Method(Protocol):
 
 
 class Model:
-    """A multi-chain model.
+    """A multi-chain model by its name for tables; engine, parameters and camera are as of `build_model`.
 
-    Parameters
-    ----------
-    name
-        for tables.
-    engine, parameters, camera
-        as `build_model` takes them.
-    size
-        `(width, height)` px of the pictures.
+    `size` is `(width, height)` px of the pictures.
     """
 
     def __init__(
@@ -77,9 +68,7 @@ class Model:
         parameters: Parameters | None = None,
         camera: Camera = "fixed",
     ) -> None:
-        self.name = name
-        self.tracks = engine != "stand-alone"
-        self._size = size
+        self.name, self.tracks, self._size = name, engine != "stand-alone", size
         self._engine = RecursiveBP(build_model(engine, parameters, camera))
         self._state = RunState()
 
@@ -103,9 +92,7 @@ class ModelSubtractor:
     def __init__(
         self, engine: Engine, size: tuple[int, int], rate: float, parameters: Parameters | None = None
     ) -> None:
-        self._model = Model("", engine, size, parameters)
-        self._rate = rate
-        self._count = 0
+        self._model, self._rate, self._count = Model("", engine, size, parameters), rate, 0
 
     def apply(self, image: Image, /) -> Image:
         """Take the next picture; return 0 background, 255 foreground."""
@@ -114,26 +101,15 @@ class ModelSubtractor:
 
 
 class Usual:
-    """A subtractor, a clean-up of its mask, Kalman filters and the Hungarian method on the components' boxes.
+    """A fresh subtractor, a clean-up of its mask, Kalman filters and the Hungarian method on the boxes.
 
-    Parameters
-    ----------
-    name
-        for tables.
-    subtractor
-        fresh.
-    clean_up
-        of every mask.
-    size
-        `(width, height)` px of the pictures.
+    `size` is `(width, height)` px of the pictures.
     """
 
     tracks = True
 
     def __init__(self, name: str, subtractor: Subtractor, clean_up: CleanUp, size: tuple[int, int]) -> None:
-        self.name = name
-        self._subtractor = subtractor
-        self._clean_up = clean_up
+        self.name, self._subtractor, self._clean_up = name, subtractor, clean_up
         self._tracker = KalmanHungarian()
         self._mask: Image = np.zeros((size[1], size[0]), np.uint8)
 
@@ -141,7 +117,7 @@ class Usual:
         """Take in the next frame; a missing one leaves the mask as it was."""
         if frame.image is not None:
             self._mask = self._clean_up.apply(self._subtractor.apply(frame.image))
-        found = self._tracker.update(component_boxes(self._mask))
+        found = self._tracker.update(components(self._mask)[:, :4])
         return Found(self._mask, [TrackedBox(int(i), (x, y, w, h)) for i, x, y, w, h in found.tolist()])
 
 
@@ -182,7 +158,7 @@ class Tally:
             if name in errors:
                 line[title] = errors[name]
         line |= {name: pixels[name] for name in ("precision", "recall", "F") if name in pixels}
-        line |= {title: tracks[name] for name, title in TRACKS.items() if name in tracks}
+        line |= {title: tracks[name] for title, name in TRACKS.items() if name in tracks}
         return line
 
 
@@ -193,7 +169,8 @@ ERRORS = {
     "ghosts": "ghosts",
     "missed and ghosts": "total",
 }
-TRACKS = {"idf1": "IDF1", "hota": "HOTA", "mota": "MOTA", "switches": "id switches"}
+TRACKS = {"IDF1": "idf1", "HOTA": "hota", "MOTA": "mota", "id switches": "switches"}
+"""Attributes of `TrackScores` by what they are called in tables."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +185,7 @@ class Moment:
 class Gallery:
     """Evenly spaced moments of a source of unknown length: at most ten, of which five are shown."""
 
-    moments: EvenlySpaced[Moment] = field(default_factory=lambda: EvenlySpaced(MOST_PICTURES))
+    moments: EvenlySpaced[Moment] = field(default_factory=lambda: EvenlySpaced(2 * COLUMNS))
 
     def add(self, number: int, image: Image, systems: Sequence[tuple[Model, Found]]) -> None:
         """Keep a frame and what each system makes of it, if it is one of those to keep."""
@@ -239,10 +216,11 @@ def _small(image: Image) -> Image:
 
 FIGURE_ROWS = (
     "input",
-    f"stand-alone, P(B) = {SHOWN_PRIOR}: background",
-    f"stand-alone, P(B) = {SHOWN_PRIOR}: foreground",
-    "RSMCM: background",
-    "RSMCM: foreground",
+    *(
+        f"{name}: {what}"
+        for name in (f"stand-alone, P(B) = {SHOWN_PRIOR}", "RSMCM")
+        for what in ("background", "foreground")
+    ),
 )
 
 
@@ -251,31 +229,18 @@ def methods_of_figure_8(
 ) -> list[Method]:
     """The background by itself at several P(B), feed-forward, RSMCM, and OpenCV's subtractors as they come.
 
-    Parameters
-    ----------
-    size
-        `(width, height)` px of the pictures.
-    parameters
-        of the chains.
-    camera
-        as `build_model` takes it; the usual ones know only a fixed one.
+    The latter know neither parameters nor a camera that moves. `size` is `(width, height)` px.
     """
-    alone = [
-        Model(
-            f"stand-alone, P(B) = {prior}",
-            "stand-alone",
-            size,
-            {"background": {**parameters.get("background", {}), "prior": prior}},
-            camera,
-        )
+    background, clean_up = parameters.get("background", {}), CleanUp(median=5, min_area=50)
+    alone: list[tuple[str, Engine, Parameters]] = [
+        (f"stand-alone, P(B) = {prior}", "stand-alone", {"background": {**background, "prior": prior}})
         for prior in PRIORS
     ]
     return [
-        *alone,
-        Model("feed-forward", "feed-forward", size, parameters, camera),
-        Model("RSMCM", "recursive-bp", size, parameters, camera),
-        Usual("MOG2, 5x5 median", OpenCVSubtractor("MOG2", 500, 16), USUAL_CLEAN_UP, size),
-        Usual("KNN, 5x5 median", OpenCVSubtractor("KNN", 500, 400), USUAL_CLEAN_UP, size),
+        *(Model(name, engine, size, given, camera) for name, engine, given in alone),
+        *(Model(name, engine, size, parameters, camera) for name, engine in CHAINS),
+        Usual("MOG2, 5x5 median", opencv_subtractor("MOG2", 500, 16), clean_up, size),
+        Usual("KNN, 5x5 median", opencv_subtractor("KNN", 500, 400), clean_up, size),
     ]
 
 

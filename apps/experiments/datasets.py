@@ -3,15 +3,13 @@
 import logging
 import os
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
 from pathlib import Path
 
 import pooch
 
 from ...models.files import write_text
 
-VARIABLE = "RSMCM_DATA"
-"""The environment variable that names the folder in which the sequences' folders lie."""
+VARIABLE = "RSMCM_DATA"  # the environment variable that names the folder in which the sequences' folders lie
 
 VIDEO_ADDRESS = "https://raw.githubusercontent.com/opencv/opencv/4.x/samples/data/vtest.avi"
 VIDEO_HASH = "sha256:45cddc9490be69345cbdab64ca583be65987e864ca408038e648db99e10516cf"
@@ -28,7 +26,6 @@ SEQUENCES: dict[str, tuple[tuple[str, ...], str]] = {
         ("input", "groundtruth", "temporalROI.txt"),
         "http://changedetection.net (dataset 2014, baseline)",
     ),
-    "aboda": (("video4.avi",), "https://github.com/kevinlin311tw/ABODA"),
     "cmu-hotel": (("hotel.seq0.png", "hotel.seq100.png"), "http://vasc.ri.cmu.edu/idb/html/motion/hotel"),
     "bobot": (
         ("frame_000100.jpg", "frame_000250.jpg"),
@@ -51,7 +48,6 @@ SEQUENCES: dict[str, tuple[tuple[str, ...], str]] = {
         ("signseg_demo_video.mp4",),
         "https://github.com/RenzKa/sign-segmentation (demo/sample_data/demo_video.mp4)",
     ),
-    "candide3": (("candide3.wfm",), "http://www.icg.isy.liu.se/candide"),
 }
 """What its folder has to hold, and where people find it, by the name of a sequence."""
 
@@ -75,7 +71,9 @@ def data_folder(name: str) -> Path:
         raise ValueError(f"sequence: got {name!r}, expected one of {', '.join(sorted(SEQUENCES))}")
     files, address = SEQUENCES[name]
     cache = Path(pooch.os_cache("rsmcm"))
-    tried = [*_local_folders(), cache]
+    named = os.environ.get(VARIABLE)
+    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
+    tried = [*([Path(named)] if named else []), Path("../shared/data"), beside, cache]
     for folder in tried:
         if (folder / name).is_dir() and all((folder / name / file).exists() for file in files):
             return folder / name
@@ -92,14 +90,6 @@ def data_folder(name: str) -> Path:
     )
 
 
-def _local_folders() -> Iterator[Path]:
-    named = os.environ.get(VARIABLE)
-    if named:
-        yield Path(named)
-    yield Path("../shared/data")
-    yield Path(__file__).resolve().parents[3] / "shared" / "data"
-
-
 def _fetch_pets(folder: Path) -> Path:
     logging.getLogger("pooch").setLevel(logging.WARNING)
     pooch.retrieve(VIDEO_ADDRESS, VIDEO_HASH, fname="vtest.avi", path=folder)
@@ -111,36 +101,36 @@ def _fetch_pets(folder: Path) -> Path:
 
 
 def mot_from_cvml(text: str, frames: int, identities: int, boxes: int) -> str:
-    """Convert a CVML annotation (boxes by their centre) to the lines of a MOT `gt.txt`.
-
-    Parameters
-    ----------
-    text
-        `<dataset><frame number=…><objectlist><object id=…><box xc yc w h/>`, px; frames are
-        renumbered from 1.
-    frames, identities, boxes
-        how many of each the annotation has to hold.
+    """Convert a CVML annotation (boxes by their centre) to the lines of a MOT `gt.txt`, frames from 1.
 
     Raises
     ------
     ValueError
-        if it is no such annotation, or holds another number of them.
+        if it is no such annotation, or holds another number of frames, identities and boxes.
     """
     try:
         root = ElementTree.fromstring(text)
-        numbers = [int(frame.attrib["number"]) for frame in root.iter("frame")]
-        rows = []
-        for frame in root.iter("frame"):
-            number = int(frame.attrib["number"]) - min(numbers) + 1
+        numbered = [(int(frame.attrib["number"]), frame) for frame in root.iter("frame")]
+        first, rows = min((number for number, _ in numbered), default=1), []
+        for number, frame in numbered:
             for thing in frame.iter("object"):
                 place = thing.find("box")
                 if place is None:
-                    raise ValueError(f"object without a box in frame {number}")
+                    raise ValueError(f"object without a box in frame {number - first + 1}")
                 x, y, width, height = (float(place.attrib[key]) for key in ("xc", "yc", "w", "h"))
-                rows.append((number, int(thing.attrib["id"]), x - width / 2, y - height / 2, width, height))
+                rows.append(
+                    (
+                        number - first + 1,
+                        int(thing.attrib["id"]),
+                        x - width / 2,
+                        y - height / 2,
+                        width,
+                        height,
+                    )
+                )
     except (ElementTree.ParseError, KeyError, ValueError) as error:
         raise ValueError(f"annotation: not in CVML ({error})") from error
-    found = (len(numbers), len({row[1] for row in rows}), len(rows))
+    found = (len(numbered), len({row[1] for row in rows}), len(rows))
     if found != (frames, identities, boxes):
         raise ValueError(
             f"annotation: got {found} frames, identities and boxes, expected {(frames, identities, boxes)}"

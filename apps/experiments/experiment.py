@@ -4,26 +4,32 @@ import textwrap
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.files import write_atomically
 from ..evaluation.text_tables import in_columns
 from ..io.files import write_image
 from ..runs.parallel import in_parallel
 from ..view.page import Page, Section, picture_file, table, write_page
-from .expectations import HEADER, Expectation
-from .figures import write_figure
-from .record import Record, Stopwatch, Table
+from .record import HEADER, Expectation, Record, Stopwatch, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
 Cell = TypeVar("Cell", bound=Hashable)
 Method = TypeVar("Method", bound=Hashable)
 T = TypeVar("T")
+
+INK = dict.fromkeys(
+    ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color", "grid.color"), "#0a0b0c"
+)
+STYLE = {
+    "font.family": "sans-serif", "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
+    "axes.axisbelow": True, "grid.alpha": 0.18, "legend.frameon": False, **INK,
+}  # fmt: skip
 
 
 def by_seed(
@@ -34,27 +40,21 @@ def by_seed(
 ) -> dict[Cell, dict[Method, list[T]]]:
     """Measure every cell with every seed, in several processes.
 
-    Parameters
-    ----------
-    label
-        of the progress that is shown.
-    measure
-        gives measures by method, of a cell and a seed; it can be sent to another process.
-    cells, seeds
-        what is measured: all combinations.
-
-    Returns
-    -------
-    dict
-        by cell and method, a measure for each seed: what `over_seeds` takes.
+    `measure` gives measures by method, of a cell and a seed; it can be sent to another process. By cell and
+    method, a measure for each seed comes back: what `over_seeds` takes.
     """
-    work = [(measure, (cell, seed)) for cell in cells for seed in seeds]
-    measured = iter(in_parallel(label, work))
+    measured = iter(in_parallel(label, [(measure, (cell, seed)) for cell in cells for seed in seeds]))
     found = {}
     for cell in cells:
         of_seeds = [next(measured) for _ in seeds]
         found[cell] = {method: [each[method] for each in of_seeds] for method in of_seeds[0]}
     return found
+
+
+def in_words(values: Sequence[float], dash: str = "–") -> str:
+    """Median and quartiles."""
+    low, middle, high = np.quantile(values, (0.25, 0.5, 0.75))
+    return f"{middle:.3g} ({low:.3g}{dash}{high:.3g})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +67,14 @@ class Plot:
     caption: str
 
     def write(self, path: Path) -> None:
-        """Write it as a file."""
-        write_figure(path, self.draw, self.size)
+        """Draw it on an empty figure, and write that as PNG."""
+        import matplotlib
+        from matplotlib.figure import Figure
+
+        with matplotlib.rc_context(STYLE), write_atomically(path) as unfinished:
+            canvas = Figure(figsize=self.size, layout="constrained")
+            self.draw(canvas)
+            canvas.savefig(unfinished, format="png", dpi=110)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,41 +92,20 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What an experiment found.
+    """What an experiment found."""
 
-    Parameters
-    ----------
-    title
-        heading of the page, `index.html`.
-    tables, expectations
-        what was measured, and what was wanted of it: printed, on the page, and in the record.
-    pictures
-        each is a file, and on the page.
-    details
-        tables that are on the page only.
-    runs
-        every run's measures, for the record in the experiment's folder.
-    """
-
-    title: str
+    title: str  # heading of the page, `index.html`
+    # tables, expectations: what was measured, and what was wanted of it: printed, on the page, and in the
+    # record
     tables: Sequence[Table]
     expectations: Sequence[Expectation]
-    pictures: Sequence[Plot | Picture] = ()
-    details: Sequence[Table] = ()
-    runs: Any = None
+    pictures: Sequence[Plot | Picture] = ()  # each is a file, and on the page
 
 
 def publish(name: str, command: str, out: Path, run: Callable[[], Findings]) -> None:
     """Run an experiment; print what it found, and write it with its pictures and its record into a folder.
 
-    Parameters
-    ----------
-    name, command
-        for the record: of the experiment, and what repeats it.
-    out
-        folder of the experiment, made if need be.
-    run
-        does the work.
+    `name` and `command`, which repeats it, are for the record. The folder is made if need be.
 
     Raises
     ------
@@ -131,7 +116,7 @@ def publish(name: str, command: str, out: Path, run: Callable[[], Findings]) -> 
     watch = Stopwatch()
     found = run()
     record = Record(name, found.title, command, watch.provenance(), found.expectations, found.tables)
-    record.write(out / "results.json", found.runs)
+    record.write(out / "results.json")
     for each in found.tables:
         print(*textwrap.wrap(each.caption, 110), in_columns(each.header, each.rows), "", sep="\n")
     wanted = [each.cells for each in found.expectations]
@@ -140,7 +125,7 @@ def publish(name: str, command: str, out: Path, run: Callable[[], Findings]) -> 
     for one in found.pictures:
         one.write(out / one.name)
     shown = [picture_file(out / one.name, one.caption) for one in found.pictures]
-    measured = [table(each.header, each.rows, each.caption) for each in (*found.tables, *found.details)]
+    measured = [table(each.header, each.rows, each.caption) for each in found.tables]
     judged = [table(HEADER, wanted)] if wanted else []
     sections: list[Section] = [("", judged), ("Figures", shown), ("Measured", measured)]
     write_page(out / "index.html", Page(found.title, sections=[each for each in sections if each[1]]))

@@ -8,6 +8,7 @@ A textured bar is painted over the film; where points are behind it, the same ru
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,52 +21,37 @@ from ...models import PointTracks
 from ...models.core.frame import Frame
 from ..evaluation.text_tables import in_columns
 from ..io import open_source
-from ..runs.parallel import chosen_workers, in_parallel, working
+from ..runs.parallel import chosen_workers, working
 from ..scenes.random_fields import mottle
 from .datasets import data_folder
-from .expectations import HEADER, Expectation, over_seeds
+from .experiment import by_seed
+from .record import HEADER, Expectation, over_seeds
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-ENTER = 25
-"""Frames before the bar comes, in which points begin and a shape can be found."""
-
-SOON = 5
-"""Frames in which a point is wanted to be found again, from the first that shows its whole patch."""
-
-RIGHT = 1.5
-"""px from where the point is without the bar."""
-
-LEAST_HIDDEN = 3
-"""Frames in which a point is behind the bar for it to count."""
+ENTER = 25  # frames before the bar comes, in which points begin and a shape can be found
+SOON = 5  # frames in which a point is wanted to be found again, from the first that shows its whole patch
+RIGHT = 1.5  # px from where the point is without the bar
+LEAST_HIDDEN = 3  # frames in which a point is behind the bar for it to count
 
 SPEED, THICKNESS, LENGTH = (2.0, 8.0), (50.0, 150.0), (120.0, 500.0)
 """px a frame, px and px of bars: a point is hidden for 6 to 75 frames."""
 
-MODELS = {"tracker and shape": True, "feed-forward": False}
-"""By name, whether the shape speaks to the points."""
+MODELS = {"tracker and shape": True, "feed-forward": False}  # by name, whether the shape speaks to the points
 
 app = App(name="hidden_points", help=__doc__.splitlines()[0])
 
 
 @dataclass(frozen=True, eq=False)
 class Refound:
-    """What a run with a bar found of points that were behind it; all `(n,)`.
+    """What a run with a bar found of points that were behind it; all `(n,)`."""
 
-    Parameters
-    ----------
-    again
-        whether the point was found within `SOON` frames, where it is and under its number; of those that the
-        film without the bar shows in all these frames.
-    wrong
-        share of these frames in which it was found elsewhere.
-    false
-        share of the frames behind the bar in which a point was found nevertheless; of all hidden points.
-    """
-
+    # whether the point was found within `SOON` frames, where it is and under its number; of those that the
+    # film without the bar shows in all these frames
     again: Mask
-    wrong: Numbers
+    wrong: Numbers  # share of these frames in which it was found elsewhere
+    # share of the frames behind the bar in which a point was found nevertheless; of all hidden points
     false: Numbers
 
 
@@ -92,8 +78,8 @@ def main(film: Path | None = None, *, seeds: int = 10, jobs: int | None = None) 
 def hidden_points(frames: Sequence[Frame], seeds: Sequence[int]) -> list[Expectation]:
     """What is wanted of a film with bars, over all of these, and what was found."""
     truth = {name: tracked(frames, feedback) for name, feedback in MODELS.items()}
-    runs = in_parallel("bars", [(behind_a_bar, (frames, truth, seed)) for seed in seeds])
-    return over_seeds(expectations_of, {name: [run[name] for run in runs] for name in MODELS})
+    (found,) = by_seed("bars", partial(behind_a_bar, frames, truth), [None], seeds).values()
+    return over_seeds(expectations_of, found)
 
 
 def expectations_of(found: Mapping[str, Sequence[Refound]]) -> list[Expectation]:
@@ -103,12 +89,10 @@ def expectations_of(found: Mapping[str, Sequence[Refound]]) -> list[Expectation]
         again, wrong, false = (
             np.concatenate([getattr(run, what) for run in runs]) for what in ("again", "wrong", "false")
         )
-        wanted = 0.9 if MODELS[name] else None
+        wanted, soon = 0.9 if MODELS[name] else None, f"found again within {SOON} frames, share"
         expectations += [
             Expectation(f"{name}: hidden points", len(again) / len(runs)),
-            Expectation(
-                f"{name}: found again within {SOON} frames, share", float(again.mean()), ">=", wanted
-            ),
+            Expectation(f"{name}: {soon}", float(again.mean()), ">=", wanted),
             Expectation(f"{name}: found elsewhere in these frames, share", float(wrong.mean())),
             Expectation(f"{name}: found while hidden, share of frames", float(false.mean())),
             Expectation(f"{name}: found while hidden at least once, share", float((false > 0).mean())),
@@ -116,7 +100,9 @@ def expectations_of(found: Mapping[str, Sequence[Refound]]) -> list[Expectation]
     return expectations
 
 
-def behind_a_bar(frames: Sequence[Frame], truth: Mapping[str, Numbers], seed: int) -> dict[str, Refound]:
+def behind_a_bar(
+    frames: Sequence[Frame], truth: Mapping[str, Numbers], _: None, seed: int
+) -> dict[str, Refound]:
     """Both models on the film with a bar, compared with what each found without it."""
     covered, hidden = with_bar(frames, seed)
     return {
@@ -173,39 +159,32 @@ def tracked(frames: Sequence[Frame], feedback: bool) -> Numbers:
 def compared(found: Numbers, truth: Numbers, hidden: Mask) -> Refound:
     """Compare what was found behind a bar with where points are without it.
 
-    Until the bar comes both runs are the same, and so are the numbers of points.
+    Until the bar comes both runs are the same, and so are the numbers of points. A point is hidden where its
+    centre is, and clear where nothing of its patch is.
     """
-    points = np.flatnonzero(~np.isnan(truth[ENTER - 1, :, 0]))
+    half = PointTracks().patch // 2
     again, wrong, false = [], [], []
-    for point in points.tolist():
-        states = np.array([_state(place, mask) for place, mask in zip(truth[:, point], hidden, strict=True)])
-        behind = np.flatnonzero(states == HIDDEN)
-        if len(behind) < LEAST_HIDDEN:
+    for point in np.flatnonzero(~np.isnan(truth[ENTER - 1, :, 0])).tolist():
+        behind, clear = np.zeros((2, len(truth)), np.bool_)
+        for time in np.flatnonzero(~np.isnan(truth[:, point, 0])).tolist():
+            x, y = np.rint(truth[time, point]).astype(int)
+            behind[time] = hidden[time, y, x]
+            clear[time] = not hidden[
+                time, max(y - half, 0) : y + half + 1, max(x - half, 0) : x + half + 1
+            ].any()
+        if np.count_nonzero(behind) < LEAST_HIDDEN:
             continue
         seen = ~np.isnan(found[:, point, 0]) if point < found.shape[1] else np.zeros(len(found), np.bool_)
         false.append(float(seen[behind].mean()))
-        clear = behind[-1] + 1 + np.flatnonzero(states[behind[-1] + 1 :] == CLEAR)
-        if len(clear) < SOON or clear[SOON - 1] != clear[0] + SOON - 1:
+        end = np.flatnonzero(behind)[-1] + 1
+        soon = end + np.flatnonzero(clear[end:])[:SOON]
+        if len(soon) < SOON or soon[-1] != soon[0] + SOON - 1:
             continue
-        soon = clear[:SOON]
         off = np.linalg.norm(found[soon, point] - truth[soon, point], axis=1) if seen.any() else np.inf
         right = off < RIGHT
         again.append(bool(np.any(right)))
         wrong.append(float((seen[soon] & ~right).mean()))
     return Refound(np.array(again, np.bool_), np.array(wrong), np.array(false))
-
-
-UNKNOWN, CLEAR, PARTLY, HIDDEN = range(4)
-
-
-def _state(place: Numbers, mask: Mask) -> int:
-    """Whether a point is behind the mask: its centre, or some of its patch."""
-    if np.isnan(place[0]):
-        return UNKNOWN
-    x, y = np.rint(place).astype(int)
-    half = PointTracks().patch // 2
-    about = mask[max(y - half, 0) : y + half + 1, max(x - half, 0) : x + half + 1]
-    return HIDDEN if mask[y, x] else PARTLY if about.any() else CLEAR
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What an experiment measured, and where and when: records that are compared, kept and shown."""
+"""What an experiment measured beside what is wanted of it, where and when: records, kept and shown."""
 
 import json
 import math
@@ -6,66 +6,121 @@ import os
 import platform
 import subprocess
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
+import numpy as np
 import psutil
 
 from ...models.numerics.threads import thread_count
+from ..evaluation.text_tables import rounded
 from ..io.files import write_json
 from ..runs.session import versions
-from .expectations import Expectation
 
-ROOT = Path(__file__).resolve().parents[2]
-"""Where the packages lie: the checkout, or the installed package."""
-
-TRACKING = ("models", "inference", "chains")
-"""Packages on whose code measurements depend."""
+ROOT = Path(__file__).resolve().parents[2]  # where the packages lie: the checkout, or the installed package
+TRACKING = ("models", "inference", "chains")  # packages on whose code measurements depend
 
 NOT_BUSY = ("idle", "iowait", "guest", "guest_nice")
 """Times of processors that are none, or are counted as a user's already."""
 
+DRAWS = 200  # how often seeds are drawn again; standard errors are then known to 5 %
+
+HEADER = ("measure", "wanted", "measured", "±", "")
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """A number and the bound that it should keep."""
+
+    what: str  # is measured, with its unit
+    measured: float  # its value
+    # relation, bound: what is wanted of it; `None` where nothing is, and the value only informs
+    relation: Literal["<=", ">="] = "<="
+    bound: float | None = None
+    # spread, seeds: standard error of the value, and the number of seeds that it comes from; NaN where there
+    # is but one. Of speeds, the seeds are rounds
+    spread: float = math.nan
+    seeds: int = 1
+    # of speeds, between which half of the rounds lie; the value is their median
+    quartiles: tuple[float, float] | None = None
+    ratio: bool = False  # whether it stays the same on a machine that does everything twice as fast
+    loaded: bool = False  # whether other processes ran meanwhile, so that a speed says little
+
+    @property
+    def verdict(self) -> str:
+        """`"pass"`, `"short"`, or nothing where nothing is wanted; NaN is short."""
+        if self.bound is None:
+            return ""
+        holds = self.measured <= self.bound if self.relation == "<=" else self.measured >= self.bound
+        return "pass" if holds else "short"
+
+    @property
+    def cells(self) -> tuple[str, str, str, str, str]:
+        """What, wanted, measured, its standard error or quartiles, verdict."""
+        wanted = "" if self.bound is None else f"{self.relation} {self.bound:g}"
+        error = "" if math.isnan(self.spread) else rounded(self.spread, 2)
+        if self.quartiles is not None:
+            error = "–".join(map(rounded, self.quartiles))
+        return self.what, wanted, rounded(self.measured), error, self.verdict
+
+
+def over_seeds(judge: Callable[[Any], Sequence[Expectation]], found: Mapping[Any, Any]) -> list[Expectation]:
+    """What is judged of all seeds, with the standard errors that the choice of seeds brings.
+
+    Seeds are drawn again from those there are (the bootstrap of Efron, 1979), the same for all methods, so
+    ratios of methods keep what they have in common. `judge` gives the expectations, always in the same order,
+    of what was found: mappings, of mappings perhaps, of lists with a value a seed; lists of one value stay as
+    they are.
+    """
+    n_seeds = max(map(len, _lists(found)))
+    judged = list(judge(found))
+    if n_seeds == 1:
+        return judged
+    random = np.random.default_rng(0)
+    draws = [judge(_drawn(found, random.integers(0, n_seeds, n_seeds).tolist())) for _ in range(DRAWS)]
+    found_values = [[draw[place].measured for draw in draws] for place in range(len(judged))]
+    finite = [[value for value in values if math.isfinite(value)] for values in found_values]
+    return [
+        replace(each, spread=float(np.std(values, ddof=1)) if len(values) > 1 else math.nan, seeds=n_seeds)
+        for each, values in zip(judged, finite, strict=True)
+    ]
+
+
+def _lists(found: Any) -> Iterable[Sequence[Any]]:
+    return (
+        [each for value in found.values() for each in _lists(value)]
+        if isinstance(found, Mapping)
+        else [found]
+    )
+
+
+def _drawn(found: Any, seeds: Sequence[int]) -> Any:
+    if isinstance(found, Mapping):
+        return {name: _drawn(value, seeds) for name, value in found.items()}
+    return found if len(found) == 1 else [found[seed] for seed in seeds]
+
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where, when and with what something was measured.
+    """Where, when and with what something was measured."""
 
-    Parameters
-    ----------
-    date
-        when it began, ISO 8601 in UTC, to the second.
-    seconds
-        how long it took.
-    commit
-        of the checkout, ten hex digits; empty for an installed package.
-    changed
-        whether the checkout had changes that were not committed.
-    processor, cores, memory
-        of the machine; memory in GB.
-    load
-        mean number of processes that wanted to run in the minute before: speeds need a quiet machine.
-    threads
-        of our loops in this process.
-    versions
-        of Python, this package and others, by name.
-    others
-        mean number of cores that other processes kept busy meanwhile; NaN where that was not noted.
-    """
-
-    date: str
-    seconds: float
-    commit: str
-    changed: bool
+    date: str  # when it began, ISO 8601 in UTC, to the second
+    seconds: float  # how long it took
+    commit: str  # of the checkout, ten hex digits; empty for an installed package
+    changed: bool  # whether the checkout had changes that were not committed
+    # processor, cores, memory: of the machine; memory in GB
     processor: str
     cores: int
     memory: float
+    # mean number of processes that wanted to run in the minute before: speeds need a quiet machine
     load: float
-    threads: int
-    versions: Mapping[str, str]
+    threads: int  # of our loops in this process
+    versions: Mapping[str, str]  # of Python, this package and others, by name
+    # mean number of cores that other processes kept busy meanwhile; NaN where that was not noted
     others: float = math.nan
 
     @property
@@ -138,36 +193,23 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What an experiment measured.
+    """What an experiment measured."""
 
-    Parameters
-    ----------
-    name, title
-        of the experiment.
-    command
-        that repeats it.
-    made
-        where, when and with what.
-    expectations
-        figures, beside what is wanted of them.
-    tables
-        everything that was measured.
-    """
-
+    # name, title: of the experiment
     name: str
     title: str
-    command: str
-    made: Provenance
-    expectations: Sequence[Expectation]
-    tables: Sequence[Table]
+    command: str  # that repeats it
+    made: Provenance  # where, when and with what
+    expectations: Sequence[Expectation]  # figures, beside what is wanted of them
+    tables: Sequence[Table]  # everything that was measured
 
     @cached_property
     def by_what(self) -> dict[str, Expectation]:
         """Figures by what they are."""
         return {each.what: each for each in self.expectations}
 
-    def write(self, path: Path, runs: Any = None) -> None:
-        """Write it as JSON, with every run's measures if they are given.
+    def write(self, path: Path) -> None:
+        """Write it as JSON.
 
         Raises
         ------
@@ -178,11 +220,11 @@ class Record:
         content["made"] = asdict(self.made)
         content["expectations"] = [{**asdict(each), "verdict": each.verdict} for each in self.expectations]
         content["tables"] = [asdict(each) for each in self.tables]
-        write_json(path, content if runs is None else {**content, "runs": runs})
+        write_json(path, content)
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read what `write` has written, but for the runs.
+        """Read what `write` has written; NaN, which JSON does not know, is null there.
 
         Raises
         ------
@@ -193,11 +235,12 @@ class Record:
         """
         try:
             content = json.loads(path.read_text())
+            made = {"others": None, **content["made"]}
             return cls(
                 content["name"],
                 content["title"],
                 content["command"],
-                Provenance(**_with_numbers(content["made"], "others")),
+                Provenance(**{**made, "others": _number(made["others"])}),
                 [_expectation(each) for each in content["expectations"]],
                 [Table(**each) for each in content["tables"]],
             )
@@ -206,12 +249,12 @@ class Record:
 
 
 def _expectation(content: Mapping[str, Any]) -> Expectation:
-    known = {name: value for name, value in content.items() if name != "verdict"}
+    known = {"spread": None, **content}
+    known.pop("verdict", None)
     if known.get("quartiles") is not None:
         known["quartiles"] = tuple(known["quartiles"])
-    return Expectation(**_with_numbers(known, "measured", "spread"))
+    return Expectation(**{**known, **{name: _number(known[name]) for name in ("measured", "spread")}})
 
 
-def _with_numbers(content: Mapping[str, Any], *names: str) -> dict[str, Any]:
-    """With NaN, which JSON does not know, in the place of nothing."""
-    return {name: math.nan if name in names and value is None else value for name, value in content.items()}
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value

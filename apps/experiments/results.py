@@ -2,9 +2,9 @@
 
     python -m rsmcm.apps.experiments.results [FOLDER]
 
-takes the records that experiments have left in the folders of FOLDER (`results`), keeps them without every
-run's measures in `docs/results/`, and writes `docs/results.md`, and the parts of `README.md` and
-`docs/scale.md` between their marks. Only in a checkout.
+takes the records that experiments have left in the folders of FOLDER (`results`), keeps them in
+`docs/results/`, and writes `docs/results.md`, and the parts of `README.md` and `docs/scale.md` between their
+marks. Only in a checkout.
 """
 
 import math
@@ -18,13 +18,12 @@ from typing import Any, Self
 
 from ...models.files import write_text
 from ..evaluation.text_tables import rounded
-from .expectations import HEADER, Expectation
-from .record import ROOT, TRACKING, Provenance, Record, git
+from .record import HEADER, ROOT, TRACKING, Expectation, Provenance, Record, git
 
+VERDICTS = {"pass": "holds", "short": "**short**"}
 SCALE = Path("docs") / "scale.md"
 PICTURE = "![Time over size, log scales, a panel for each kind of size](pictures/curves.png)\n"
-ELSEWHERE = {"curves": "scale.md", "capacity": "scale.md"}
-"""Records that are on another page."""
+ELSEWHERE = {"curves": "scale.md", "capacity": "scale.md"}  # records that are on another page
 
 INTRODUCTION = """\
 # Results
@@ -52,24 +51,14 @@ was wanted. Where a record took the place of a table, that is in `docs/results/e
 
 @dataclass(frozen=True)
 class Documents:
-    """What pages are made from.
+    """What pages are made from."""
 
-    Parameters
-    ----------
-    records
-        by name, in the order of the notes.
-    notes
-        by a record's name, what is to be said of it.
-    chosen
-        README's figures: `what` they are called there, `record`, and `row`, their name in it.
-    earlier
-        what was measured by hand: `title`, `state`, `header`, `rows`, `text`, and `until`, names of the
-        records that take their place.
-    """
-
-    records: Mapping[str, Record]
-    notes: Mapping[str, str]
+    records: Mapping[str, Record]  # by name, in the order of the notes
+    notes: Mapping[str, str]  # by a record's name, what is to be said of it
+    # README's figures: `what` they are called there, `record`, and `row`, their name in it
     chosen: Sequence[Mapping[str, str]]
+    # what was measured by hand: `title`, `state`, `header`, `rows`, `text`, and `until`, names of the records
+    # that take their place
     earlier: Sequence[Mapping[str, Any]]
 
     @classmethod
@@ -102,33 +91,27 @@ def _toml(path: Path) -> dict[str, Any]:
 def results_page(documents: Documents, changed: str) -> str:
     """The page of results.
 
-    Parameters
-    ----------
-    documents
-        what it is made from.
-    changed
-        when the code that tracks was changed last, ISO 8601: what was measured before is of an earlier state.
-        Empty where that is not known.
+    `changed`, ISO 8601, is when the code that tracks was changed last: what was measured before is of an
+    earlier state. It is empty where that is not known.
     """
-    overview = [
-        [
-            f"[{record.title}]({ELSEWHERE.get(name, '')}#{_anchor(record.title)})",
-            f"`{record.command}`",
-            str(_count(record, "pass")),
-            str(_count(record, "short") or ""),
-        ]
-        for name, record in documents.records.items()
-    ]
-    parts = [INTRODUCTION, table(("", "command", "holds", "short"), overview)]
+    overview, parts = [], []
     for name, record in documents.records.items():
+        passed, short = (sum(each.verdict == verdict for each in record.expectations) for verdict in VERDICTS)
+        link = f"[{record.title}]({ELSEWHERE.get(name, '')}#{_anchor(record.title)})"
+        overview.append([link, f"`{record.command}`", str(passed), str(short or "")])
         if name not in ELSEWHERE:
             note = documents.notes[name].strip()
             parts += [f"## {record.title}\n", f"{measured_when(record, changed)}\n", figures(record)]
             parts += [f"{note}\n"] if note else []
             parts += _tables(record)
     parts.append(BY_HAND)
-    parts += [_earlier(each) for each in documents.earlier if not _replaced(each, documents)]
-    return "\n".join(parts)
+    for each in documents.earlier:
+        until = each.get("until", [])
+        if not (until and documents.records.keys() >= set(until)):
+            parts += [f"### {each['title']}\n", f"{each['state'].strip()}\n"]
+            parts += [table(each["header"], each["rows"])] if "rows" in each else []
+            parts += [f"{each['text'].strip()}\n"] if "text" in each else []
+    return "\n".join([INTRODUCTION, table(("", "command", "holds", "short"), overview), *parts])
 
 
 def figures(record: Record) -> str:
@@ -160,18 +143,6 @@ def measured_when(record: Record, changed: str) -> str:
         f"`{record.command}`; {_when(made, changed)}; {made.machine}; {took}, load before it {made.load:.1f}"
         f"{others}; {versions}."
     )
-
-
-def _earlier(content: Mapping[str, Any]) -> str:
-    parts = [f"### {content['title']}\n", f"{content['state'].strip()}\n"]
-    parts += [table(content["header"], content["rows"])] if "rows" in content else []
-    parts += [f"{content['text'].strip()}\n"] if "text" in content else []
-    return "\n".join(parts)
-
-
-def _replaced(content: Mapping[str, Any], documents: Documents) -> bool:
-    until = content.get("until", [])
-    return bool(until) and documents.records.keys() >= set(until)
 
 
 def readme_with(text: str, documents: Documents, changed: str) -> str:
@@ -208,27 +179,18 @@ def scale_page(text: str, records: Mapping[str, Record], changed: str) -> str:
     ValueError
         if the page lacks the marks.
     """
-    parts = {"capacity": "*Not recorded yet.*\n", "curves": "*Not recorded yet.*\n"}
-    if "capacity" in records:
-        record = records["capacity"]
-        parts["capacity"] = "\n".join([*_tables(record), f"{measured_when(record, changed)}\n"])
-    if "curves" in records:
-        record = records["curves"]
-        made = f"{measured_when(record, changed)}\n"
-        parts["curves"] = "\n".join([PICTURE, figures(record), made, *_tables(record)])
+    parts = dict.fromkeys(("capacity", "curves"), "*Not recorded yet.*\n")
+    for name in parts.keys() & records.keys():
+        record, made = records[name], f"{measured_when(records[name], changed)}\n"
+        shown = [PICTURE, figures(record), made] if name == "curves" else []
+        parts[name] = "\n".join([*shown, *_tables(record), *([] if shown else [made])])
     for name, content in parts.items():
         text = between(text, name, content, SCALE.as_posix())
     return text
 
 
 def between(text: str, name: str, content: str, page: str) -> str:
-    """A text with other lines between the marks of a name.
-
-    Raises
-    ------
-    ValueError
-        if the marks are not there.
-    """
+    """A text of a page with other lines between the marks of a name, which must be there."""
     begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
     before, found, rest = text.partition(begin)
     _, closed, after = rest.partition(end)
@@ -248,16 +210,11 @@ def _cell(value: object) -> str:
 
 
 def _verdict(figure: Expectation) -> str:
-    words = {"pass": "holds", "short": "**short**", "": ""}[figure.verdict]
-    return ", ".join(filter(None, (words, "loaded" if figure.loaded else "")))
+    return ", ".join(filter(None, (VERDICTS.get(figure.verdict, ""), "loaded" if figure.loaded else "")))
 
 
 def _bound(wanted: str) -> str:
     return wanted.replace("<=", "≤").replace(">=", "≥")
-
-
-def _count(record: Record, verdict: str) -> int:
-    return sum(each.verdict == verdict for each in record.expectations)
 
 
 def _when(made: Provenance, changed: str) -> str:
@@ -272,13 +229,7 @@ def _anchor(title: str) -> str:
 
 
 def collect(folder: Path, kept: Path) -> None:
-    """Keep what has been recorded in the folders of `folder`, if nothing younger is kept.
-
-    Raises
-    ------
-    OSError, ValueError
-        if a record cannot be read or written.
-    """
+    """Keep what has been recorded in the folders of `folder`, if nothing younger is kept."""
     for path in sorted([*folder.glob("*/results.json"), *folder.glob("*/benchmarks.json")]):
         record = Record.read(path)
         place = kept / f"{record.name}.json"
@@ -288,13 +239,7 @@ def collect(folder: Path, kept: Path) -> None:
 
 
 def write_pages(root: Path, changed: str) -> None:
-    """Write the page of results, the figures of README, and those of the page on scale, of a checkout.
-
-    Raises
-    ------
-    OSError, ValueError
-        if something cannot be read or written.
-    """
+    """Write the page of results, the figures of README, and those of the page on scale, of a checkout."""
     documents, readme, scale = Documents.read(root / "docs" / "results"), root / "README.md", root / SCALE
     write_text(root / "docs" / "results.md", results_page(documents, changed))
     write_text(readme, readme_with(readme.read_text(), documents, changed))

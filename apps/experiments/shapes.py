@@ -13,16 +13,14 @@ from ...inference.sfm.nonrigid.learning import LEAST_FRAMES, learn_shape
 from ...inference.sfm.nonrigid.shape import NonrigidShape, shape_error
 from ..runs.progress import Progress
 from .datasets import data_folder
-from .expectations import Expectation
 from .experiment import Findings, Plot
-from .record import Table
+from .record import Expectation, Table
 
 Numbers = NDArray[np.float64]
 
 BASES = {"jaws": 3, "walking": 5, "face": 5, "drink": 5, "dance": 5}
 """By sequence; jaws has as many and no more, it is made of a mean shape and two modes."""
-MOTION_CAPTURE = ("drink", "dance")
-"""Before a camera that goes round; the others are from `nrsfm-torresani`."""
+MOTION_CAPTURE = ("drink", "dance")  # before a camera that goes round; the others are from `nrsfm-torresani`
 PUBLISHED = {"jaws": 0.05, "walking": 0.23, "face": 0.04, "drink": 0.03, "dance": 0.27}
 """Of the first three about what EM for probabilistic PCA of shape is reported to reach on all points.
 
@@ -36,28 +34,18 @@ LINE = (
 MISSING = (0.0, 0.2, 0.5)
 SEED = 0
 
-SHOWN = 4
-"""Frames in the pictures."""
+SHOWN = 4  # frames in the pictures
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedShape:
-    """A shape learned, and how far it is from the truth.
+    """A shape learned, and how far it is from the truth."""
 
-    Parameters
-    ----------
-    name, missing
-        of the sequence, and the share of its positions that were withheld.
-    learned
-        the shape.
-    truth
-        `(n_frames, n_points, 3)`.
-    """
-
+    # name, missing: of the sequence, and the share of its positions that were withheld
     name: str
     missing: float
-    learned: NonrigidShape
-    truth: Numbers
+    learned: NonrigidShape  # the shape
+    truth: Numbers  # `(n_frames, n_points, 3)`
 
     @property
     def label(self) -> str:
@@ -80,19 +68,24 @@ class LearnedShape:
         return shape_error(self.learned.shapes(), self.truth)
 
     @property
-    def measure(self) -> str:
-        """What is published of this sequence."""
-        return "e3D" if self.name in MOTION_CAPTURE else "3-D error"
-
-    @property
-    def published(self) -> float:
-        """That error."""
-        return self.e3d if self.name in MOTION_CAPTURE else self.error
-
-    @property
     def error_after_turning(self) -> float:
         """The same, with each frame's shape turned (or mirrored in depth and turned) onto the truth."""
         return normalised_error(turned_onto(self.placed, self.truth), self.truth)
+
+    @property
+    def expectation(self) -> Expectation:
+        """What is published of this sequence, beside ours."""
+        what, value = ("e3D", self.e3d) if self.name in MOTION_CAPTURE else ("3-D error", self.error)
+        return Expectation(f"{self.label}: {what}", value, "<=", PUBLISHED[self.name])
+
+    @property
+    def line(self) -> list[object]:
+        """The cells of `LINE`."""
+        errors, found = (self.error, self.e3d, self.error_after_turning), self.learned
+        return [
+            self.name, len(found.bases), f"{self.missing:.0%}", *errors, f"{found.relative_error:.2%}",
+            len(found.history),
+        ]  # fmt: skip
 
 
 def shapes() -> Findings:
@@ -113,29 +106,19 @@ def shapes() -> Findings:
             tracks = withheld(truth[..., :2], missing, np.random.default_rng(SEED))
             results.append(LearnedShape(name, missing, learn_shape(tracks, BASES[name]), truth))
             progress.update()
-    lines = [
-        [
-            each.name, len(each.learned.bases), f"{each.missing:.0%}", each.error, each.e3d,
-            each.error_after_turning, f"{each.learned.relative_error:.2%}", len(each.learned.history),
-        ]
-        for each in results
-    ]  # fmt: skip
-    expectations = [
-        Expectation(f"{each.label}: {each.measure}", each.published, "<=", PUBLISHED[each.name])
-        for each in results
-    ]
+    table = Table(LINE, [each.line for each in results], EXPLANATION)
     sides = "from the camera and from above; circles: truth"
     pictures = [
         Plot(
             f"{each.name}-{100 * each.missing:.0f}.png",
-            partial(draw, result=each),
+            partial(draw, each),
             (12.0, 5.5),
             f"{each.label}: {sides}",
         )
         for each in results
         if each.missing in (MISSING[0], MISSING[-1])
     ]
-    return Findings("Deformable shapes", [Table(LINE, lines, EXPLANATION)], expectations, pictures)
+    return Findings("Deformable shapes", [table], [each.expectation for each in results], pictures)
 
 
 EXPLANATION = (
@@ -221,7 +204,7 @@ def turned_onto(shapes: Numbers, truth: Numbers) -> Numbers:
     return nearer
 
 
-def draw(canvas: Figure, result: LearnedShape) -> None:
+def draw(result: LearnedShape, canvas: Figure) -> None:
     """Some frames' shapes over the truth, from the camera and from above."""
     placed, truth = result.placed, centred(result.truth)
     frames: Sequence[int] = np.linspace(0, len(truth) - 1, SHOWN).astype(int).tolist()

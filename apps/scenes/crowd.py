@@ -13,20 +13,11 @@ from numpy.typing import NDArray
 from ...models.core.frame import Frame
 from .random_fields import mottle
 
-BODY = (60, 22)
-"""Height and width px of a walker."""
-
-SPEED = 50.0
-"""px/s of most walkers; lanes differ by a fifth."""
-
-ROOM = 2.5
-"""Bodies' widths from one walker to the next in a lane."""
-
-RATE = 25.0
-"""Frames a second."""
-
-NOISE = 3.0
-"""Grey levels, standard deviation of a pixel's."""
+BODY = (60, 22)  # height and width px of a walker
+SPEED = 50.0  # px/s of most walkers; lanes differ by a fifth
+ROOM = 2.5  # bodies' widths from one walker to the next in a lane
+RATE = 25.0  # frames a second
+NOISE = 3.0  # grey levels, standard deviation of a pixel's
 
 
 def crowd(n_walkers: int, n_frames: int, size: tuple[int, int], seed: int = 0) -> Iterator[Frame]:

@@ -1,4 +1,4 @@
-"""Smooth random functions: of places, and of time."""
+"""Smooth functions: random ones of places and of time, and steps."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,3 +27,9 @@ def wander(times: Array, periods: tuple[float, float], generator: np.random.Gene
     sines = np.sin(2 * np.pi * times[:, None] / lengths + phases)
     wandered: Array = sines.sum(axis=1) * np.sqrt(2 / n_sines)
     return wandered
+
+
+def inside(distance: Array, soft: float = 0.012) -> Array:
+    """1 where `distance` from an outline is positive, 0 outside, smooth over `soft`."""
+    share: Array = 0.5 * (1 + np.tanh(distance / soft))
+    return share

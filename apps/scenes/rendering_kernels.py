@@ -6,8 +6,7 @@ from ...models.numerics.compiled import compiled
 
 _f4 = np.float32
 
-FARTHEST = 1e30
-"""Depth of a sample that nothing covers."""
+FARTHEST = 1e30  # depth of a sample that nothing covers
 
 
 @compiled
@@ -80,27 +79,3 @@ def average_samples(picture, covered, grey, depth, across, left, top):
             covered[top + row, left + column] = part
             old = picture[top + row, left + column]
             picture[top + row, left + column] = total * share + (_f4(1) - part) * old
-
-
-@compiled
-def see_vertices(seen, places, triangles, n_vertices):
-    """Whether the first `n_vertices` vertices of a mesh are seen, exactly: no grid of pixels is involved.
-
-    A vertex is seen if a triangle at it faces the viewer, and no triangle that it is not part of is in front.
-    """
-    for vertex in range(n_vertices):
-        x, y, z = places[vertex, 0], places[vertex, 1], places[vertex, 2]
-        facing, hidden = False, False
-        for number in range(triangles.shape[0]):
-            a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
-            ax, ay = places[a, 0] - x, places[a, 1] - y
-            bx, by = places[b, 0] - x, places[b, 1] - y
-            cx, cy = places[c, 0] - x, places[c, 1] - y
-            share_a, share_b, share_c = bx * cy - by * cx, cx * ay - cy * ax, ax * by - ay * bx
-            area = share_a + share_b + share_c
-            if vertex in (a, b, c):
-                facing = facing or area < 0
-            elif area != 0 and share_a * area >= 0 and share_b * area >= 0 and share_c * area >= 0:
-                depth = (share_a * places[a, 2] + share_b * places[b, 2] + share_c * places[c, 2]) / area
-                hidden = hidden or depth < z
-        seen[vertex] = facing and not hidden

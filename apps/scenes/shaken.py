@@ -1,9 +1,8 @@
 """A steady film as a camera that shakes would have taken it, with every frame's map."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import overload
 
 import cv2
 import numpy as np
@@ -11,48 +10,63 @@ from numpy.typing import NDArray
 
 from ...models.camera.moving_camera import UNKNOWNS, AffineMap
 from ...models.core.frame import Frame
+from .generated_film import Lazy, check_range
 
-Picture = NDArray[np.uint8] | NDArray[np.float32]
-
-SHAKE_TIME = 0.15
-"""s, time constant of the shake."""
-
-TURNING = 0.25
-"""Of the shake's px: how far rotation, zoom and shear move the corners."""
+SHAKE_TIME = 0.15  # s, time constant of the shake
+TURNING = 0.25  # of the shake's px: how far rotation, zoom and shear move the corners
 
 
 @dataclass(frozen=True, eq=False)
-class ShakenFilm(Sequence[Frame]):
-    """What a shaking camera shows of a film; build it with `shaken`, which explains the parameters."""
+class ShakenFilm(Lazy[Frame]):
+    """Take a steady film with a camera that shakes.
+
+    The first frame is as it was. The map from the scene to a frame (see `AffineMap`) is an
+    Ornstein-Uhlenbeck process of 0.15 s: shifts, and a quarter as much of rotation, zoom and shear.
+
+    Parameters
+    ----------
+    film
+        frames with images of one size.
+    amount
+        px, standard deviation of the shifts along each axis.
+    seed
+        decides shake and noise.
+    margin
+        px that its picture is smaller on each side, out of which the camera looks when it shakes.
+    noise
+        standard deviation of the sensor's noise, grey levels, if the film has none of its own.
+
+    Raises
+    ------
+    ValueError
+        if a number is negative, or the film is empty.
+    """
 
     film: Sequence[Frame]
-    amount: float
-    seed: int
-    margin: int
-    noise: float
+    amount: float = 3.0
+    seed: int = 0
+    margin: int = 16
+    noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("amount", "margin", "noise"):
+            check_range(name, getattr(self, name))
+        if not len(self.film):
+            raise ValueError("film: got no frame, expected one at least")
 
     def __len__(self) -> int:
         return len(self.film)
 
-    @overload
-    def __getitem__(self, index: int) -> Frame: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
-    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
+    def made(self, index: int) -> Frame:
+        """Frame `index` with its time."""
         frame = self.film[index]
         if frame.image is None:
             return frame
-        number = range(len(self))[index]
-        image = self._seen(frame.image, number, cv2.INTER_CUBIC).astype(np.float32)
+        image = self._seen(frame.image, index, cv2.INTER_CUBIC).astype(np.float32)
         if self.noise > 0:
-            generator = np.random.default_rng([self.seed, 1, number])
+            generator = np.random.default_rng([self.seed, 1, index])
             image += self.noise * generator.standard_normal(image.shape, np.float32)
         return Frame(np.clip(np.rint(image), 0, 255).astype(np.uint8), frame.time, frame.number)
-
-    def __iter__(self) -> Iterator[Frame]:
-        return (self[index] for index in range(len(self)))
 
     @cached_property
     def size(self) -> tuple[int, int]:
@@ -88,34 +102,4 @@ class ShakenFilm(Sequence[Frame]):
         return np.asarray(shown)
 
 
-def shaken(
-    film: Sequence[Frame], amount: float = 3.0, seed: int = 0, margin: int = 16, noise: float = 0.0
-) -> ShakenFilm:
-    """Take a steady film with a camera that shakes.
-
-    The first frame is as it was. The map from the scene to a frame (see `AffineMap`) is an
-    Ornstein-Uhlenbeck process of 0.15 s: shifts, and a quarter as much of rotation, zoom and shear.
-
-    Parameters
-    ----------
-    film
-        frames with images of one size.
-    amount
-        px, standard deviation of the shifts along each axis.
-    seed
-        decides shake and noise.
-    margin
-        px that its picture is smaller on each side, out of which the camera looks when it shakes.
-    noise
-        standard deviation of the sensor's noise, grey levels, if the film has none of its own.
-
-    Raises
-    ------
-    ValueError
-        if a number is negative, or the film is empty.
-    """
-    if amount < 0 or margin < 0 or noise < 0:
-        raise ValueError(f"amount, margin, noise: got {amount}, {margin}, {noise}, expected 0 or more")
-    if not len(film):
-        raise ValueError("film: got no frame, expected one at least")
-    return ShakenFilm(film, amount, seed, margin, noise)
+shaken = ShakenFilm

@@ -4,16 +4,17 @@ A scene renders any of its frames on its own, from the seed and the frame's inde
 more memory than one, and two runs over the same scene see the same bytes.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
-from typing import Literal, overload
+from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ...models.core.frame import Frame
+from .generated_film import GeneratedFilm, Lazy, check_range
 
 Pixels = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -109,11 +110,8 @@ def mottle(size: tuple[int, int], grain: float, generator: np.random.Generator) 
     return field / np.float32(deviation if deviation > 0 else 1.0)
 
 
-DETAIL = 2
-"""Texels a px, at which objects are composed before they are averaged down: smooth outlines."""
-
-STRIDE = 0.85
-"""Body heights that one cycle of both legs covers."""
+DETAIL = 2  # texels a px, at which objects are composed before they are averaged down: smooth outlines
+STRIDE = 0.85  # body heights that one cycle of both legs covers
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,8 +159,7 @@ class Sprite:
         """Left, top, width, height of a patch that holds the sprite with its joint at `(x, y)` px."""
         height, width = self.texels.shape[:2]
         left, top = (
-            int(np.floor(x - self.joint[0] / DETAIL)) - 1,
-            int(np.floor(y - self.joint[1] / DETAIL)) - 1,
+            int(np.floor(at - joint / DETAIL)) - 1 for at, joint in zip((x, y), self.joint, strict=True)
         )
         return left, top, width // DETAIL + 4, height // DETAIL + 4
 
@@ -305,29 +302,14 @@ def car_sprite(length: float, generator: np.random.Generator) -> Sprite:
     below = [(9, -9), (91, -9), (88, -2.5), (12, -2.5)]
     sill, lamp = [(2, -12), (97, -12), (97, -9), (2, -9)], [(93, -22.5), (98, -20.5), (98, -17), (93, -18)]
     seam = [(47, -29), (47.7, -29), (47.7, -10), (47, -10)]
-    shapes = [
-        (below, (34, 34, 36)),
-        (body, paint),
-        (sill, (84, 60, 40)),
-        (seam, (60, 44, 30)),
-        (lamp, (190, 215, 225)),
-    ]
+    shapes: list[tuple[ArrayLike, tuple[int, int, int]]] = [(below, (34, 34, 36)), (body, paint)]
+    shapes += [(sill, (84, 60, 40)), (seam, (60, 44, 30)), (lamp, (190, 215, 225))]
     shapes += [(window, glass) for window in windows]
+    turn = np.linspace(0, 2 * np.pi, 33)
     for wheel in (19.0, 80.0):
         for radius, colour in ((8.6, (24, 24, 26)), (7.8, tyre), (4.4, hub)):
-            turn = np.linspace(0, 2 * np.pi, 33)
-            shapes.append(
-                (
-                    list(
-                        zip(
-                            wheel + radius * np.cos(turn),
-                            -7.8 + np.minimum(radius * np.sin(turn), 7.8),
-                            strict=True,
-                        )
-                    ),
-                    colour,
-                )
-            )
+            down = np.minimum(radius * np.sin(turn), 7.8)
+            shapes.append((np.column_stack([wheel + radius * np.cos(turn), -7.8 + down]), colour))
     return _drawn([(np.array(points), colour) for points, colour in shapes], length / 100, 6.0, generator)
 
 
@@ -371,72 +353,75 @@ class TruthBox:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene(Sequence[Frame]):
-    """The sleeping-man scene; build it with `sleeping_man`, which explains the parameters.
+class Scene(GeneratedFilm):
+    """A person walks into a street, stands almost still, and walks out; a parked car leaves meanwhile.
 
-    A sequence of `Frame`s, rendered when asked for. Indices count from 0, `Frame.number` from 1.
+    Parts of the person's clothes have nearly the colour of what is behind them. If the scene is long enough,
+    the person comes back again and again.
+
+    Parameters
+    ----------
+    n_frames
+        length of the scene, 25 frames a second.
+    seed
+        decides textures, noise and the phase of the light.
+    size
+        `(width, height)` px.
+    light_jump
+        index of the frame from which on the light is 22 % weaker; `None`: it never jumps.
+    stand
+        frames for which the person stands, swaying by a pixel or two.
+    enter
+        index of the frame at which the person sets out for the picture.
+    car_leaves
+        index of the first frame in which the car has moved; at least `n_frames`: it stays parked.
+    light_drift
+        slow change of the light, as a share of it: a sine of 14 seconds.
+    noise
+        standard deviation of the sensor's noise, grey levels per channel.
+    clouds
+        shadows of clouds with soft edges, taking up to 35 % of the light, drift over the picture.
+
+    Raises
+    ------
+    ValueError
+        if the picture is smaller than 64 x 48 px, there is no frame, or noise or drift is out of range.
     """
 
-    n_frames: int
-    seed: int
-    size: tuple[int, int]
-    stand: int
-    enter: int
-    car_leaves: int
-    light_jump: int | None
-    light_drift: float
-    noise: float
-    clouds: bool
-    dt: float = 1 / 25
+    n_frames: int = 400
+    seed: int = 0
+    size: tuple[int, int] = (320, 240)
+    light_jump: int | None = None
+    _: KW_ONLY
+    stand: int = 200
+    enter: int = 40
+    car_leaves: int = 200
+    light_drift: float = 0.06
+    noise: float = 4.0
+    clouds: bool = False
 
     def __post_init__(self) -> None:
         width, height = self.size
         if width < 64 or height < 48:
             raise ValueError(f"size: got {self.size}, expected (width, height) of at least (64, 48) px")
-        if self.n_frames < 1:
-            raise ValueError(f"n_frames: got {self.n_frames}, expected 1 or more")
-        if self.stand < 0 or self.enter < 0 or self.car_leaves < 0:
-            raise ValueError(
-                f"stand, enter, car_leaves: got {self.stand}, {self.enter}, {self.car_leaves} frames, "
-                "expected 0 or more"
-            )
-        if self.noise < 0 or not 0 <= self.light_drift < 1:
-            raise ValueError(
-                f"noise, light_drift: got {self.noise}, {self.light_drift}, expected 0 or more and [0, 1)"
-            )
-
-    def __len__(self) -> int:
-        return self.n_frames
-
-    @overload
-    def __getitem__(self, index: int) -> Frame: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
-    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
-        if isinstance(index, slice):
-            return [self.render(i) for i in range(*index.indices(self.n_frames))]
-        return self.render(range(self.n_frames)[index])
-
-    def __iter__(self) -> Iterator[Frame]:
-        return (self.render(index) for index in range(self.n_frames))
+        check_range("n_frames", self.n_frames, 1)
+        for name in ("stand", "enter", "car_leaves", "noise"):
+            check_range(name, getattr(self, name))
+        if not 0 <= self.light_drift < 1:
+            raise ValueError(f"light_drift: got {self.light_drift}, expected [0, 1)")
 
     @property
-    def masks(self) -> "Masks":
+    def masks(self) -> Sequence[Mask]:
         """The exact foreground, `(height, width)` bool for every frame, worked out when asked for."""
-        return Masks(self)
+        return _Masks(self)
 
-    def render(self, index: int) -> Frame:
-        """Frame `index` (from 0): `(height, width, 3)` uint8 BGR."""
+    def made(self, index: int) -> Frame:
+        """Frame `index` with its time; the picture has colours."""
         picture = self._composed(index)
         picture *= np.float32(self._light(index))
         if self.clouds:
             picture *= self._shade(index)[..., None]
-        if self.noise > 0:
-            # its own generator for every frame, so that frames can be rendered in any order
-            generator = np.random.default_rng([self.seed, 1, index])
-            picture += self.noise * generator.standard_normal(picture.shape, np.float32)
-        image = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
-        return Frame(image, index * self.dt, index + 1)
+        return self._seen(picture, self.noise, 1, index)
 
     def foreground(self, index: int) -> Mask:
         """`(height, width)` bool: the person, and the car from its first movement on.
@@ -555,78 +540,19 @@ class Scene(Sequence[Frame]):
 
 
 @dataclass(frozen=True, eq=False)
-class Masks(Sequence[Mask]):
-    """A scene's foreground masks as a sequence, `(height, width)` bool each."""
-
+class _Masks(Lazy[Mask]):
     scene: Scene
 
     def __len__(self) -> int:
         return len(self.scene)
 
-    @overload
-    def __getitem__(self, index: int) -> Mask: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Mask]: ...
-    def __getitem__(self, index: int | slice) -> Mask | Sequence[Mask]:
-        if isinstance(index, slice):
-            return [self.scene.foreground(i) for i in range(*index.indices(len(self)))]
-        return self.scene.foreground(range(len(self))[index])
+    def made(self, index: int) -> Mask:
+        return self.scene.foreground(index)
 
 
-def sleeping_man(
-    n_frames: int = 400,
-    seed: int = 0,
-    size: tuple[int, int] = (320, 240),
-    light_jump: int | None = None,
-    *,
-    stand: int = 200,
-    enter: int = 40,
-    car_leaves: int = 200,
-    light_drift: float = 0.06,
-    noise: float = 4.0,
-    clouds: bool = False,
-) -> Scene:
-    """A person walks into a street, stands almost still, and walks out; a parked car leaves meanwhile.
-
-    Parts of the person's clothes have nearly the colour of what is behind them. If the scene is long enough,
-    the person comes back again and again.
-
-    Parameters
-    ----------
-    n_frames
-        length of the scene, 25 frames a second.
-    seed
-        decides textures, noise and the phase of the light.
-    size
-        `(width, height)` px.
-    light_jump
-        index of the frame from which on the light is 22 % weaker; `None`: it never jumps.
-    stand
-        frames for which the person stands, swaying by a pixel or two.
-    enter
-        index of the frame at which the person sets out for the picture.
-    car_leaves
-        index of the first frame in which the car has moved; at least `n_frames`: it stays parked.
-    light_drift
-        slow change of the light, as a share of it: a sine of 14 seconds.
-    noise
-        standard deviation of the sensor's noise, grey levels per channel.
-    clouds
-        shadows of clouds with soft edges, taking up to 35 % of the light, drift over the picture.
-
-    Raises
-    ------
-    ValueError
-        if the picture is smaller than 64 x 48 px, there is no frame, or noise or drift is out of range.
-    """
-    return Scene(n_frames, seed, size, stand, enter, car_leaves, light_jump, light_drift, noise, clouds)
+sleeping_man = Scene
 
 
 def _bounding_box(mask: Mask) -> tuple[float, float, float, float]:
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    return (
-        float(columns[0]),
-        float(rows[0]),
-        float(columns[-1] - columns[0] + 1),
-        float(rows[-1] - rows[0] + 1),
-    )
+    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    return float(left), float(top), float(width), float(height)

@@ -4,8 +4,7 @@ The tracker's model is the built-in face; the renderer draws the same surface wi
 model is nearly right, as in life. Any frame is rendered on its own, from the seed and the frame's index only.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -21,24 +20,21 @@ from ...models.face.built_in_model import (
     face_model,
     face_plane,
     front_view,
-    landmarks,
     on_shield,
     unit_length,
 )
 from ...models.face.morphable_model import MorphableModel, Poses
 from ...models.numerics.rotations import exponential
-from .random_fields import mottle, wander
-from .rendering_kernels import FARTHEST, average_samples, draw_mesh, see_vertices
+from .generated_film import GeneratedFilm, check_range
+from .random_fields import inside, mottle, wander
+from .rendering_kernels import FARTHEST, average_samples, draw_mesh
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
-SKIN = 140.0
-"""Mean grey level of the skin under full light."""
-WALL = 115.0
-"""Mean grey level of the room."""
-MARGIN = 1.03
-"""Extent of a skin's picture, in extents of the surface."""
+SKIN = 140.0  # mean grey level of the skin under full light
+WALL = 115.0  # mean grey level of the room
+MARGIN = 1.03  # extent of a skin's picture, in extents of the surface
 
 
 def skin_texels(plane: Array, density: float) -> Array:
@@ -69,23 +65,23 @@ def paint_skin(density: float, contrast: float, generator: np.random.Generator) 
         picture[...] += amount * (grey - SKIN - picture)
 
     arch = -0.35 - 0.35 * (right - 0.10) * (0.42 - right)
-    brow = _inside(0.042 - 0.06 * (right - 0.1) - np.abs(y - arch)) * _inside(0.2 - np.abs(right - 0.3))
+    brow = inside(0.042 - 0.06 * (right - 0.1) - np.abs(y - arch)) * inside(0.2 - np.abs(right - 0.3))
     cover(0.85 * brow, 55 + 14 * hairs)
     opening = 1 - ((right - 0.285) / 0.135) ** 2
     lid = -0.14 + 0.005 - 0.065 * opening
-    open_eye = _inside(opening * 0.055 - np.abs(y + 0.14)) * _inside(0.135 - np.abs(right - 0.285))
+    open_eye = inside(opening * 0.055 - np.abs(y + 0.14)) * inside(0.135 - np.abs(right - 0.285))
     cover(open_eye, 195.0)
     from_iris = np.hypot(right - 0.285, y + 0.142)
-    cover(open_eye * _inside(0.058 - from_iris), 85 + 10 * hairs)
-    cover(open_eye * _inside(0.026 - from_iris), 25.0)
-    lashes = _inside(0.018 - np.abs(y - lid)) * _inside(0.145 - np.abs(right - 0.285))
+    cover(open_eye * inside(0.058 - from_iris), 85 + 10 * hairs)
+    cover(open_eye * inside(0.026 - from_iris), 25.0)
+    lashes = inside(0.018 - np.abs(y - lid)) * inside(0.145 - np.abs(right - 0.285))
     cover(0.8 * lashes, 45.0)
-    cover(0.8 * _inside(0.035 - np.hypot((right - 0.06) / 1.3, y - 0.235)), 45.0)  # nostrils
+    cover(0.8 * inside(0.035 - np.hypot((right - 0.06) / 1.3, y - 0.235)), 45.0)  # nostrils
     bow = 0.075 * (1 - (x / 0.26) ** 2) + 0.012 * np.cos(x / 0.045) * np.exp(-((x / 0.12) ** 2))
-    cover(0.9 * _inside(bow - np.abs(y - 0.475)) * _inside(0.25 - right), 98 + 6 * hairs)
-    cover(0.85 * _inside(0.014 - np.abs(y - 0.47 - 0.012 * np.cos(x / 0.05))) * _inside(0.25 - right), 45.0)
+    cover(0.9 * inside(bow - np.abs(y - 0.475)) * inside(0.25 - right), 98 + 6 * hairs)
+    cover(0.85 * inside(0.014 - np.abs(y - 0.47 - 0.012 * np.cos(x / 0.05))) * inside(0.25 - right), 45.0)
     hair_line = -0.80 + 0.35 * x**2 + 0.02 * hairs
-    cover(0.9 * _inside(hair_line - y, 0.03), 62 + 16 * hairs)
+    cover(0.9 * inside(hair_line - y, 0.03), 62 + 16 * hairs)
     shield = on_shield(plane.reshape(-1, 2)).reshape(shape)
     picture[shield] = (3.0 * blotches + 40 * np.sign(np.sin(plane @ (50.0, 35.0))) - 30)[shield]
     return np.asarray(np.clip(SKIN + contrast * picture, 8, 245), np.float32)
@@ -112,12 +108,6 @@ def paint_room(size: tuple[int, int], contrast: float, generator: np.random.Gene
             picture[box] += share * (grey - picture[box])
     soft = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7 * unit), np.float32)
     return np.asarray(np.clip(WALL + contrast * soft, 8, 245), np.float32)
-
-
-def _inside(distance: Array, soft: float = 0.012) -> Array:
-    """1 where `distance` from an outline is positive, 0 outside, smooth over `soft`."""
-    inside: Array = 0.5 * (1 + np.tanh(distance / soft))
-    return inside
 
 
 def _freckles(shape: tuple[int, int], density: float, generator: np.random.Generator) -> Pixels:
@@ -147,23 +137,14 @@ AMBIENT = 0.4  # share of the light that has no direction
 
 @dataclass(frozen=True)
 class Manner:
-    """How somebody moves: shortest and longest periods (s) of the sines that are summed, and amplitudes.
+    """How somebody moves: shortest and longest periods (s) of the sines that are summed, and amplitudes."""
 
-    Parameters
-    ----------
-    head, travel, expression
-        periods of rotations and scale, of translation, and of expressions.
-    reach
-        standard deviation of translation, in units of c_1: across and down.
-    liveliness
-        standard deviation of each expression, in its own.
-    """
-
+    # head, travel, expression: periods of rotations and scale, of translation, and of expressions
     head: tuple[float, float]
     travel: tuple[float, float]
     expression: tuple[float, float]
-    reach: tuple[float, float]
-    liveliness: float
+    reach: tuple[float, float]  # standard deviation of translation, in units of c_1: across and down
+    liveliness: float  # standard deviation of each expression, in its own
 
 
 MANNERS = {
@@ -173,66 +154,71 @@ MANNERS = {
 
 
 @dataclass(frozen=True, eq=False)
-class FaceScene:
-    """A face with its truth; build it with `face`, which explains the parameters.
+class FaceScene(GeneratedFilm):
+    """A face that turns, talks and moves about in front of a room.
 
-    Frames are rendered when asked for. Indices count from 0, `Frame.number` from 1.
+    It begins at rest, seen from the front, and takes a second to come to its full motion; calm and hurried
+    stretches follow each other. c_1 is 18 % of the picture's height, give or take 8 %. The first frames of a
+    longer scene are those of a shorter one. The room stays as it is: neither camera nor its light changes.
+
+    Parameters
+    ----------
+    n_frames
+        length of the scene, 25 frames a second.
+    seed
+        decides motion, textures, light and noise.
+    size
+        `(width, height)` px.
+    motion
+        "natural", or "fast": two or three times as quick, with large expressions.
+    max_yaw
+        largest turn to a side, degrees, at most 80; from 50 on a large part of the face hides itself.
+    shields
+        whether two round shields that stand off from the cheeks hide what is behind them (see `face_model`).
+    texture
+        contrast of the skin with all that is on it, as a share of a usual one; 0 is even grey.
+    change
+        standard deviation, grey levels, of blotches that come and go on the skin within seconds.
+    light
+        how much light shades and changes: 1, a lamp that moves about and flickers slowly; 0, even light.
+    background
+        contrast of the room; 0 is even grey.
+    noise
+        standard deviation of the sensor's noise, grey levels.
+
+    Raises
+    ------
+    ValueError
+        if the picture is smaller than 64 x 64 px, there is no frame, or a parameter is out of its range.
     """
 
-    n_frames: int
-    seed: int
-    size: tuple[int, int]
-    motion: Literal["natural", "fast"]
-    max_yaw: float
-    shields: bool
-    texture: float
-    change: float
-    light: float
-    background: float
-    noise: float
-    blur: float
-    dt: float = 1 / 25
+    n_frames: int = 200
+    seed: int = 0
+    size: tuple[int, int] = (320, 240)
+    _: KW_ONLY
+    motion: Literal["natural", "fast"] = "natural"
+    max_yaw: float = 35.0
+    shields: bool = False
+    texture: float = 1.0
+    change: float = 0.0
+    light: float = 1.0
+    background: float = 1.0
+    noise: float = 2.0
 
     def __post_init__(self) -> None:
-        width, height = self.size
-        if width < 64 or height < 64:
+        if min(self.size) < 64:
             raise ValueError(f"size: got {self.size}, expected (width, height) of at least (64, 64) px")
-        if self.n_frames < 1:
-            raise ValueError(f"n_frames: got {self.n_frames}, expected 1 or more")
         if self.motion not in MANNERS:
             raise ValueError(f"motion: got {self.motion!r}, expected one of {', '.join(MANNERS)}")
-        if not 0 <= self.max_yaw <= 80:
-            raise ValueError(f"max_yaw: got {self.max_yaw}, expected 0 to 80 degrees")
-        if not 0 <= self.light <= 1:
-            raise ValueError(f"light: got {self.light}, expected 0 to 1")
-        for name in ("texture", "change", "background", "noise", "blur"):
-            value = getattr(self, name)
-            if not 0 <= value < np.inf:
-                raise ValueError(f"{name}: got {value}, expected 0 or more")
+        check_range("n_frames", self.n_frames, 1)
+        check_range("max_yaw", self.max_yaw, 0, 80, " degrees")
+        check_range("light", self.light, 0, 1)
+        for name in ("texture", "change", "background", "noise"):
+            check_range(name, getattr(self, name))
 
-    def __len__(self) -> int:
-        return self.n_frames
-
-    def __iter__(self) -> Iterator[Frame]:
-        return (self.frame(index) for index in range(self.n_frames))
-
-    def images(self) -> Iterator[NDArray[np.uint8]]:
-        """All pictures in turn, `(height, width)` uint8."""
-        return (self.image(index) for index in range(self.n_frames))
-
-    def frame(self, index: int) -> Frame:
-        """Frame `index` (from 0) with its time."""
-        index = range(self.n_frames)[index]
-        return Frame(self.image(index), index * self.dt, index + 1)
-
-    def image(self, index: int) -> NDArray[np.uint8]:
-        """What the camera gives for frame `index` (from 0): `(height, width)` uint8."""
-        index = range(self.n_frames)[index]
-        picture = self._drawn(index)[0]
-        if self.noise > 0:
-            generator = np.random.default_rng([self.seed, 5, index])  # frames may come in any order
-            picture += np.float32(self.noise) * generator.standard_normal(picture.shape, np.float32)
-        return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    def made(self, index: int) -> Frame:
+        """Frame `index` with its time."""
+        return self._seen(self._drawn(index)[0], self.noise, 5, index)
 
     def foreground(self, index: int) -> Mask:
         """`(height, width)` bool: pixels that the face covers by more than half."""
@@ -254,21 +240,6 @@ class FaceScene:
     def vertices(self) -> Array:
         """Where the vertices of `model` are, `(n_frames, n_vertices, 2)` px."""
         return self.model.project(self.poses)
-
-    @cached_property
-    def visible(self) -> Mask:
-        """`(n_frames, n_vertices)` bool: vertices of `model` in the picture that nothing hides."""
-        seen = np.zeros(self.vertices.shape[:2], np.bool_)
-        for index in range(self.n_frames):
-            places = self._mesh.positions(self.poses[index])[0]
-            see_vertices(seen[index], places, self._mesh.triangles, self.model.n_vertices)
-        inside = (self.vertices > -0.5) & (self.vertices < np.array(self.size) - 0.5)
-        return seen & inside[..., 0] & inside[..., 1]
-
-    @property
-    def landmarks(self) -> dict[str, int]:
-        """Numbers of the vertices that have a name: "nose tip", "left mouth corner", ..."""
-        return landmarks()
 
     # What it looks like
 
@@ -353,67 +324,10 @@ class FaceScene:
             albedo = self._albedo(index)[..., None]
             draw_mesh(grey[..., None], depth, samples, attributes, self._mesh.triangles, albedo)
             average_samples(picture, covered, grey, depth, SAMPLES, left, top)
-        if self.blur > 0:
-            picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), self.blur), np.float32)
         return picture, covered
 
 
-def face(
-    n_frames: int = 200,
-    seed: int = 0,
-    size: tuple[int, int] = (320, 240),
-    *,
-    motion: Literal["natural", "fast"] = "natural",
-    max_yaw: float = 35.0,
-    shields: bool = False,
-    texture: float = 1.0,
-    change: float = 0.0,
-    light: float = 1.0,
-    background: float = 1.0,
-    noise: float = 2.0,
-    blur: float = 0.0,
-) -> FaceScene:
-    """A face that turns, talks and moves about in front of a room.
-
-    It begins at rest, seen from the front, and takes a second to come to its full motion; calm and hurried
-    stretches follow each other. c_1 is 18 % of the picture's height, give or take 8 %. The first frames of a
-    longer scene are those of a shorter one. The room stays as it is: neither camera nor its light changes.
-
-    Parameters
-    ----------
-    n_frames
-        length of the scene, 25 frames a second.
-    seed
-        decides motion, textures, light and noise.
-    size
-        `(width, height)` px.
-    motion
-        "natural", or "fast": two or three times as quick, with large expressions.
-    max_yaw
-        largest turn to a side, degrees, at most 80; from 50 on a large part of the face hides itself.
-    shields
-        whether two round shields that stand off from the cheeks hide what is behind them (see `face_model`).
-    texture
-        contrast of the skin with all that is on it, as a share of a usual one; 0 is even grey.
-    change
-        standard deviation, grey levels, of blotches that come and go on the skin within seconds.
-    light
-        how much light shades and changes: 1, a lamp that moves about and flickers slowly; 0, even light.
-    background
-        contrast of the room; 0 is even grey.
-    noise
-        standard deviation of the sensor's noise, grey levels.
-    blur
-        standard deviation of the lens's blur, px (pixels average over their area anyway).
-
-    Raises
-    ------
-    ValueError
-        if the picture is smaller than 64 x 64 px, there is no frame, or a parameter is out of its range.
-    """
-    return FaceScene(
-        n_frames, seed, size, motion, max_yaw, shields, texture, change, light, background, noise, blur
-    )
+face = FaceScene
 
 
 def _poses(scene: FaceScene) -> Poses:

@@ -8,12 +8,9 @@ from numpy.typing import NDArray
 
 from ...models.core.short_repr import short_repr
 
-TILT = 30.0
-"""Degrees by which the camera looks down on the upright axis: points then move in u and in v."""
-DRIFT = 0.1
-"""Length of the bias that stands for template drift, in radii of the cylinder."""
-DRIFT_FRAMES = 5
-"""Frames that it lasts."""
+TILT = 30.0  # degrees by which the camera looks down on the upright axis: points then move in u and in v
+DRIFT = 0.1  # length of the bias that stands for template drift, in radii of the cylinder
+DRIFT_FRAMES = 5  # frames that it lasts
 
 
 @short_repr

@@ -12,23 +12,15 @@ from .rendering_kernels import FARTHEST, average_samples, draw_mesh
 
 Array = NDArray[np.float64]
 
-TILT = 25.0
-"""Degrees by which the camera looks down on the upright axis."""
+TILT = 25.0  # degrees by which the camera looks down on the upright axis
 
 DISTANCE, FOCAL = 16.0, 4.8
 """Of the camera from the axis, in radii of the body; focal length in heights of the picture."""
 
-BUMPS = 0.1
-"""Standard deviation of the body's radius, as a share of it."""
-
-AROUND, DOWN = 480, 240
-"""Vertices of the mesh around the axis and from pole to pole."""
-
-SAMPLES = 2
-"""Samples a pixel, along either side."""
-
-NOISE = 1.5
-"""Grey levels, standard deviation of the camera's noise."""
+BUMPS = 0.1  # standard deviation of the body's radius, as a share of it
+AROUND, DOWN = 480, 240  # vertices of the mesh around the axis and from pole to pole
+SAMPLES = 2  # samples a pixel, along either side
+NOISE = 1.5  # grey levels, standard deviation of the camera's noise
 
 AMBIENT = 0.35
 """Share of the light that comes from everywhere; the rest comes from the left above, and does not turn."""
@@ -65,33 +57,6 @@ class Turntable:
         """The film, 25 pictures a second."""
         return [Frame(image, number / 25, number + 1) for number, image in enumerate(self.images)]
 
-    def transferred(self, positions: Array, one: int, other: int) -> Array:
-        """Where frame `other` has, or would have behind something, what frame `one` shows.
-
-        Parameters
-        ----------
-        positions
-            `(n, 2)` px in frame `one`.
-
-        Returns
-        -------
-        `(n, 2)` px; not finite where there is nothing at the pixel.
-        """
-        column, row = np.rint(positions).astype(int).T
-        depth = self.depth[one, row, column].astype(np.float64)[:, None]
-        with np.errstate(invalid="ignore"):
-            seen = np.concatenate([(positions - self._middle) / self.focal, np.ones((len(positions), 1))], 1)
-            body = (seen * depth - self.translation) @ self.rotations[one]
-            return self._projected(body @ self.rotations[other].T + self.translation)
-
-    @property
-    def _middle(self) -> Array:
-        height, width = self.images.shape[1:]
-        return np.array([(width - 1) / 2, (height - 1) / 2])
-
-    def _projected(self, points: Array) -> Array:
-        return self.focal * points[:, :2] / points[:, 2:] + self._middle
-
 
 def turntable(
     n_frames: int = 36,
@@ -122,7 +87,7 @@ def turntable(
     tilt = np.radians(TILT)
     down = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
     translation = np.array([0, 0, DISTANCE])
-    light = np.array([-0.5, -0.6, -0.62])
+    light, middle = np.array([-0.5, -0.6, -0.62]), np.array([(width - 1) / 2, (height - 1) / 2])
     film = Turntable(
         np.zeros((n_frames, height, width), np.uint8),
         np.full((n_frames, height, width), np.inf, np.float32),
@@ -133,7 +98,9 @@ def turntable(
     for t, rotation in enumerate(film.rotations):
         points = body @ rotation.T + translation
         # sample s of a pixel has its middle at (s + 0.5) / SAMPLES - 0.5 px
-        places = np.column_stack([(film._projected(points) + 0.5) * SAMPLES - 0.5, points[:, 2]])
+        places = np.column_stack(
+            [(focal * points[:, :2] / points[:, 2:] + middle + 0.5) * SAMPLES - 0.5, points[:, 2]]
+        )
         shade = AMBIENT + (1 - AMBIENT) * np.maximum(normals @ rotation.T @ light, 0) / np.linalg.norm(light)
         shown = np.zeros((height * SAMPLES, width * SAMPLES), np.float32)
         depth = np.full(shown.shape, FARTHEST, np.float32)

@@ -97,8 +97,8 @@ def standing_in_a_room(
         as `sleeping_man`.
     """
     return Room(
-        n_frames, seed, size, stand, enter, n_frames, None, light_drift, noise, clouds=False,
-        shadow=shadow, reflection=reflection,
+        n_frames, seed, size, stand=stand, enter=enter, car_leaves=n_frames, light_drift=light_drift,
+        noise=noise, shadow=shadow, reflection=reflection,
     )  # fmt: skip
 
 

@@ -4,9 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from rsmcm.apps.experiments.expectations import Expectation
 from rsmcm.apps.experiments.experiment import Findings, Plot, publish
-from rsmcm.apps.experiments.record import Table
+from rsmcm.apps.experiments.record import Expectation, Table
 
 from ..conftest import Command
 from ..support.browser import PHONE, Browser, landmarks, overflow

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rsmcm import chains as shipped
-from rsmcm.apps.experiments.body_trackers import SignerFilm
+from rsmcm.apps.experiments.body import SignerFilm
 from rsmcm.apps.scenes import face, shaken, sleeping_man
 from rsmcm.chains import (
     AdaptiveBackground,

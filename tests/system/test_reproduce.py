@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rsmcm.apps.evaluation.masks import PixelScore, joined
 from rsmcm.apps.evaluation.text_tables import in_columns
+from rsmcm.apps.experiments import masks as experiment
 from rsmcm.apps.experiments import run_experiment
-from rsmcm.apps.experiments import sleeping_man as experiment
-from rsmcm.apps.experiments.baselines import SETTINGS, CleanUp, OpenCVSubtractor
+from rsmcm.apps.experiments.baselines import SETTINGS, CleanUp, opencv_subtractor
 from rsmcm.apps.experiments.compare import COLUMNS, Gallery, Model, ModelSubtractor, Usual
-from rsmcm.apps.experiments.expectations import Expectation
 from rsmcm.apps.experiments.mosaic import mosaic
+from rsmcm.apps.experiments.record import Expectation
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame
 
@@ -71,7 +71,7 @@ def test_a_model_as_subtractor_gives_the_same_masks() -> None:
 
 
 def test_the_usual_pipeline_survives_missing_frames() -> None:
-    usual = Usual("MOG2", OpenCVSubtractor("MOG2", 100, 16), CleanUp(), SIZE)
+    usual = Usual("MOG2", opencv_subtractor("MOG2", 100, 16), CleanUp(), SIZE)
     scene = sleeping_man(30, size=SIZE, enter=0)
     masks = [
         usual.step(Frame(None, frame.time, frame.number) if frame.number in (1, 20) else frame).foreground

@@ -20,35 +20,30 @@ from pathlib import Path
 
 from ...evaluation.text_tables import rounded
 from ...options.libraries import thread_limits
-from ..expectations import Expectation
 from ..experiment import publish
-from ..record import Record, Stopwatch, Table
+from ..record import Expectation, Record, Stopwatch, Table
 
 FOLDER = Path("results") / "bench"
 RECORD = FOLDER / "benchmarks.json"
 
-CURVES = "curves"
-"""The part that is a record of its own: there nothing is beside a peer."""
+CURVES = "curves"  # the part that is a record of its own: there nothing is beside a peer
 
 PARTS = {
     "background": "background:speeds",
     "large": "background:large",
     "objects": "background:objects",
-    "command": "command:whole_command",
-    "start": "command:start",
+    "command": "background:whole_command",
+    "start": "background:start",
     "points": "points:points",
-    "structure": "structure:structure",
-    "faces": "faces:faces",
-    "bodies": "bodies:bodies",
+    "structure": "points:structure",
+    "faces": "people:faces",
+    "bodies": "people:bodies",
     CURVES: "curves:curves",
 }
 """Module and function of each."""
 
-QUIET = 0.5
-"""Cores that other processes may keep busy before speeds count as those of a loaded machine."""
-
-SLACK = 0.25
-"""Share by which a ratio may be worse than the worse quartile of the one before."""
+QUIET = 0.5  # cores that other processes may keep busy before speeds count as those of a loaded machine
+SLACK = 0.25  # share by which a ratio may be worse than the worse quartile of the one before
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -96,11 +91,10 @@ def _measured(chosen: Sequence[str]) -> int:
         code = subprocess.run(command, env={**os.environ, **thread_limits(1)}).returncode
         if code:
             failed += 1
-            what = Expectation(f"part {name}: failed, exit code {code}", math.nan, "<=", 0)
             folder_of(name).mkdir(parents=True, exist_ok=True)
-            Record(name, name, " ".join(command[1:]), watch.provenance(), [what], []).write(
-                folder_of(name) / "results.json"
-            )
+            what = Expectation(f"part {name}: failed, exit code {code}", math.nan, "<=", 0)
+            record = Record(name, name, " ".join(command[1:]), watch.provenance(), [what], [])
+            record.write(folder_of(name) / "results.json")
     paths = [folder_of(name) / "results.json" for name in PARTS if name != CURVES]
     parts = [Record.read(path) for path in paths if path.exists()]
     if parts:
@@ -114,6 +108,15 @@ def joined(parts: Sequence[Record]) -> Record:
 
     It is as old as the oldest part.
     """
+    all_made = [part.made for part in parts]
+    seconds = sum(made.seconds for made in all_made)
+    made = replace(
+        min(all_made, key=lambda each: each.date),
+        seconds=seconds,
+        load=max(made.load for made in all_made),
+        others=sum(made.others * made.seconds for made in all_made) / seconds,
+        changed=any(made.changed for made in all_made),
+    )
     expectations = [
         replace(each, loaded=bool(part.made.others > QUIET)) for part in parts for each in part.expectations
     ]
@@ -122,14 +125,6 @@ def joined(parts: Sequence[Record]) -> Record:
     ]
     header = ("part", "began", "seconds", "load before", "cores busy with others")
     caption = "The parts, each in a process of its own, and who else was at work."
-    seconds = sum(part.made.seconds for part in parts)
-    made = replace(
-        min((part.made for part in parts), key=lambda each: each.date),
-        seconds=seconds,
-        load=max(part.made.load for part in parts),
-        others=sum(part.made.others * part.made.seconds for part in parts) / seconds,
-        changed=any(part.made.changed for part in parts),
-    )
     tables = [*(each for part in parts for each in part.tables), Table(header, rows, caption)]
     return Record("benchmarks", "Speed beside peers", "make bench", made, expectations, tables)
 

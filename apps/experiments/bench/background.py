@@ -1,7 +1,21 @@
-"""Background and tracking beside OpenCV's subtractors, masks included, at equal numbers of threads."""
+"""Background and tracking beside OpenCV's subtractors, the command beside its engine, and when it answers.
 
-from collections.abc import Callable, Mapping, Sequence
+`python -m rsmcm.apps.experiments.bench.background ARGUMENTS` is the command `rsmcm`, which says when its
+engine has answered its first frame and its last one.
+"""
+
+import os
+import runpy
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -12,13 +26,15 @@ from ....models import Frame, PixelLabels
 from ....models.numerics.threads import set_threads
 from ...background.application import build_model, found_in
 from ...background.parameters import build_chain
+from ...io.files import PLAYABLE, SegmentedVideo
 from ...io.sources.open_source import open_source
 from ...scenes import sleeping_man
 from ...scenes.crowd import crowd
+from ..compare import Model
 from ..datasets import data_folder
-from ..expectations import Expectation
 from ..experiment import Findings
-from .timing import ROUNDS, of_chains, over_frames, over_rounds
+from ..record import Expectation
+from .timing import ROUNDS, in_turns, of_chains, over_frames, over_rounds
 
 SIZE = (768, 576)
 N_FRAMES = 240  # preloaded: 320 MB
@@ -30,10 +46,77 @@ WANTED = {1: (0.12, 0.35, 0.45), 2: (0.15, 0.45, 0.6)}
 LARGE, N_OBJECTS = (1920, 1080), 20
 WANTED_LARGE = {1: 0.3, 2: 0.4}
 MIDDLE, FEW, MANY = (1280, 720), 10, 100
-CROWD_TURN, CROWD_WARM_UP = 6, 30
-"""Frames, of scenes with a crowd, which is found in the first second."""
+CROWD_TURN, CROWD_WARM_UP = 6, 30  # frames, of scenes with a crowd, which is found in the first second
+
+SHORT, LONG = 50, 250
+"""Frames. A short part of the film is taken from a long one, so that what is done once counts in neither."""
+COMMAND_ROUNDS, COMMAND_THREADS = 7, 2
+COLD_ROUNDS, WARM_ROUNDS = 2, 5
+FRAMES = 40  # by which all loops have been called: there are objects, and the camera was looked at
 
 Image = NDArray[np.uint8]
+
+# --- what is timed ------------------------------------------------------------------------------------------
+
+
+def preloaded(n_frames: int = N_FRAMES, step: int = 1, **generated: Any) -> Sequence[Frame]:
+    """Every `step`-th frame of PETS2009 S2.L1 where it can be found, else of a generated scene."""
+    try:
+        film = str(data_folder("pets2009-s2l1") / "vtest.avi")
+    except OSError:
+        return list(sleeping_man(n_frames, **{"size": SIZE, **generated}))
+    with open_source(film, step=step, stop=step * n_frames) as source:
+        return list(source)
+
+
+def write_film(path: Path, images: Iterable[Image], rate: float) -> Path:
+    """Pictures as a video file, `rate` a second."""
+    film = SegmentedVideo(path, rate, PLAYABLE)
+    for number, image in enumerate(images, start=1):
+        film.write(image, number, (number - 1) / rate)
+    film.close(finished=True)
+    return path
+
+
+def in_steps(model: MultiChain) -> Callable[[Frame], object]:
+    """A model of the background application: mask and tracks of frame after frame.
+
+    OpenCV has one thread meanwhile, as in the command.
+    """
+    engine, state = RecursiveBP(model), RunState()
+
+    def step(frame: Frame) -> object:
+        nonlocal state
+        cv2.setNumThreads(1)
+        belief = engine.step(state, frame)
+        state = belief.state
+        height, width = image_of(frame).shape[:2]
+        return found_in(belief, (width, height))
+
+    return step
+
+
+def subtracting(subtractor: cv2.BackgroundSubtractor, threads: int) -> Callable[[Frame], object]:
+    """OpenCV's masks of frame after frame."""
+
+    def step(frame: Frame) -> object:
+        cv2.setNumThreads(threads)  # which takes no time where it has as many
+        return subtractor.apply(image_of(frame))
+
+    return step
+
+
+def image_of(frame: Frame) -> Image:
+    """The picture of a frame that has one."""
+    assert frame.image is not None
+    return frame.image
+
+
+def _on(threads: int) -> str:
+    return f"{threads} thread{'s' if threads > 1 else ''}"
+
+
+# --- chains beside subtractors ------------------------------------------------------------------------------
 
 
 def speeds() -> Findings:
@@ -41,11 +124,13 @@ def speeds() -> Findings:
     frames, expectations = preloaded(), list[Expectation]()
     for threads, wanted in WANTED.items():
         set_threads(threads)
+        pixels = PixelLabels()  # without the ground plane and a detector's rates
+        pair = MultiChain().connect(build_chain("background", {}), pixels)
         steps = {
             "MOG2": subtracting(cv2.createBackgroundSubtractorMOG2(), threads),
             "KNN": subtracting(cv2.createBackgroundSubtractorKNN(), threads),
             "background alone with mask": in_steps(build_model("stand-alone")),
-            "background and blobs": in_steps(background_and_blobs()),
+            "background and blobs": in_steps(pair.connect(build_chain("blobs", {}), pixels)),
             "feed-forward": in_steps(build_model("feed-forward")),
             "with the ground plane": in_steps(build_model()),
         }
@@ -54,9 +139,7 @@ def speeds() -> Findings:
     return Findings("Background and tracking beside MOG2", [], expectations)
 
 
-def _of_speeds(
-    at: str, wanted: tuple[float, float, float], seconds: Mapping[str, float]
-) -> list[Expectation]:
+def _of_speeds(at: str, wanted: Sequence[float], seconds: Mapping[str, float]) -> list[Expectation]:
     ours = ("background alone with mask", "background and blobs", "with the ground plane")
     mog2, three = seconds["MOG2"], seconds[ours[-1]]
     peer = min(mog2, seconds["KNN"])
@@ -78,9 +161,8 @@ def large() -> Findings:
     for threads, wanted in WANTED_LARGE.items():
         set_threads(threads)
         mog2 = subtracting(cv2.createBackgroundSubtractorMOG2(), threads)
-        spent = over_frames(
-            {"MOG2": mog2, "ours": in_steps(build_model())}, frames, CROWD_TURN, CROWD_WARM_UP
-        )
+        steps = {"MOG2": mog2, "ours": in_steps(build_model())}
+        spent = over_frames(steps, frames, CROWD_TURN, CROWD_WARM_UP)
         at = f"{_on(threads)}, {LARGE[0]}x{LARGE[1]}, {N_OBJECTS} objects"
         expectations += over_rounds(partial(_of_large, at, wanted), spent)
     return Findings("A large picture with a crowd", [], expectations)
@@ -102,69 +184,111 @@ def objects() -> Findings:
     for count in (FEW, MANY):
         frames = crowd(count, CROWD_WARM_UP + ROUNDS * CROWD_TURN, MIDDLE[::-1])
         seconds = [each["blobs"] for each in of_chains(build_model(), frames)[0][CROWD_WARM_UP:]]
-        spent[str(count)] = np.reshape(seconds, (ROUNDS, CROWD_TURN)).mean(axis=1).tolist()
+        spent[count] = np.reshape(seconds, (ROUNDS, CROWD_TURN)).mean(axis=1).tolist()
     return Findings("Many objects", [], over_rounds(_of_objects, spent))
 
 
-def _of_objects(seconds: Mapping[str, float]) -> list[Expectation]:
-    few, many = seconds[str(FEW)], seconds[str(MANY)]
+def _of_objects(seconds: Mapping[int, float]) -> list[Expectation]:
     what = f"tracker of blobs, {MIDDLE[0]}x{MIDDLE[1]}, 1 thread"
     return [
-        Expectation(f"{what}: {FEW} objects, ms a frame", 1e3 * few),
-        Expectation(f"{what}: {MANY} objects, ms a frame", 1e3 * many),
-        Expectation(f"{what}: {MANY} objects over {FEW}, time", many / few, "<=", 3.0),
+        *(Expectation(f"{what}: {n} objects, ms a frame", 1e3 * seconds[n]) for n in (FEW, MANY)),
+        Expectation(f"{what}: {MANY} objects over {FEW}, time", seconds[MANY] / seconds[FEW], "<=", 3.0),
     ]
 
 
-def preloaded() -> Sequence[Frame]:
-    """Frames of PETS2009 S2.L1 where they can be found, else of a generated scene."""
+# --- the command --------------------------------------------------------------------------------------------
+
+
+def whole_command() -> Findings:
+    """Frames a second of the command, and what it needs beyond its engine, with two threads."""
+    set_threads(COMMAND_THREADS)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        film = _film_in(folder)
+        with open_source(str(film), stop=LONG) as source:
+            frames = list(source)
+
+        def command(stop: int) -> None:
+            arguments = ["background", str(film), "--stop", str(stop), "--masks", "video"]
+            arguments += ["--out", str(folder / "out"), "--overwrite"]
+            rsmcm = [sys.executable, "-m", "rsmcm.apps.command_line", "--threads", str(COMMAND_THREADS)]
+            subprocess.run([*rsmcm, *arguments], check=True, stdout=subprocess.DEVNULL)
+
+        def engine(stop: int) -> None:
+            model = Model("RSMCM", "recursive-bp", SIZE)
+            for frame in frames[:stop]:
+                model.step(frame)
+
+        methods = {
+            "short": partial(command, SHORT),
+            "long": partial(command, LONG),
+            "begun": partial(engine, SHORT),
+            "engine": partial(engine, LONG),
+        }
+        spent = in_turns(methods, COMMAND_ROUNDS)
+    return Findings("The whole command", [], over_rounds(of_commands, spent))
+
+
+def of_commands(seconds: Mapping[str, float]) -> Sequence[Expectation]:
+    """What seconds of short and long parts mean."""
+    whole, alone = seconds["long"] - seconds["short"], seconds["engine"] - seconds["begun"]
+    what = "whole command, two threads"
+    return [
+        Expectation(f"{what}: frames a second", (LONG - SHORT) / whole, ">=", 200),
+        Expectation(f"{what}: the same of {LONG} frames with imports and report", LONG / seconds["long"]),
+        Expectation(f"{what}: its engine alone, ms a frame", 1e3 * alone / (LONG - SHORT)),
+        Expectation(f"{what}: time over that of its engine", whole / alone, "<=", 1.3),
+    ]
+
+
+def _film_in(folder: Path) -> Path:
+    """PETS2009 S2.L1 where it can be found, else a generated scene, as a file in the folder."""
     try:
-        with open_source(str(data_folder("pets2009-s2l1") / "vtest.avi"), stop=N_FRAMES) as source:
-            return list(source)
+        return data_folder("pets2009-s2l1") / "vtest.avi"
     except OSError:
-        return list(sleeping_man(N_FRAMES, size=SIZE))
+        return write_film(folder / "film.mp4", map(image_of, sleeping_man(LONG, size=SIZE)), 10.0)
 
 
-def in_steps(model: MultiChain) -> Callable[[Frame], object]:
-    """A model of the background application: mask and tracks of frame after frame.
-
-    OpenCV has one thread meanwhile, as in the command.
-    """
-    engine, state = RecursiveBP(model), RunState()
-
-    def step(frame: Frame) -> object:
-        nonlocal state
-        cv2.setNumThreads(1)
-        belief = engine.step(state, frame)
-        state = belief.state
-        height, width = image_of(frame).shape[:2]
-        return found_in(belief, (width, height))
-
-    return step
-
-
-def background_and_blobs() -> MultiChain:
-    """The dual chain, without the ground plane and a detector's rates."""
-    pixels = PixelLabels()
-    model = MultiChain().connect(build_chain("background", {}), pixels)
-    return model.connect(build_chain("blobs", {}), pixels)
-
-
-def subtracting(subtractor: cv2.BackgroundSubtractor, threads: int) -> Callable[[Frame], object]:
-    """OpenCV's masks of frame after frame."""
-
-    def step(frame: Frame) -> object:
-        cv2.setNumThreads(threads)  # which takes no time where it has as many
-        return subtractor.apply(image_of(frame))
-
-    return step
+def start() -> Findings:
+    """Seconds to the first frame and the 40th, with compiled loops on disk and without, and to the help."""
+    found: list[Expectation] = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        arguments = ["background", str(_film_in(folder)), "--stop", str(FRAMES), "--out", str(folder / "out")]
+        command = [sys.executable, "-m", __name__, "--quiet", *arguments, "--overwrite"]
+        for kind, rounds, bound in (("cold", COLD_ROUNDS, 10), ("warm", WARM_ROUNDS, 2)):
+            answered = []
+            for number in range(rounds):
+                cache, started = folder / f"cache{number if kind == 'cold' else 0}", time.time()
+                environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+                done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
+                answered.append([float(word) - started for word in done.stdout.split()])
+            first, last = map(statistics.median, zip(*answered, strict=True))
+            what = f"start, {kind}: s from the command to the {{}} frame answered"
+            found.append(Expectation(what.format("first"), first, "<=", bound))
+            found.append(Expectation(what.format(f"{FRAMES}th"), last))
+    command = [sys.executable, "-m", "rsmcm.apps.command_line", "--help"]
+    spent = in_turns({"help": lambda: subprocess.run(command, check=True, capture_output=True)}, WARM_ROUNDS)
+    found.append(Expectation("start: s of rsmcm --help", statistics.median(spent["help"]), "<=", 0.5))
+    return Findings("Time to the first frame", [], found)
 
 
-def image_of(frame: Frame) -> Image:
-    """The picture of a frame that has one."""
-    assert frame.image is not None
-    return frame.image
+def main() -> None:
+    """The command, which says when (s since 1970) its engine answered its first frame and its last one."""
+    moments: list[float] = []
+    step = RecursiveBP.step
+
+    def noted(*arguments: Any) -> Any:
+        answer = step(*arguments)
+        moments.append(time.time())
+        return answer
+
+    with patch.object(RecursiveBP, "step", noted):
+        try:
+            runpy.run_module("rsmcm.apps.command_line", run_name="__main__")
+        finally:
+            print(moments[0], moments[-1])
 
 
-def _on(threads: int) -> str:
-    return f"{threads} thread{'s' if threads > 1 else ''}"
+if __name__ == "__main__":
+    main()

@@ -18,26 +18,17 @@ from joblib import cpu_count
 
 from ...background.application import run_background
 from ...background.job import BackgroundJob
-from ...io.files import PLAYABLE, SegmentedVideo
-from ...io.sources.open_source import open_source
 from ...runs.parallel import Workers, in_parallel, working
 from ...runs.saved_run import STATE
-from ...scenes import sleeping_man
-from ..datasets import data_folder
 from ..experiment import Findings, publish
 from ..record import Table
-from .background import image_of
+from .background import image_of, preloaded, write_film
 
 SMALL, LARGE = (640, 480), (1920, 1080)
 RATE = 5.0
-N_FRAMES = 150
-"""Of a film: half a minute."""
-
-RUNS = 2
-"""Of each process; the first one, in which loops are loaded, does not count where there is another."""
-
-SHARE = 0.7
-"""Of the memory that is free, for processes of cameras that run all at once."""
+N_FRAMES = 150  # of a film: half a minute
+RUNS = 2  # of each process; the first one, in which loops are loaded, does not count where there is another
+SHARE = 0.7  # of the memory that is free, for processes of cameras that run all at once
 
 HEADER = (
     "size", "processes x threads", "frames/s", "cameras at 5/s", "memory a process, MB",
@@ -61,7 +52,15 @@ def capacity() -> Findings:
     cores = cpu_count()
     alone, together = Workers(1, 1), Workers(cores, 1)
     with tempfile.TemporaryDirectory() as name:
-        small, large = (film_of(Path(name) / f"{size[0]}.mp4", size) for size in (SMALL, LARGE))
+        images = [image_of(frame) for frame in preloaded(N_FRAMES, 2, size=(320, 240), stand=40, enter=8)]
+        small, large = (
+            write_film(
+                Path(name) / f"{size[0]}.mp4",
+                (np.asarray(cv2.resize(image, size), np.uint8) for image in images),
+                RATE,
+            )
+            for size in (SMALL, LARGE)
+        )
         rows = [row(large, LARGE, each, carried(large, each)) for each in (alone, together)]
         one = carried(small, alone)
         room = int(SHARE * psutil.virtual_memory().available / 1e6 / one[0].memory)
@@ -74,23 +73,6 @@ def capacity() -> Findings:
         "tracks and page written; in the last line each camera has a process, all at once."
     )
     return Findings("How many cameras a machine carries", [Table(HEADER, rows, caption)], [])
-
-
-def film_of(path: Path, size: tuple[int, int]) -> Path:
-    """PETS2009 S2.L1 where it can be found, else a generated street, in that size, as a file."""
-    try:
-        with open_source(
-            str(data_folder("pets2009-s2l1") / "vtest.avi"), step=2, stop=2 * N_FRAMES
-        ) as source:
-            frames = list(source)
-    except OSError:
-        frames = list(sleeping_man(N_FRAMES, stand=40, enter=8))
-    written = SegmentedVideo(path, RATE, PLAYABLE)
-    for number, frame in enumerate(frames, start=1):
-        scaled = np.asarray(cv2.resize(image_of(frame), size), np.uint8)
-        written.write(scaled, number, (number - 1) / RATE)
-    written.close(finished=True)
-    return path
 
 
 def carried(film: Path, workers: Workers, runs: int = RUNS) -> list[Run]:
@@ -110,17 +92,11 @@ def carried(film: Path, workers: Workers, runs: int = RUNS) -> list[Run]:
 
 def measured(job: BackgroundJob) -> Run:
     """Run a job in this process."""
-    summary = run_background(job).summary
+    rate = run_background(job).summary["frames_per_second"]
     kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024 if sys.platform == "darwin" else 1)
     sizes = {path.name: path.stat().st_size for path in job.out.rglob("*") if path.is_file()}
     state = sizes.pop(STATE)
-    return Run(
-        os.getpid(),
-        summary["frames_per_second"],
-        kilobytes / 976.5625,
-        sum(sizes.values()) / 1e6,
-        state / 1e6,
-    )
+    return Run(os.getpid(), rate, kilobytes / 976.5625, sum(sizes.values()) / 1e6, state / 1e6)
 
 
 def row(film: Path, size: tuple[int, int], workers: Workers, found: list[Run]) -> tuple[object, ...]:

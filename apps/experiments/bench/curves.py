@@ -19,23 +19,22 @@ from ....chains.structure.track_association import associate_tracks
 from ....inference import MultiChain
 from ....inference.sfm.factor_analysis.em import Posterior, expectation_maximisation
 from ....inference.sfm.factor_analysis.factorisation import around_start
-from ....inference.sfm.factor_analysis.observations import Indices, Listed, Numbers, Observations
+from ....inference.sfm.factor_analysis.observations import Listed, Numbers, Observations
 from ....models import Frame, PointTracks
 from ....models.numerics.threads import set_threads
 from ...background.application import build_model
 from ...scenes import face
 from ...scenes.crowd import crowd
-from ..bench import faces
-from ..expectations import Expectation
 from ..experiment import Findings, Plot
-from ..record import Table
+from ..record import Expectation
 from .background import in_steps, preloaded, subtracting
-from .bodies import BodyFilm
-from .structure import turning_points
+from .people import EXPERTS as USUAL_EXPERTS
+from .people import FACE_FRAMES, SIZE, BodyFilm, seconds_a_frame
+from .people import TEXELS as USUAL_TEXELS
+from .points import turning_points
 from .timing import in_turns, of_chains, over_frames
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 WANTED: Mapping[str, float] = {"frames so far": 0.05, "tracks": 1.2}
@@ -59,14 +58,9 @@ TEXELS = (1000, 4000, 16_000)
 ROUNDS, TURN, WARM_UP, CROWD_WARM_UP = 7, 2, 16, 30
 """All but the first in frames; a crowd of many takes longer to be found."""
 
-SIDE, SHIFT = 2560, (1.4, -0.7)
-"""px, of a picture that has corners for all points, and from frame to frame."""
-
-LENGTH = 30
-"""Frames in which a point is seen."""
-
-PIECES, PIECE = 4, 15
-"""Tracks of a point, and frames of each."""
+SIDE, SHIFT = 2560, (1.4, -0.7)  # px, of a picture that has corners for all points, and from frame to frame
+LENGTH = 30  # frames in which a point is seen
+PIECES, PIECE = 4, 15  # tracks of a point, and frames of each
 
 
 @dataclass(frozen=True)
@@ -113,9 +107,7 @@ def curves() -> Findings:
     ]
     what = f"memory grown over the last four fifths of {N_WATCHED} frames, MB"
     expectations.append(Expectation(what, grown, "<=", GROWN))
-    rows = [(each.name, each.unit, *point) for each in found for point in each.points]
-    points = Table(("curve", "over", "size", "s"), rows, "The time is the median over rounds.")
-    return Findings("Cost as curves", [], expectations, [plot(found)], [points])
+    return Findings("Cost as curves", [], expectations, [plot(found)])
 
 
 def plot(found: Sequence[Curve]) -> Plot:
@@ -124,33 +116,28 @@ def plot(found: Sequence[Curve]) -> Plot:
     for each in found:
         panels.setdefault(each.unit, []).append(each)
     rows, columns = -(-len(panels) // 4), 4
-
-    def draw(canvas: "Figure") -> None:
-        axes = canvas.subplots(rows, columns, squeeze=False).reshape(-1)
-        for each, (unit, inside) in zip(axes, panels.items(), strict=False):
-            _draw_panel(each, unit, inside)
-        for empty in axes[len(panels) :]:
-            empty.set_axis_off()
-
-    return Plot("curves.png", draw, (2.9 * columns, 2.4 * rows), "Time over size.")
+    return Plot("curves.png", partial(_draw, panels), (2.9 * columns, 2.4 * rows), "Time over size.")
 
 
-def _draw_panel(axes: "Axes", unit: str, inside: Sequence[Curve]) -> None:
+def _draw(panels: Mapping[str, Sequence[Curve]], canvas: "Figure") -> None:
     from matplotlib.ticker import NullFormatter
 
-    for curve in inside:
-        sizes, seconds = np.array(curve.points).T
-        axes.plot(sizes, 1e3 * seconds, "o-", markersize=3, label=curve.name)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_minor_formatter(NullFormatter())
-    axes.tick_params(labelsize=8)
-    axes.set_xlabel(unit, fontsize=9)
-    axes.set_ylabel("ms", fontsize=9)
-    axes.legend(fontsize=8, loc="upper left", handlelength=1, borderaxespad=0)
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high * 8 ** len(inside))  # room for the names
+    all_axes = canvas.subplots(-(-len(panels) // 4), 4, squeeze=False).reshape(-1)
+    for axes, (unit, inside) in zip(all_axes, panels.items(), strict=False):
+        for curve in inside:
+            sizes, seconds = np.array(curve.points).T
+            axes.plot(sizes, 1e3 * seconds, "o-", markersize=3, label=curve.name)
+        axes.set(xscale="log", yscale="log")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_minor_formatter(NullFormatter())
+        axes.tick_params(labelsize=8)
+        axes.set_xlabel(unit, fontsize=9)
+        axes.set_ylabel("ms", fontsize=9)
+        axes.legend(fontsize=8, loc="upper left", handlelength=1, borderaxespad=0)
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high * 8 ** len(inside))  # room for the names
+    for empty in all_axes[len(panels) :]:
+        empty.set_axis_off()
 
 
 # --- background and objects ---------------------------------------------------------------------------------
@@ -158,33 +145,29 @@ def _draw_panel(axes: "Axes", unit: str, inside: Sequence[Curve]) -> None:
 
 def over_pixels() -> list[Curve]:
     """The background alone, all chains, and MOG2, with four objects in pictures of any size."""
-    called = {"alone": "background alone", "all": "all chains", "MOG2": PEER}
-    rounds: dict[str, dict[float, list[float]]] = {name: {} for name in called}
+    rounds: dict[str, dict[float, list[float]]] = {"background alone": {}, "all chains": {}, PEER: {}}
     for width, height in SIZES:
         frames = list(crowd(4, WARM_UP + ROUNDS * TURN, (height, width)))
-        steps = {
-            "alone": in_steps(build_model("stand-alone")),
-            "all": in_steps(build_model()),
-            "MOG2": subtracting(cv2.createBackgroundSubtractorMOG2(), 1),
-        }
+        mog2 = subtracting(cv2.createBackgroundSubtractorMOG2(), 1)
+        methods = (in_steps(build_model("stand-alone")), in_steps(build_model()), mog2)
+        steps = dict(zip(rounds, methods, strict=True))
         for name, seconds in over_frames(steps, frames, TURN, WARM_UP).items():
             rounds[name][width * height] = seconds
-    return [Curve.of(name, "pixels", rounds[key]) for key, name in called.items()]
+    return [Curve.of(name, "pixels", each) for name, each in rounds.items()]
 
 
 def over_objects() -> list[Curve]:
     """The tracker of blobs by itself, and all chains."""
     width, height = OF_CROWD
-    at = f"{width}x{height}"
-    called = {"blobs": f"tracker of blobs, {at}", "whole": f"all chains, {at}"}
-    rounds: dict[str, dict[float, list[float]]] = {name: {} for name in called}
+    rounds: dict[str, dict[float, list[float]]] = {"blobs": {}, "whole": {}}
     for count in OBJECTS:
         frames = crowd(count, CROWD_WARM_UP + ROUNDS * TURN, (height, width))
         found = of_chains(build_model(), frames)[0][CROWD_WARM_UP:]
         for name, of_name in rounds.items():
             seconds = np.array([each[name] for each in found])
             of_name[count] = seconds.reshape(ROUNDS, TURN).mean(axis=1).tolist()
-    return [Curve.of(name, "objects", rounds[key]) for key, name in called.items()]
+    called = (f"{name}, {width}x{height}" for name in ("tracker of blobs", "all chains"))
+    return [Curve.of(name, "objects", each) for name, each in zip(called, rounds.values(), strict=True)]
 
 
 def over_frames_of_a_film(count: int) -> tuple[Curve, float]:
@@ -253,7 +236,7 @@ def turning(count: int) -> tuple[Observations, Posterior]:
     Positions are in units of their spread already; they are made as lists, without a table of all frames and
     points.
     """
-    generator = np.random.default_rng(0)
+    generator, errors = np.random.default_rng(0), np.random.default_rng(1)
     n_frames, n_points = max(40, round(np.sqrt(count) / 2)), count // LENGTH
     shape = generator.standard_normal((n_points, 3))
     angle = np.linspace(0, n_frames / 50, n_frames)
@@ -262,32 +245,23 @@ def turning(count: int) -> tuple[Observations, Posterior]:
     first = generator.integers(0, n_frames - LENGTH, n_points, endpoint=True)
     point = np.repeat(np.arange(n_points), LENGTH)
     frame = np.repeat(first, LENGTH) + np.tile(np.arange(LENGTH), n_points)
-    listed = Listed.sorted_by(
-        point, n_points, frame, *_seen(cameras, shape, frame, point), np.ones(len(point))
+    x, y = (
+        np.einsum("nj,nj->n", cameras[frame, row, :3], shape[point])
+        + 0.01 * errors.standard_normal(len(frame))
+        for row in range(2)
     )
+    listed = Listed.sorted_by(point, n_points, frame, x, y, np.ones(len(point)))
     observations = Observations(listed.transposed(n_frames), listed, np.zeros(2), 1.0, 1.0)
     near = shape + 0.1 * generator.standard_normal(shape.shape)
     all_frames, all_points = np.ones(n_frames, np.bool_), np.ones(n_points, np.bool_)
     return observations, around_start(observations, cameras, near, all_frames, all_points, coherent=False)
 
 
-def _seen(cameras: Numbers, shape: Numbers, frame: Indices, point: Indices) -> tuple[Numbers, Numbers]:
-    """Coordinates of points in frames, with noise."""
-    generator = np.random.default_rng(1)
-    x, y = (
-        np.einsum("nj,nj->n", cameras[frame, row, :3], shape[point])
-        + 0.01 * generator.standard_normal(len(frame))
-        for row in range(2)
-    )
-    return x, y
-
-
 def over_tracks() -> Curve:
     """Which tracks show one point: robust factor analysis, association, and what is read of both."""
-    rounds: dict[float, list[float]] = {}
-    for count in TRACKS:
-        step = partial(associate_tracks, broken_tracks(count))
-        rounds[count] = in_turns({"ours": step}, 2 if count > TRACKS[1] else ROUNDS)["ours"]
+    steps = {count: partial(associate_tracks, broken_tracks(count)) for count in TRACKS}
+    turns = {count: 2 if count > TRACKS[1] else ROUNDS for count in TRACKS}
+    rounds = {count: in_turns({"ours": step}, turns[count])["ours"] for count, step in steps.items()}
     return Curve.of("association", "tracks", rounds)
 
 
@@ -313,17 +287,15 @@ def over_samples() -> Curve:
     for count in SAMPLES:
         pose = ArticulatedPose(film.body, count)
         model = MultiChain().connect(FleshTracker(film.body), film.parts).connect(pose, film.parts)
-        found = of_chains(model, film.frames[: 3 + ROUNDS])[0][3:]
-        rounds[count] = [each[pose.name] for each in found]
+        rounds[count] = [each[pose.name] for each in of_chains(model, film.frames[: 3 + ROUNDS])[0][3:]]
     return Curve.of("poses of a body", "samples", rounds)
 
 
 def of_face(unit: str, sizes: Sequence[int]) -> Curve:
     """G-flow over experts or texels, of which the one is kept while the other grows."""
     set_threads(2)
-    scene, rounds = face(faces.N_FRAMES, seed=0, size=faces.SIZE), dict[float, list[float]]()
+    scene, rounds = face(FACE_FRAMES, seed=0, size=SIZE), dict[float, list[float]]()
     for size in sizes:
-        experts, texels = (size, faces.TEXELS) if unit == "experts" else (faces.EXPERTS, size)
-        seconds = faces.seconds_a_frame(scene, experts, texels)
-        rounds[size] = [float(part.mean()) for part in np.array_split(seconds, ROUNDS)]
+        both = (size, USUAL_TEXELS) if unit == "experts" else (USUAL_EXPERTS, size)
+        rounds[size] = [float(part.mean()) for part in np.array_split(seconds_a_frame(scene, *both), ROUNDS)]
     return Curve.of("G-flow, 640x480", unit, rounds)

@@ -12,26 +12,21 @@ import numpy as np
 
 from ....inference import MultiChain, RecursiveBP, RunState
 from ....models.core.frame import Frame
-from ..expectations import Expectation
+from ..record import Expectation
 
-Judge = Callable[[dict[str, float]], Sequence[Expectation]]
-"""What seconds a call of each method mean."""
-
-Spent = dict[str, list[float]]
-"""By method, median seconds of a call in each round."""
-
-ROUNDS = 8
-"""At least seven of them should count, or quartiles mean little."""
+Judge = Callable[[dict[Any, float]], Sequence[Expectation]]  # what seconds a call of each method mean
+Spent = dict[Any, list[float]]  # by method, median seconds of a call in each round
+ROUNDS = 8  # at least seven of them should count, or quartiles mean little
 
 
-def in_turns(methods: Mapping[str, Callable[[], object]], rounds: int = ROUNDS, turn: int = 1) -> Spent:
+def in_turns(methods: Mapping[Any, Callable[[], object]], rounds: int = ROUNDS, turn: int = 1) -> Spent:
     """Time methods that take turns of `turn` calls; a round before these warms up.
 
     Every other round goes from the last method to the first, so that none always has the same one before it.
     """
     spent: Spent = {name: [] for name in methods}
     for number in range(rounds + 1):
-        for name in _order(methods, number):
+        for name in list(methods)[:: -1 if number % 2 else 1]:
             calls = []
             for _ in range(turn):
                 started = time.perf_counter()
@@ -42,25 +37,16 @@ def in_turns(methods: Mapping[str, Callable[[], object]], rounds: int = ROUNDS, 
 
 
 def over_frames(
-    steps: Mapping[str, Callable[[Frame], object]], frames: Sequence[Frame], turn: int, warm_up: int
+    steps: Mapping[Any, Callable[[Frame], object]], frames: Sequence[Frame], turn: int, warm_up: int
 ) -> Spent:
-    """Mean seconds a frame in each turn of several methods, which take turns of a few frames each.
+    """Mean seconds a frame in each turn of several methods, each of which takes in all frames in order.
 
-    Parameters
-    ----------
-    steps
-        by name, what takes in a frame.
-    frames
-        in order; all methods get all of them.
-    turn
-        frames that a method works on before it is another one's turn.
-    warm_up
-        frames that do not count.
+    They take turns of `turn` frames; the first `warm_up` frames do not count.
     """
     spent: Spent = {name: [] for name in steps}
     edges = [*range(0, len(frames), turn), len(frames)]
     for number, (first, end) in enumerate(pairwise(edges)):
-        for name in _order(steps, number):
+        for name in list(steps)[:: -1 if number % 2 else 1]:
             started = time.perf_counter()
             for frame in frames[first:end]:
                 steps[name](frame)
@@ -68,38 +54,21 @@ def over_frames(
     return {name: values[-(-warm_up // turn) :] for name, values in spent.items()}
 
 
-def _order(names: Mapping[str, object], number: int) -> Sequence[str]:
-    return list(names)[:: 1 if number % 2 == 0 else -1]
-
-
 def over_rounds(judge: Judge, spent: Spent) -> list[Expectation]:
-    """What is judged of every round by itself: medians, with their quartiles.
+    """What is judged of the seconds of every round by itself: medians, with their quartiles.
 
     A ratio is one of times that were taken right after each other, so that it does not suffer where the
-    machine slows down for both.
-
-    Parameters
-    ----------
-    judge
-        gives expectations of the seconds of one round, always in the same order.
-    spent
-        by method, seconds of every round.
+    machine slows down for both. `judge` always gives its expectations in the same order.
     """
     rounds = [dict(zip(spent, seconds, strict=True)) for seconds in zip(*spent.values(), strict=True)]
-    judged = [judge(seconds) for seconds in rounds]
     on_another_machine = judge({name: 2 * second for name, second in rounds[0].items()})
     found = []
-    for of_rounds, elsewhere in zip(zip(*judged, strict=True), on_another_machine, strict=True):
+    for *of_rounds, elsewhere in zip(*map(judge, rounds), on_another_machine, strict=True):
         values = [each.measured for each in of_rounds]
-        low, middle, high = np.percentile(values, (25, 50, 75))
+        low, middle, high = np.percentile(values, (25, 50, 75)).tolist()
+        ratio = math.isclose(values[0], elsewhere.measured, rel_tol=1e-9)
         found.append(
-            replace(
-                of_rounds[0],
-                measured=float(middle),
-                quartiles=(float(low), float(high)),
-                ratio=math.isclose(values[0], elsewhere.measured, rel_tol=1e-9),
-                seeds=len(values),
-            )
+            replace(of_rounds[0], measured=middle, quartiles=(low, high), ratio=ratio, seeds=len(values))
         )
     return found
 

@@ -19,29 +19,17 @@ BOX_NOISE = 0.03  # of place and side of a box, in its side
 
 @dataclass(frozen=True, eq=False)
 class Distractor:
-    """Something skin-coloured, about as large as a hand, that is none.
+    """Something skin-coloured, about as large as a hand, that is none."""
 
-    Parameters
-    ----------
-    first, last
-        indices of the frames, from 0, between which it is there, both included.
-    start, velocity
-        `(2,)` px and px a frame: where it is in frame `first`, and its drift.
-    radius
-        px.
-    in_front
-        whether it is before the trunk, or behind everything.
-    seed
-        of its shape and tone.
-    """
-
+    # first, last: indices of the frames, from 0, between which it is there, both included
     first: int
     last: int
+    # start, velocity: `(2,)` px and px a frame: where it is in frame `first`, and its drift
     start: Array
     velocity: Array
-    radius: float
-    in_front: bool
-    seed: int
+    radius: float  # px
+    in_front: bool  # whether it is before the trunk, or behind everything
+    seed: int  # of its shape and tone
 
     def place(self, index: float) -> Array:
         """`(2,)` px: its centre in frame `index`."""

@@ -19,28 +19,18 @@ REST = (0.4, 1.2)  # s, in the lap
 FASTEST = 7.0  # head heights a second, about 25 px a frame
 AHEAD = 4.0  # s that the left arm is planned beyond the scene, so that the right one knows what it will do
 HEAD_TURN = np.array([0.18, 0.42, 0.13])  # largest nod, turn and tilt, rad
-TORSO_TURN = np.array([1.0, 2.0, 1.0])  # largest lean forwards, turn and lean sideways, in `lean`
-HEAD_FOLLOWS = 0.5  # of the torso's rotation; the rest is made up for
 
 
 @dataclass(frozen=True)
 class Habit:
-    """A kind of place that a hand goes to, in head heights from the point between the shoulders.
+    """A kind of place that a hand goes to, in head heights from the point between the shoulders."""
 
-    Parameters
-    ----------
-    share
-        how often.
-    across, down, ahead
-        ranges: towards the hand's own side, downwards, towards the viewer.
-    elbow
-        range of the elbow's depth below the shoulder, in upper arms; negative is raised above it.
-    """
-
-    share: float
+    share: float  # how often
+    # across, down, ahead: ranges: towards the hand's own side, downwards, towards the viewer
     across: tuple[float, float]
     down: tuple[float, float]
     ahead: tuple[float, float]
+    # range of the elbow's depth below the shoulder, in upper arms; negative is raised above it
     elbow: tuple[float, float]
 
 
@@ -60,12 +50,11 @@ PEAK = 1.875  # speed of a minimum-jerk move at its fastest, over its mean
 
 
 def signing(
-    body: UpperBody, home: Array, size: tuple[int, int], n_frames: int, dt: float, seed: int, *, lean: float
+    body: UpperBody, home: Array, size: tuple[int, int], n_frames: int, dt: float, seed: int
 ) -> BodyPoses:
     """Poses of a signer whose root stays near `home` `(2,)` px; all are within `body`'s limits.
 
-    The torso leans by up to `lean` rad, about its lower end, and turns twice as far; hands go with it.
-    The first poses of a longer scene are those of a shorter one.
+    The torso is upright and faces the camera. The first poses of a longer scene are those of a shorter one.
     """
     times = dt * np.arange(n_frames + int(np.ceil(2 * AHEAD / dt)), dtype=np.float64)
     generator = np.random.default_rng([seed, 10])
@@ -74,18 +63,11 @@ def signing(
     roots = home + height * np.array([0.09, 0.03]) * np.tanh(drift)
     turns = np.stack([wander(times, (1.2, 6.0), generator) for _ in range(3)], axis=1)
     necks = HEAD_TURN * np.tanh(0.8 * turns)
-    generator = np.random.default_rng([seed, 13])
-    sways = np.stack([wander(times, (2.0, 9.0), generator) for _ in range(3)], axis=1)
-    torsos = lean * TORSO_TURN * np.tanh(0.8 * sways)
-    necks += HEAD_FOLLOWS * torsos
-    axes = exponential(torsos)
-    roots += body.torso_height * (np.array([0.0, 1.0]) - axes[:, :2, 1])
-    planner = _Planner(body, roots, axes, necks, size, dt)
+    planner = _Planner(body, roots, necks, size, dt)
     left = planner.plan(0, len(times) - int(AHEAD / dt), np.random.default_rng([seed, 11]), None)
     right = planner.plan(1, n_frames, np.random.default_rng([seed, 12]), left)
     arms = np.stack([left.arms[:n_frames], right.arms[:n_frames]], axis=1)
-    arms = np.einsum("nxy,nspy->nspx", axes[:n_frames], arms)
-    return BodyPoses(roots[:n_frames], torsos[:n_frames], necks[:n_frames], arms)
+    return BodyPoses(roots[:n_frames], np.zeros((n_frames, 3)), necks[:n_frames], arms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +75,7 @@ class _Plan:
     """What one arm does, frame after frame.
 
     arms (n, 2, 3) are the directions of its segments, joints (n, 2, 3) elbow and hand from the point between
-    the shoulders, both in the torso's axes; starts, ends (n_moves,) the times of its moves, kinds (n_moves,)
+    the shoulders; starts, ends (n_moves,) the times of its moves, kinds (n_moves,)
     their habits.
     """
 
@@ -127,17 +109,11 @@ class _Way:
 
 
 class _Planner:
-    """Plans one arm after the other, move by move: of some ways that are thought of, a possible one.
+    """Plans one arm after the other, move by move: of some ways that are thought of, a possible one."""
 
-    It thinks in the `axes` (n_frames, 3, 3) of the torso, which are the columns.
-    """
-
-    def __init__(
-        self, body: UpperBody, roots: Array, axes: Array, necks: Array, size: tuple[int, int], dt: float
-    ) -> None:
-        self.body, self.roots, self.axes, self.size, self.dt = body, roots, axes, size, dt
-        heads = exponential(necks) @ np.array([0.0, -body.neck, 0.0])
-        self.heads = np.einsum("nyx,ny->nx", axes, heads)
+    def __init__(self, body: UpperBody, roots: Array, necks: Array, size: tuple[int, int], dt: float) -> None:
+        self.body, self.roots, self.size, self.dt = body, roots, size, dt
+        self.heads = exponential(necks) @ np.array([0.0, -body.neck, 0.0])
 
     def plan(self, side: int, n_frames: int, generator: np.random.Generator, other: _Plan | None) -> _Plan:
         """Plan the arm `side` for the first `n_frames` frames, out of the way of the `other` one."""
@@ -272,7 +248,7 @@ class _Planner:
         for share in (0.0, 0.5, 0.8, 1.0):
             points = elbows + share * (hands - elbows)
             ok &= (((points - self.heads[frames]) / room) ** 2).sum(axis=2) > 1
-        places = self.roots[frames] + np.einsum("fxy,nfy->nfx", self.axes[frames, :2], hands)
+        places = self.roots[frames] + hands[..., :2]
         margin = 0.6 * radius
         ok &= ((places > margin) & (places < np.array(self.size) - margin)).all(axis=2)
         ok[:, 1:] &= np.linalg.norm(np.diff(elbows, axis=1), axis=2) < 0.3 * height * 25 * self.dt

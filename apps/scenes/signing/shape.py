@@ -27,25 +27,14 @@ LENGTHS = np.array([0.85, 1.12, 1.25, 1.18, 0.95])  # in hand radii
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A piece of surface of one material.
+    """A piece of surface of one material."""
 
-    Parameters
-    ----------
-    material
-        name of its texture.
-    places, normals
-        `(n, 3)` px, z away from the viewer; outward unit vectors.
-    texels
-        `(n, 2)`: px along the surface, around and along, of the texture.
-    triangles
-        `(m, 3)` indices of vertices.
-    """
-
-    material: str
+    material: str  # name of its texture
+    # places, normals: `(n, 3)` px, z away from the viewer; outward unit vectors
     places: Array
     normals: Array
-    texels: Array
-    triangles: NDArray[np.int64]
+    texels: Array  # `(n, 2)`: px along the surface, around and along, of the texture
+    triangles: NDArray[np.int64]  # `(m, 3)` indices of vertices
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,20 +3,23 @@
 Any frame is rendered on its own, from the seed and the frame's index only.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ....models.body.upper_body import PARTS, BodyPoses, UpperBody
 from ....models.core.frame import Frame
+from ..generated_film import GeneratedFilm, check_range
 from ..random_fields import wander
-from .appearance import Appearance
+from ..rendering_kernels import FARTHEST, draw_mesh
 from .faults import MISSING, Distractor, ListedFaces, bursts, face_boxes, false_skin
 from .motion import signing
+from .paint import Palette, paint_background, paint_cloth, paint_head, paint_skin
 from .shape import HandShape, Solid, blob, surface
 
 Array = NDArray[np.float64]
@@ -26,73 +29,141 @@ Pixels = NDArray[np.float32]
 SHUTTER = 0.5  # of the time between frames that light is gathered
 BLUR_STEP = 4.0  # px that a hand moves between two pictures of one exposure
 MOST_PICTURES = 4  # of one exposure
-MOST_LEAN = 0.3  # rad
+
+SAMPLES = 2  # of a pixel, across and down
+AMBIENT = 0.45  # share of the light that has no direction
+BRIGHTEST = 1.12  # light on what faces the lamp
+GLARE = np.array([236.0, 240.0, 242.0])  # BGR of blown-out skin
 
 Sleeves = Literal["long", "short"]
 
 
 @dataclass(frozen=True, eq=False)
-class SignerScene:
-    """A signer with its truth; build it with `signer`, which explains the parameters.
+class Appearance:
+    """What a scene is painted with: colours, textures and the lamp, and surfaces drawn with them."""
 
-    Frames are rendered when asked for. Indices count from 0, `Frame.number` from 1.
+    seed: int
+    size: tuple[int, int]
+    head_height: float
+    clutter: float
+
+    @cached_property
+    def palette(self) -> Palette:
+        """The scene's colours."""
+        return Palette(np.random.default_rng([self.seed, 2]))
+
+    def draw(self, solids: Iterable[tuple[Solid, str]]) -> Pixels:
+        """`(height, width, 3)` grey levels under full light: solids of materials in front of the room."""
+        colours = self._room.copy()
+        depths = np.full(colours.shape[:2], FARTHEST, np.float32)
+        for solid, material in solids:
+            density = self._head_density if material == "head" else 1.0
+            # sample k of a pixel lies at (k - (SAMPLES - 1) / 2) / SAMPLES from its centre
+            places = solid.places.copy()
+            places[:, :2] = (places[:, :2] + 0.5) * SAMPLES - 0.5
+            shade = np.maximum(0.15 + 0.85 * (solid.normals @ self._lamp), 0)
+            light = AMBIENT + (BRIGHTEST - AMBIENT) * shade
+            attributes = np.column_stack([density * solid.texels, light])
+            facing = solid.normals[:, 2] < 0.2
+            seen = solid.triangles[facing[solid.triangles].any(axis=1)]
+            draw_mesh(colours, depths, places, attributes, seen, self._textures[material])
+        return np.asarray(cv2.resize(colours, self.size, interpolation=cv2.INTER_AREA), np.float32)
+
+    @cached_property
+    def _room(self) -> Pixels:
+        """The room in samples."""
+        room = paint_background(self.size, self.palette, self.clutter, np.random.default_rng([self.seed, 5]))
+        return np.ascontiguousarray(room.repeat(SAMPLES, axis=0).repeat(SAMPLES, axis=1))
+
+    @cached_property
+    def _textures(self) -> dict[str, Pixels]:
+        """By material, a texel a px but for the head."""
+        generator = np.random.default_rng([self.seed, 6])
+        palette, side = self.palette, int(np.ceil(4 * self.head_height))
+        top = paint_cloth(side, palette.top, generator)
+        return {
+            "head": paint_head(self._head_density, palette, generator),
+            "skin": paint_skin(side, palette.skin, generator),
+            "top": top,
+            "trousers": paint_cloth(side, palette.trousers, generator),
+            "glove": np.float32(0.6) * top,
+            "glare": paint_skin(side, GLARE, generator),
+        }
+
+    @property
+    def _head_density(self) -> float:
+        """Texels a rad of the head's picture."""
+        return 0.75 * self.head_height
+
+    @cached_property
+    def _lamp(self) -> Array:
+        """`(3,)` unit vector towards the lamp."""
+        generator = np.random.default_rng([self.seed, 8])
+        azimuth, elevation = generator.uniform(-0.9, 0.9), generator.uniform(0.3, 0.9)
+        across, towards = np.sin(azimuth), np.cos(azimuth)
+        return np.array([across * np.cos(elevation), -np.sin(elevation), -towards * np.cos(elevation)])
+
+
+@dataclass(frozen=True, eq=False)
+class SignerScene(GeneratedFilm):
+    """Somebody who sits and signs, in front of a cluttered room, and features that fail for a while.
+
+    Hands go from place to place, across the face, each other and towards the viewer; the head sways and
+    turns. The head's height is 21 to 27 % of the picture's. The first frames of a longer scene are those of a
+    shorter one.
+
+    Parameters
+    ----------
+    n_frames
+        length of the scene, 25 frames a second.
+    seed
+        decides who it is, motion, room, light, faults and noise.
+    detector_dropout
+        share of frames, 0 to 1, in which the feature of a part is missing, for head and hands each on its
+        own, in bursts of 2 to 12 frames: the detector gives no face, a hand has no colour of skin.
+    clutter
+        how much there is in the room, and how much of it looks like skin: 0, a plain wall; 1, shelves,
+        pictures and wooden things, and false hands in 15 % of the frames.
+    size
+        `(width, height)` px.
+    noise
+        standard deviation of the sensor's noise, grey levels.
+    sleeves
+        "long", or "short": lower halves of upper arms, and forearms, have the colour of skin. They keep it
+        where a hand's is missing.
+
+    Raises
+    ------
+    ValueError
+        if the picture is less than 120 px high or higher than wide, there is no frame, or a parameter is out
+        of its range.
     """
 
-    n_frames: int
-    seed: int
-    detector_dropout: float
-    clutter: float
-    size: tuple[int, int]
-    noise: float
-    lean: float = 0.0
+    n_frames: int = 120
+    seed: int = 0
+    detector_dropout: float = 0.2
+    clutter: float = 1.0
+    size: tuple[int, int] = (640, 360)
+    _: KW_ONLY
+    noise: float = 2.5
     sleeves: Sleeves = "long"
-    dt: float = 1 / 25
 
     def __post_init__(self) -> None:
         width, height = self.size
-        if height < 120 or not height <= width:
+        if not 120 <= height <= width:
             raise ValueError(
                 f"size: got {self.size}, expected (width, height), 120 px high or more and at least as wide"
             )
-        if self.n_frames < 1:
-            raise ValueError(f"n_frames: got {self.n_frames}, expected 1 or more")
-        if self.seed < 0:
-            raise ValueError(f"seed: got {self.seed}, expected 0 or more")
-        if not 0 <= self.detector_dropout <= 1:
-            raise ValueError(f"detector_dropout: got {self.detector_dropout}, expected 0 to 1")
-        if not 0 <= self.lean <= MOST_LEAN:
-            raise ValueError(f"lean: got {self.lean}, expected 0 to {MOST_LEAN}")
         if self.sleeves not in get_args(Sleeves):
             raise ValueError(f"sleeves: got {self.sleeves!r}, expected one of {', '.join(get_args(Sleeves))}")
-        for name in ("clutter", "noise"):
-            value = getattr(self, name)
-            if not 0 <= value < np.inf:
-                raise ValueError(f"{name}: got {value}, expected 0 or more")
+        check_range("n_frames", self.n_frames, 1)
+        check_range("detector_dropout", self.detector_dropout, 0, 1)
+        for name in ("seed", "clutter", "noise"):
+            check_range(name, getattr(self, name))
 
-    def __len__(self) -> int:
-        return self.n_frames
-
-    def __iter__(self) -> Iterator[Frame]:
-        return (self.frame(index) for index in range(self.n_frames))
-
-    def images(self) -> Iterator[NDArray[np.uint8]]:
-        """All pictures in turn, `(height, width, 3)` uint8 BGR."""
-        return (self.image(index) for index in range(self.n_frames))
-
-    def frame(self, index: int) -> Frame:
-        """Frame `index` (from 0) with its time."""
-        index = range(self.n_frames)[index]
-        return Frame(self.image(index), index * self.dt, index + 1)
-
-    def image(self, index: int) -> NDArray[np.uint8]:
-        """What the camera gives for frame `index` (from 0): `(height, width, 3)` uint8 BGR."""
-        index = range(self.n_frames)[index]
-        picture = self._exposed(index)
-        picture *= self._light[index].astype(np.float32)
-        if self.noise > 0:
-            generator = np.random.default_rng([self.seed, 3, index])  # frames may come in any order
-            picture += np.float32(self.noise) * generator.standard_normal(picture.shape, np.float32)
-        return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    def made(self, index: int) -> Frame:
+        """Frame `index` with its time; the picture has colours."""
+        return self._seen(self._exposed(index) * self._light[index].astype(np.float32), self.noise, 3, index)
 
     # The truth
 
@@ -128,7 +199,7 @@ class SignerScene:
         # room above the head and below the lap is shared out
         spare = max(0.0, height - top - lap)
         home = np.array([width * generator.uniform(0.38, 0.62), top + spare * generator.uniform(0.2, 0.9)])
-        return signing(self.body, home, self.size, self.n_frames + 1, self.dt, self.seed, lean=self.lean)
+        return signing(self.body, home, self.size, self.n_frames + 1, self.dt, self.seed)
 
     @cached_property
     def joints(self) -> Array:
@@ -234,50 +305,4 @@ class SignerScene:
                 yield blob(thing, moment, self.body.head_height), "skin"
 
 
-def signer(
-    n_frames: int = 120,
-    seed: int = 0,
-    detector_dropout: float = 0.2,
-    clutter: float = 1.0,
-    size: tuple[int, int] = (640, 360),
-    *,
-    noise: float = 2.5,
-    lean: float = 0.0,
-    sleeves: Sleeves = "long",
-) -> SignerScene:
-    """Somebody who sits and signs, in front of a cluttered room, and features that fail for a while.
-
-    Hands go from place to place, across the face, each other and towards the viewer; the head sways and
-    turns. The head's height is 21 to 27 % of the picture's. The first frames of a longer scene are those of a
-    shorter one.
-
-    Parameters
-    ----------
-    n_frames
-        length of the scene, 25 frames a second.
-    seed
-        decides who it is, motion, room, light, faults and noise.
-    detector_dropout
-        share of frames, 0 to 1, in which the feature of a part is missing, for head and hands each on its
-        own, in bursts of 2 to 12 frames: the detector gives no face, a hand has no colour of skin.
-    clutter
-        how much there is in the room, and how much of it looks like skin: 0, a plain wall; 1, shelves,
-        pictures and wooden things, and false hands in 15 % of the frames.
-    size
-        `(width, height)` px.
-    noise
-        standard deviation of the sensor's noise, grey levels.
-    lean
-        rad, 0 to 0.3: how far the torso leans at most, forwards and sideways; it turns twice as far. At 0 it
-        is upright and faces the camera; 0.25 is somebody who moves a little.
-    sleeves
-        "long", or "short": lower halves of upper arms, and forearms, have the colour of skin. They keep it
-        where a hand's is missing.
-
-    Raises
-    ------
-    ValueError
-        if the picture is less than 120 px high or higher than wide, there is no frame, or a parameter is out
-        of its range.
-    """
-    return SignerScene(n_frames, seed, detector_dropout, clutter, size, noise, lean, sleeves)
+signer = SignerScene

@@ -71,20 +71,3 @@ def test_nothing_found() -> None:
     )
     assert np.isnan([scores.reprojection_error, scores.shape_error, scores.purity]).all()
     assert (scores.n_points, scores.n_missing) == (0, 40)
-
-
-@pytest.mark.parametrize(
-    ("changed", "words"),
-    [
-        ({"positions": np.zeros((59, 40, 2))}, r"positions: got \(59, 40, 2\)"),
-        ({"positions": np.zeros((60, 40))}, r"positions: got \(60, 40\)"),
-        ({"shape": np.zeros((39, 3))}, r"shape: got \(39, 3\)"),
-        ({"point_of_track": np.zeros(3, int)}, r"point_of_track: got \(3,\)"),
-        ({"point_of_track": np.full(40, 40)}, "point_of_track: got 40 to 40, expected -1 to 39"),
-    ],
-)
-def test_arrays_that_do_not_fit_are_named(changed: dict[str, object], words: str) -> None:
-    truth = cylinder(p_loose=0)
-    arguments = {"positions": truth.positions, "shape": truth.shape, "point_of_track": np.arange(40)}
-    with pytest.raises(ValueError, match=words):
-        score_structure(**{**arguments, **changed}, truth=truth)  # type: ignore[arg-type]

@@ -494,14 +494,16 @@ def test_an_overstated_noise_of_the_observed_gives_no_verdict(
         assert ("the noise is overstated" in said) == (verdict == "not sure")
 
 
-def test_long_records_are_thinned_evenly() -> None:
+def test_long_records_are_thinned_evenly(tmp_path: Path) -> None:
     count = 3 * MOST_ROWS + 17
     numbers = np.arange(count)
     values = numbers[:, None].astype(float)
     record = PairRecord(
         "a", "b", "f", "px", RecordedPredictions(values, values, values, np.eye(1)), numbers, numbers
     )
-    thin = record.thinned(MOST_ROWS)
+    write_predictions(tmp_path, [record])
+    (thin,) = read_predictions(tmp_path)
+    assert isinstance(thin, PairRecord)
     assert len(thin.tracks) == len(thin.predictions) == MOST_ROWS
     assert (thin.tracks[0], thin.tracks[-1]) == (0, count - 1)
     assert set(np.diff(thin.tracks)) == {3, 4}
@@ -595,5 +597,5 @@ def test_command_on_wrong_folders(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "first: got [nan, nan] in row 0" in complaint(tmp_path)
     np.savez(path, **{name: array for name, array in arrays.items() if name != "0/observed"})
     assert "0/observed" in complaint(tmp_path)
-    write_predictions(tmp_path, [pair().thinned(1)])
+    write_predictions(tmp_path, [pair().rows(np.array([0]))])
     assert "predictions of one track in one frame" in complaint(tmp_path)

@@ -100,7 +100,7 @@ def test_broken_scores_are_one_line(
 
 
 def test_a_pair_of_which_there_is_too_little_keeps_no_other_from_being_judged(tmp_path: Path) -> None:
-    short = record().thinned(1)
+    short = record().rows(np.array([0]))
     write_predictions(tmp_path, [replace(short, first="three"), record()])
     said = report_validity(tmp_path)
     assert "one + two on pixels: helps." in said

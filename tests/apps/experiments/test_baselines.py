@@ -10,8 +10,8 @@ from rsmcm.apps.experiments.baselines import (
     SETTINGS,
     CleanUp,
     KalmanHungarian,
-    OpenCVSubtractor,
-    component_boxes,
+    components,
+    opencv_subtractor,
     sweep_subtractors,
 )
 
@@ -32,7 +32,7 @@ def frames() -> Iterator[tuple[int, NDArray[np.uint8]]]:
 
 @pytest.mark.parametrize("method", ["MOG2", "KNN"])
 def test_subtractors_find_a_moving_square(method: str) -> None:
-    subtractor = OpenCVSubtractor(method, 100, 16 if method == "MOG2" else 400)
+    subtractor = opencv_subtractor(method, 100, 16 if method == "MOG2" else 400)
     masks = {number: subtractor.apply(image) for number, image in frames()}
     mask = masks[40]
     assert set(np.unique(mask)) <= {0, 127, 255}
@@ -40,11 +40,6 @@ def test_subtractors_find_a_moving_square(method: str) -> None:
     inside = cleaned[square(40)]
     assert inside.mean() > 0.9 * 255
     assert cleaned.sum() == inside.sum()
-
-
-def test_unknown_subtractor_is_named() -> None:
-    with pytest.raises(ValueError, match="'GMG'"):
-        OpenCVSubtractor("GMG", 100, 16)
 
 
 def test_clean_up_by_hand() -> None:
@@ -84,8 +79,8 @@ def test_boxes_of_components() -> None:
     mask = np.zeros((40, 60), np.uint8)
     mask[5:15, 7:10] = 255
     mask[30:32, 50:60] = 255
-    assert component_boxes(mask).tolist() == [[7, 5, 3, 10], [50, 30, 10, 2]]
-    assert component_boxes(np.zeros((4, 4), np.uint8)).shape == (0, 4)
+    assert components(mask)[:, :4].tolist() == [[7, 5, 3, 10], [50, 30, 10, 2]]
+    assert components(np.zeros((4, 4), np.uint8)).shape == (0, 5)
 
 
 def walk(number: int) -> NDArray[np.float64]:

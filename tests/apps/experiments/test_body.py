@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from rsmcm.apps.body.measures import BodyTrial
-from rsmcm.apps.experiments import body, run_experiment
+from rsmcm.apps.experiments import body, experiment, run_experiment
 from rsmcm.apps.view.overlay import TrackedBody
 
 from ...conftest import names
@@ -117,46 +116,42 @@ def test_cells_of_what_is_not_known() -> None:
     assert errors == pytest.approx([4, 0.05, 4, 4, 4, 5, 5])
 
 
-def test_plots() -> None:
-    canvas = Figure()
-    body.draw_errors(canvas, made_up(8, 6, 20, (24, 12)))
-    assert len(canvas.axes[0].lines) == len(body.COLOURS)
-
-
 def test_every_result_stands_at_its_tracker_and_seed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A run with everything but the trackers themselves."""
 
-    def numbered(label: str, work: list[tuple[Any, tuple[Any, ...]]]) -> list[list[BodyTrial]]:
-        trials = []
-        for _, (trackers, scene, *shown) in work:
-            row = []
+    def numbered(label: str, work: list[tuple[Any, tuple[int, int]]]) -> list[dict[str, BodyTrial]]:
+        found = []
+        for measure, (_, seed) in work:
+            trackers, _, shown = measure.args
+            row: dict[str, BodyTrial] = {}
             for place, tracker in enumerate(trackers):
-                one = trial(1.0 + place + scene["seed"] / 10, 0.01 + 1e-5 * tracker.samples)
+                one = trial(1.0 + place + seed / 10, 0.01 + 1e-5 * tracker.samples)
                 pictures = {
                     index: TrackedBody(np.ones((40, 8, 3)), np.ones((8, 3)), np.ones((8, 1, 1)) * np.eye(3))
-                    for index in (shown[0] if shown else ())
+                    for index in shown
                 }
-                one = replace(one, shown=pictures)
-                later = replace(one, errors=one.errors / 2) if tracker.lag else None
-                row.append(replace(one, later=later))
-            trials.append(row)
-        return trials
+                row[tracker.name] = replace(one, shown=pictures)
+                if tracker.lag:
+                    later = replace(row[tracker.name], errors=one.errors / 2)
+                    row[body.LATER.format(tracker.name)] = later
+            found.append(row)
+        return found
 
-    monkeypatch.setattr(body, "in_parallel", numbered)
+    monkeypatch.setattr(experiment, "in_parallel", numbered)
     monkeypatch.setattr(body, "SHOWN", (1, 2))
     monkeypatch.setattr(body, "SCENE", {"n_frames": 3, "detector_dropout": 0.2})
     run_experiment("body", tmp_path / "out")
-    assert names(tmp_path / "out") == {"index.html", "fig-6.png", "errors.png", "results.json"}
+    assert names(tmp_path / "out") == {"index.html", "fig-6.png", "results.json"}
     record = json.loads((tmp_path / "out" / "results.json").read_text())
-    results = record["runs"]
-    assert list(results) == NAMES
+    errors = {name: (samples, error) for name, samples, error, *_ in record["tables"][0]["rows"]}
+    assert list(errors) == NAMES
     for place, name in enumerate(name for name in NAMES if "later" not in name):
-        assert results[name]["error"] == pytest.approx([1.0 + place + seed / 10 for seed in body.SEEDS])
-    assert results[LATER]["error"][0] == 0.5
-    assert results[body.CLOUDS[0]]["samples"] == 1000
-    assert results[body.CLOUDS[1]]["samples"] == 5400
+        assert errors[name][1] == pytest.approx(np.mean([1.0 + place + seed / 10 for seed in body.SEEDS]))
+    assert errors[LATER][1] == pytest.approx(np.mean([0.5 + seed / 20 for seed in body.SEEDS]))
+    assert errors[body.CLOUDS[0]][0] == 1000
+    assert errors[body.CLOUDS[1]][0] == 5400
     printed = capsys.readouterr().out
     assert "likelihood sampler" in printed
     assert "recovered within 10 frames" in printed
@@ -171,8 +166,9 @@ def test_short_scenes_in_earnest(
     monkeypatch.setattr(body, "TIMED_FRAMES", 18)
     monkeypatch.setattr(body, "SHOWN", (4, 9))
     run_experiment("body", tmp_path / "out")
-    results = json.loads((tmp_path / "out" / "results.json").read_text())["runs"]
-    counts = [results[name]["samples"] for name in body.CLOUDS]
+    tables = json.loads((tmp_path / "out" / "results.json").read_text())["tables"]
+    errors = {name: (samples, error) for name, samples, error, *_ in tables[0]["rows"]}
+    counts = [errors[name][0] for name in body.CLOUDS]
     assert counts == sorted(counts)
-    assert all(0 < error < 300 for error in results[body.RSMCM.name]["error"])
+    assert 0 < errors[body.RSMCM.name][1] < 300
     assert "a hand off" in capsys.readouterr().out

@@ -16,8 +16,8 @@ from rsmcm.apps.body.measures import (
     pooled,
     recoveries,
 )
-from rsmcm.apps.experiments.bench import bodies as bench
-from rsmcm.apps.experiments.body_trackers import BodyTracker, SignerFilm, in_turns
+from rsmcm.apps.experiments.bench import people as bench
+from rsmcm.apps.experiments.body import BodyTracker, SignerFilm, in_turns
 from rsmcm.chains.body.articulated_pose import ArticulatedPose
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models.body.upper_body import JOINTS

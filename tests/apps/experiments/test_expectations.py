@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
-from rsmcm.apps.experiments.expectations import Expectation, over_seeds
+from rsmcm.apps.experiments.record import Expectation, over_seeds
 
 Found = Mapping[str, Sequence[float]]
 

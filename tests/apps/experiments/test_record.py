@@ -5,8 +5,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from rsmcm.apps.experiments.expectations import Expectation
-from rsmcm.apps.experiments.record import ROOT, Record, Stopwatch, Table
+from rsmcm.apps.experiments.record import ROOT, Expectation, Record, Stopwatch, Table
 
 
 def test_read_back(tmp_path: Path) -> None:
@@ -18,7 +17,7 @@ def test_read_back(tmp_path: Path) -> None:
         [Expectation("a", 0.25, "<=", 1.0, 0.5, 3), Expectation("b", math.nan, ">=", 2.0)],
         [Table(["method", "F"], [["ours", 0.5], ["theirs", 1]], "Some.")],
     )
-    record.write(tmp_path / "results.json", runs=[1, 2])
+    record.write(tmp_path / "results.json")
     back = Record.read(tmp_path / "results.json")
     assert (back.name, back.title, back.command, back.made) == ("name", "Title", record.command, record.made)
     assert back.expectations[0] == record.expectations[0]

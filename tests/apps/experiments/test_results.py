@@ -1,13 +1,11 @@
 """The page of results and README's figures are what the generator makes of the records."""
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from rsmcm.apps.experiments.expectations import Expectation
-from rsmcm.apps.experiments.record import Record, Table
+from rsmcm.apps.experiments.record import Expectation, Record, Table
 from rsmcm.apps.experiments.results import (
     SCALE,
     Documents,
@@ -155,16 +153,12 @@ def test_what_does_not_fit_is_named(checkout: Path) -> None:
         documents(checkout)
 
 
-def test_younger_records_are_collected_without_their_runs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_younger_records_are_collected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, kept = tmp_path / "results" / "some-folder", tmp_path / "kept"
     folder.mkdir(parents=True)
     kept.mkdir()
-    FIRST.write(folder / "results.json", runs={"every": [1.0, 2.0]})
-    assert "runs" in json.loads((folder / "results.json").read_text())
+    FIRST.write(folder / "results.json")
     collect(tmp_path / "results", kept)
-    assert "runs" not in json.loads((kept / "first.json").read_text())
     assert Record.read(kept / "first.json").by_what == FIRST.by_what
     older = replace(FIRST, made=replace(FIRST.made, date="2026-11-21T10:00:00+00:00", commit="older"))
     older.write(folder / "results.json")

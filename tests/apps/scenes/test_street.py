@@ -16,10 +16,10 @@ def quiet(n_frames: int = 400, **settings: int) -> Scene:
 
 def test_same_seed_same_bytes_in_any_order() -> None:
     one, other = sleeping_man(seed=3, size=SMALL), sleeping_man(seed=3, size=SMALL)
-    late, early = one.render(90).image, one.render(10).image
-    assert np.array_equal(early, other.render(10).image)
-    assert np.array_equal(late, other.render(90).image)
-    assert not np.array_equal(early, sleeping_man(seed=4, size=SMALL).render(10).image)
+    late, early = one[90].image, one[10].image
+    assert np.array_equal(early, other[10].image)
+    assert np.array_equal(late, other[90].image)
+    assert not np.array_equal(early, sleeping_man(seed=4, size=SMALL)[10].image)
 
 
 def test_frames_have_times_and_numbers_from_one() -> None:
@@ -38,7 +38,7 @@ def test_frames_have_times_and_numbers_from_one() -> None:
 @pytest.mark.parametrize("index", [60, 150, 330])
 def test_mask_covers_what_differs_from_the_empty_street(index: int) -> None:
     scene = quiet(car_leaves=400)
-    changed = np.any(scene.render(index).image != scene.render(0).image, axis=-1)
+    changed = np.any(scene[index].image != scene[0].image, axis=-1)
     mask = scene.foreground(index)
     assert mask.any()
     # outside the mask, only pixels of the outline, covered by half or less, may differ
@@ -78,19 +78,19 @@ def test_parked_car_is_background_until_it_leaves() -> None:
     assert not scene.car(120).any()
     uncovered = scene.car(0) & ~scene.person(120)
     assert not (scene.foreground(120) & uncovered).any()
-    assert np.any(scene.render(120).image != scene.render(0).image, axis=-1)[uncovered].mean() > 0.9
+    assert np.any(scene[120].image != scene[0].image, axis=-1)[uncovered].mean() > 0.9
 
 
 def test_light_jumps_once() -> None:
     scene = sleeping_man(60, size=SMALL, light_jump=30, light_drift=0, noise=0, enter=60)
-    before, after = scene.render(29).image, scene.render(30).image
+    before, after = scene[29].image, scene[30].image
     assert after.mean() / before.mean() == pytest.approx(LIGHT_AFTER_JUMP, abs=0.01)  # rounding
-    assert np.array_equal(before, scene.render(0).image)
+    assert np.array_equal(before, scene[0].image)
 
 
 def test_noise_has_the_deviation_asked_for() -> None:
-    quiet_image = sleeping_man(size=SMALL, noise=0).render(5).image.astype(float)
-    residual = sleeping_man(size=SMALL, noise=4.0).render(5).image - quiet_image
+    quiet_image = sleeping_man(size=SMALL, noise=0)[5].image.astype(float)
+    residual = sleeping_man(size=SMALL, noise=4.0)[5].image - quiet_image
     # 57,600 values: the estimate's own deviation is 0.3 %; rounding adds 1/12 twice
     assert residual.std() == pytest.approx(np.sqrt(16 + 1 / 6), rel=0.02)
 
@@ -98,7 +98,7 @@ def test_noise_has_the_deviation_asked_for() -> None:
 def test_clouds_darken_and_move() -> None:
     clear = sleeping_man(size=SMALL, noise=0)
     cloudy = sleeping_man(size=SMALL, noise=0, clouds=True)
-    shares = [cloudy.render(i).image / np.maximum(clear.render(i).image, 1.0) for i in (0, 25)]
+    shares = [cloudy[i].image / np.maximum(clear[i].image, 1.0) for i in (0, 25)]
     assert shares[0].min() > 0.6
     assert shares[0].min() < 0.75
     assert shares[0].max() <= 1

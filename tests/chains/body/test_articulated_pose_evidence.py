@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.experiments.body_trackers import SignerFilm
+from rsmcm.apps.experiments.body import SignerFilm
 from rsmcm.chains import ArticulatedPose, Condensation
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
 from rsmcm.chains.body.samples import BodySamples

@@ -12,6 +12,8 @@ from rsmcm.models.core.frame import Frame, GivenPoints
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.points.point_tracks import PointMessage, PointTracks
 
+from ...support.scenes import transferred
+
 FILM = turntable(8, (288, 360), 5.0, seed=1)
 POINTS, MATCHER = PointTracks(), FeatureMatcher(n_points=100, n_features=1000)
 
@@ -32,7 +34,7 @@ def test_points_are_seen_where_they_are() -> None:
         np.testing.assert_allclose(message.log_mass, len(names) * np.log(288 * 360))
         if before is not None:
             _, here, there = np.intersect1d(before[0], names, return_indices=True)
-            off = FILM.transferred(before[1][here], number - 1, number) - mean[there]
+            off = transferred(FILM, before[1][here], number - 1, number) - mean[there]
             errors.extend(np.linalg.norm(off, axis=1) / np.sqrt(covariance[there, 0, 0]))
         before = names, mean
     assert len(errors) > 300
@@ -124,7 +126,7 @@ class GeometryKnown:
         for frame in range(len(seen)):
             here: dict[int, np.ndarray] = {}
             for other in sorted(range(len(seen)), key=lambda other: -abs(other - frame)):
-                there = FILM.transferred(seen[other][1], other, frame)
+                there = transferred(FILM, seen[other][1], other, frame)
                 here |= dict(zip(seen[other][0].tolist(), there, strict=True))  # from the nearest one
             known = {name: place for name, place in here.items() if np.isfinite(place).all()}
             moved = [place + 30 * (name in self.wrong) for name, place in known.items()]
@@ -158,7 +160,7 @@ def test_points_are_searched_for_where_others_expect_them() -> None:
     off = np.full(len(places), np.inf)
     for number, (frame, point, place) in enumerate(zip(seen.frame, seen.point, seen.positions, strict=True)):
         nearest = min(np.flatnonzero(matched.point == point), key=lambda k: abs(matched.frame[k] - frame))
-        there = FILM.transferred(matched.positions[[nearest]], int(matched.frame[nearest]), int(frame))
+        there = transferred(FILM, matched.positions[[nearest]], int(matched.frame[nearest]), int(frame))
         off[number] = np.linalg.norm(there - place)
     found = ~np.isin(places @ [1000, 1], np.stack([matched.frame, matched.point], axis=1) @ [1000, 1])
     assert np.mean(off[found & np.isfinite(off)] < 1.5) > 0.95

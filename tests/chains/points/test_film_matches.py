@@ -4,6 +4,8 @@ from rsmcm.apps.scenes import turntable
 from rsmcm.chains.points.features import LEAST_LENGTH, Features, FilmMatches, find_features
 from rsmcm.chains.points.kernels import join_matches
 
+from ...support.scenes import transferred
+
 FILM = turntable(8, (288, 360), 5.0, seed=1)
 PICTURES = [find_features(image, 1000) for image in FILM.images]
 MATCHES = FilmMatches.of(PICTURES)
@@ -16,7 +18,7 @@ def off(one: np.ndarray, other: np.ndarray, matches: FilmMatches = MATCHES) -> n
     distance = np.full(len(one), np.inf)
     for pair in np.unique(frames, axis=0):
         here = (frames == pair).all(axis=1)
-        there = FILM.transferred(POSITIONS[one[here]], *pair.tolist())
+        there = transferred(FILM, POSITIONS[one[here]], *pair.tolist())
         distance[here] = np.linalg.norm(there - POSITIONS[other[here]], axis=1)
     return distance
 

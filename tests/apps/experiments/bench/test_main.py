@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 from rsmcm.apps.experiments.bench import __main__ as bench
 from rsmcm.apps.experiments.bench.__main__ import joined, regressions
-from rsmcm.apps.experiments.expectations import Expectation
-from rsmcm.apps.experiments.record import Provenance, Record, Table
+from rsmcm.apps.experiments.record import Expectation, Provenance, Record, Table
 
 from ....support.made_up_records import MADE as SOMEWHERE
 

@@ -2,7 +2,7 @@
 
 from rsmcm.apps.background.application import build_model
 from rsmcm.apps.experiments.bench.timing import in_turns, of_chains, over_frames, over_rounds
-from rsmcm.apps.experiments.expectations import Expectation
+from rsmcm.apps.experiments.record import Expectation
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame
 

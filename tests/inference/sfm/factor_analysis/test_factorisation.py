@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.apps.experiments.bench.structure import bundle_adjustment, turning_points, turntable
+from rsmcm.apps.experiments.bench.points import bundle_adjustment, turning_points, turntable
 from rsmcm.apps.scenes import Cylinder, cylinder
 from rsmcm.inference.sfm.depth import depth
 from rsmcm.inference.sfm.factor_analysis.em import camera_moments

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from rsmcm.apps.experiments import experiment, experts, face_background, gain, recovery, run_experiment
-from rsmcm.apps.experiments.face_trackers import (
+from rsmcm.apps.experiments import experiment, faces, run_experiment
+from rsmcm.apps.experiments.faces import (
     Clip,
     Evaluation,
     Measured,
     Tracker,
-    as_json,
     median,
     n_lost,
     normalised_square,
@@ -52,7 +51,7 @@ def test_words_and_counts() -> None:
     assert median(evaluations) == 3.0
     assert quartiles(evaluations) == "3 (2-5)"
     assert n_lost(evaluations) == 1
-    assert as_json({"one": evaluations})["one"]["lost"] == [False, False, False, True, False]
+    assert [one.lost for one in evaluations] == [False, False, False, True, False]
 
 
 def test_depth_offset_is_no_error_and_shift_is() -> None:
@@ -98,18 +97,16 @@ def test_oracle_is_a_floor(clip: Clip) -> None:
 
 
 def test_scattered_experts_are_as_far_as_they_should_be(clip: Clip) -> None:
-    poses = recovery.scattered(clip, np.random.default_rng(1))
+    poses = faces.scattered(clip.scene, np.random.default_rng(1))
     off = clip.scene.model.project(poses) - clip.scene.vertices[0]
-    assert np.linalg.norm(off, axis=2).mean() == pytest.approx(recovery.SCATTER, rel=1e-3)
-    assert len(poses) == recovery.N_EXPERTS
+    assert np.linalg.norm(off, axis=2).mean() == pytest.approx(faces.SCATTER, rel=1e-3)
+    assert len(poses) == faces.N_EXPERTS
 
 
 def test_a_known_texture_brings_scattered_experts_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recovery, "SCENE", {"n_frames": recovery.SOON + 1})
+    monkeypatch.setattr(faces, "RECOVERY_SCENE", {"n_frames": faces.SOON + 1})
     for seed in range(2):
-        assert (
-            recovery.recover(recovery.N_EXPERTS, seed)[recovery.KNOWN].errors[recovery.SOON] < recovery.NEAR
-        )
+        assert faces.recover(faces.N_EXPERTS, seed)[faces.KNOWN].errors[faces.SOON] < faces.NEAR
 
 
 def made_up(errors: dict[str, float], usual: float, names: list[str]) -> Measured:
@@ -117,55 +114,54 @@ def made_up(errors: dict[str, float], usual: float, names: list[str]) -> Measure
 
 
 def test_claims_of_experts() -> None:
-    names = [tracker.name for tracker in experts.trackers()]
-    good = made_up({experts.ONE: 5.0, experts.DENSE_FLOW: 2.0, experts.DENSE: 0.5}, 0.5, names)
-    good[experts.TAUGHT] = [replace(one, nees=np.ones(6)) for one in good[experts.TAUGHT]]
+    names = [tracker.name for tracker, _ in faces.EXPERTS]
+    good = made_up({faces.ONE: 5.0, faces.DENSE_FLOW: 2.0, faces.DENSE: 0.5}, 0.5, names)
+    good[faces.TAUGHT] = [replace(one, nees=np.ones(6)) for one in good[faces.TAUGHT]]
     assert all(
         expectation.verdict == "pass"
-        for expectation in experts.expectations_of(good)
+        for expectation in faces.expected_of_experts(good)
         if expectation.bound is not None
     )
-    poor = {**good, experts.DENSE: [evaluation([0.0] + [25.0] * 5) for _ in range(4)]}
-    assert sum(expectation.verdict == "short" for expectation in experts.expectations_of(poor)) == 4
+    poor = {**good, faces.DENSE: [evaluation([0.0] + [25.0] * 5) for _ in range(4)]}
+    assert sum(expectation.verdict == "short" for expectation in faces.expected_of_experts(poor)) == 4
     canvas = Figure()
-    experts.draw(canvas, good)
+    faces.draw_experts(good, canvas)
     assert len(canvas.axes[0].lines) == len(names)
 
 
 def test_claims_of_gain() -> None:
-    names = [tracker.name for tracker in gain.trackers()]
-    steady = made_up({"0.01": 0.4, gain.LEARNED: 0.42}, 0.9, names)
-    changing = made_up({"0.999": 0.8, gain.LEARNED: 0.9}, 1.5, names)
-    expectations = gain.expectations_of({gain.STEADY: steady, gain.CHANGING: changing})
+    names = [tracker.name for tracker in faces.GAIN_TRACKERS]
+    steady = made_up({"0.01": 0.4, faces.LEARNED: 0.42}, 0.9, names)
+    changing = made_up({"0.999": 0.8, faces.LEARNED: 0.9}, 1.5, names)
+    expectations = faces.expected_of_gains({faces.STEADY: steady, faces.CHANGING: changing})
     assert [expectation.verdict for expectation in expectations] == ["pass", "", "pass", "pass", "short"]
     canvas = Figure()
-    gain.draw(canvas, {gain.STEADY: steady, gain.CHANGING: changing})
-    assert len(canvas.axes[0].get_xticks()) == len(gain.GAINS)
+    faces.draw_gains({faces.STEADY: steady, faces.CHANGING: changing}, canvas)
+    assert len(canvas.axes[0].get_xticks()) == len(faces.GAINS)
 
 
 def test_claims_of_recovery() -> None:
-    known = [recovery.Recovery(np.linspace(9.5, 0.1, 82), np.full((82, 20), 9.5), np.zeros((3, 20, 5, 2)))]
-    expectations = recovery.expectations_of({recovery.KNOWN: known, recovery.BLANK: known})
+    known = [faces.Recovery(np.linspace(9.5, 0.1, 82), np.full(20, 9.5), np.zeros((3, 20, 5, 2)))]
+    expectations = faces.expected_of_recovery({faces.KNOWN: known, faces.BLANK: known})
     assert [expectation.verdict for expectation in expectations] == ["", "short", "short", "", "", ""]
     fast = [replace(known[0], errors=np.full(82, 0.2))]
     assert [
         expectation.verdict
-        for expectation in recovery.expectations_of({recovery.KNOWN: fast, recovery.BLANK: known})
+        for expectation in faces.expected_of_recovery({faces.KNOWN: fast, faces.BLANK: known})
     ][1:3] == ["pass", "pass"]
     canvas = Figure()
     pictures = [np.zeros((60, 80), np.uint8)] * 3
-    recovery.draw_experts(canvas, pictures, {recovery.KNOWN: known[0]})
-    recovery.draw_errors(Figure(), {recovery.KNOWN: known})
+    faces.draw_scattered(pictures, {faces.KNOWN: known[0]}, canvas)
     assert len(canvas.axes) == 3
 
 
 def test_claims_of_face_and_background() -> None:
     good = {
-        condition.name: made_up({face_background.ALL: 3.0}, 1.0, list(methods))
-        for condition, methods in face_background.COMPARED
+        condition: made_up({faces.ALL: 3.0}, 1.0, list(methods))
+        for condition, methods in faces.COMPARED.items()
     }
-    weak = face_background.WEAK.name
-    expectations = face_background.expectations_of(good)
+    weak = faces.WEAK
+    expectations = faces.expected_of_backgrounds(good)
     assert [expectation.verdict for expectation in expectations] == [
         *["pass", "short", "pass", "pass"] * 2,
         "",
@@ -173,18 +169,15 @@ def test_claims_of_face_and_background() -> None:
         "pass",
     ]
     assert weak in expectations[1].what
-    good[weak] = made_up({face_background.NONE: 2.0}, 1.0, list(good[weak]))
-    assert {expectation.verdict for expectation in face_background.expectations_of(good)} == {"pass", ""}
-    canvas = Figure()
-    face_background.draw(canvas, good)
-    assert [len(axis.lines) for axis in canvas.axes] == [3, 3, 3, 3, 2, 2]
+    good[weak] = made_up({faces.NONE: 2.0}, 1.0, list(good[weak]))
+    assert {expectation.verdict for expectation in faces.expected_of_backgrounds(good)} == {"pass", ""}
 
 
-@pytest.mark.parametrize("method", [face_background.SHARED, face_background.EXACT, face_background.ALL])
+@pytest.mark.parametrize("method", [faces.SHARED, faces.EXACT, faces.ALL])
 def test_a_run_with_a_background(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(face_background, "N_FRAMES", 5)
-    monkeypatch.setattr(face_background, "EXPERTS", 2)
-    one = face_background.run((face_background.CONDITIONS[-1].name, method), 1)[method]
+    monkeypatch.setattr(faces, "BACKGROUND_FRAMES", 5)
+    monkeypatch.setattr(faces, "BACKGROUND_EXPERTS", 2)
+    one = faces.follow_before((faces.MOVING, method), 1)[method]
     assert len(one.errors) == 5
     assert one.error < 2
     assert one.time > 0
@@ -195,23 +188,16 @@ def test_page_of_face_and_background(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Every evaluation stands at its condition, method and seed."""
-    order = [
-        (condition.name, method) for condition, methods in face_background.COMPARED for method in methods
-    ]
+    order = [(condition, method) for condition, methods in faces.COMPARED.items() for method in methods]
 
     def numbered(label: str, work: list[tuple[Any, tuple[Any, ...]]]) -> list[dict[str, Evaluation]]:
         return [{case[1]: evaluation([0.0, 1.0 + order.index(case) + seed / 10])} for _, (case, seed) in work]
 
     monkeypatch.setattr(experiment, "in_parallel", numbered)
     run_experiment("face-background", tmp_path / "out")
-    assert names(tmp_path / "out") == {
-        "index.html",
-        "errors.png",
-        "results.json",
-    }
-    results = json.loads((tmp_path / "out" / "results.json").read_text())["runs"]
-    for number, (scene, method) in enumerate(order):
-        errors = [1.0 + number + seed / 10 for seed in face_background.SEEDS]
-        assert results[scene][method]["error"] == pytest.approx(errors)
-        assert results[scene][method]["lost"] == [False] * len(errors)
+    assert names(tmp_path / "out") == {"index.html", "results.json"}
+    (table,) = json.loads((tmp_path / "out" / "results.json").read_text())["tables"]
+    for number, (row, case) in enumerate(zip(table["rows"], order, strict=True)):
+        errors = [evaluation([0.0, 1.0 + number + seed / 10]) for seed in faces.SEEDS]
+        assert row[:4] == [*case, quartiles(errors), 0]
     assert "the better of these" in capsys.readouterr().out

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
-from rsmcm.apps.experiments.bench import command
+from rsmcm.apps.experiments.bench import background as command
 from rsmcm.apps.io.files import write_image
 from rsmcm.apps.scenes import sleeping_man
 

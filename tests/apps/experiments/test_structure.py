@@ -1,17 +1,20 @@
-"""The cylinder's experiment: which cells, which expectations, which pictures; and one sequence in earnest."""
+"""The cylinder and turning objects: cells, expectations, pictures; and one sequence in earnest."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from rsmcm.apps.evaluation.structure import StructureScores
-from rsmcm.apps.experiments import cylinder as experiment
-from rsmcm.apps.experiments.cylinder import DUAL_COHERENT, METHODS, ORACLE, SINGLE, SINGLE_COHERENT, Cell
-from rsmcm.apps.experiments.experiment import by_seed
-from rsmcm.apps.experiments.figures import write_figure
+from rsmcm.apps.experiments import run_experiment
+from rsmcm.apps.experiments import structure as experiment
+from rsmcm.apps.experiments.experiment import Plot, by_seed
+from rsmcm.apps.experiments.structure import DUAL_COHERENT, METHODS, ORACLE, SINGLE, SINGLE_COHERENT, Cell
 from rsmcm.apps.scenes import cylinder
+
+from ...support.reconstructions import write_film
 
 GOOD = StructureScores(0.004, 0.003, 40, 0, 0, 2, 1.0)
 
@@ -71,7 +74,7 @@ def test_worst_cell_decides() -> None:
 
 def test_panels() -> None:
     canvas = Figure()
-    experiment.draw_panels(canvas, made_up())
+    experiment.draw_panels(made_up(), canvas)
     assert [axis.get_title() for axis in canvas.axes] == [
         "P(loose) = 0",
         "P(loose) = 0.12",
@@ -92,7 +95,7 @@ def test_shapes_are_drawn_where_they_belong(tmp_path: Path) -> None:
     found = experiment.Recovered(truth.positions, mapped, points)
     np.testing.assert_allclose(experiment.aligned(found, truth), truth.shape, atol=1e-10)
     shapes = dict.fromkeys(METHODS, found)
-    write_figure(tmp_path / "a.png", lambda canvas: experiment.draw_shapes(canvas, shapes, truth), (9, 4))
+    Plot("a.png", partial(experiment.draw_shapes, shapes, truth), (9, 4), "").write(tmp_path / "a.png")
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
 
@@ -123,3 +126,22 @@ def test_everything_in_two_processes() -> None:
     measured = by_seed("cylinder", experiment.scores, cells, range(2))
     assert list(measured) == cells
     assert measured[cells[1]][DUAL_COHERENT][1] == experiment.scores(cells[1], 1)[DUAL_COHERENT]
+
+
+def test_tables_and_pictures_of_turning_objects(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    film, out = tmp_path / "film", tmp_path / "out"
+    film.mkdir()
+    write_film(film, n_frames=8)
+    monkeypatch.setattr(experiment, "SEQUENCES", ("film",))
+    monkeypatch.setattr(experiment, "data_folder", lambda name: film)
+    run_experiment("box", out)
+    printed = capsys.readouterr().out
+    assert "film: median length of tracks, over stand-alone" in printed
+    assert "film: reprojection error, over stand-alone" in printed
+    assert [line.split()[1] for line in printed.splitlines()[2:4]] == ["stand-alone", "dual-chain"]
+    assert {"index.html", "film-stand-alone.png", "film-dual-chain.png"} <= {
+        path.name for path in out.iterdir()
+    }
+    assert (out / "index.html").read_text().count('alt="film-') == 2

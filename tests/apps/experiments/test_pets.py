@@ -10,9 +10,9 @@ from rsmcm.apps.background.application import run_background
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.evaluation.tracks import evaluate_tracks, track_rows
+from rsmcm.apps.experiments import pets as trials
 from rsmcm.apps.experiments import run_experiment
-from rsmcm.apps.experiments import track_trials as trials
-from rsmcm.apps.experiments.track_trials import (
+from rsmcm.apps.experiments.pets import (
     AnnotatedFilm,
     Trial,
     associated,

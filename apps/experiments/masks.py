@@ -1,6 +1,6 @@
-"""Figs. 1 and 7 of the RSMCM paper: a person who stands still, on generated scenes."""
+"""Masks beside the truth: a generated man who stands still (Figs. 1 and 7 of the RSMCM paper), and a film."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -8,23 +8,23 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
 from ..evaluation.masks import PixelScore, joined, total
+from ..io.ground_truth import MaskTruth, read_ground_truth
+from ..io.sources.open_source import open_source
 from ..runs.progress import Progress
 from ..scenes import Scene
 from ..scenes import sleeping_man as street
 from .baselines import SETTINGS, CleanUp, Setting, sweep_subtractors
 from .compare import CHAINS, SHOWN_PRIOR, Model
-from .expectations import Expectation, over_seeds
+from .datasets import data_folder
 from .experiment import Findings, Picture, by_seed
 from .mosaic import mosaic
-from .record import Table
+from .record import Expectation, Table, over_seeds
 
 Image = NDArray[np.uint8]
 
-RAW = (CleanUp(), CleanUp(keep_shadows=True))
 SEEDS = (0, 1, 2)
 
-Found = Mapping[tuple[str, str], Sequence[PixelScore]]
-"""By method and setting, one for each seed."""
+Found = Mapping[tuple[str, str], Sequence[PixelScore]]  # by method and setting, one for each seed
 
 
 def sleeping_man(*, long: bool) -> Findings:
@@ -75,33 +75,33 @@ def scores_of(settings: Sequence[Setting], _: object, seed: int) -> dict[tuple[s
 
 def scores_of_scene(scene: Scene, settings: Sequence[Setting]) -> dict[tuple[str, str], PixelScore]:
     """Scores of the chains, and of OpenCV's subtractors with and without shadows, by method and setting."""
-    frames = list(scene)
-    labels = [np.where(mask, np.uint8(255), np.uint8(0)) for mask in scene.masks]
+    frames, masks = list(scene), list(scene.masks)
     found = {
-        (name, ""): _model_score(Model(name, engine, scene.size), frames, labels) for name, engine in CHAINS
+        (name, ""): _model_score(Model(name, engine, scene.size), frames, masks) for name, engine in CHAINS
     }
 
     def evaluate(number: int, mask: Image) -> PixelScore:
         one = PixelScore()
-        one.add(number, mask, labels[number - 1])
+        one.add(number, mask, _label(masks[number - 1]))
         return one
 
     images = [(frame.number, frame.image) for frame in frames if frame.image is not None]
-    for row in sweep_subtractors(lambda: images, range(1, len(frames) + 1), evaluate, settings, RAW):
+    raw = (CleanUp(), CleanUp(keep_shadows=True))
+    for row in sweep_subtractors(lambda: images, range(1, len(frames) + 1), evaluate, settings, raw):
         kept = ", shadows kept" if row.clean_up.keep_shadows else ""
         found[row.setting.method, row.setting.parameters + kept] = joined(row.values)
     return found
 
 
-def _labels(scene: Scene) -> Iterator[Image]:
+def _label(mask: NDArray[np.bool_]) -> Image:
     """Truth as CDnet has it."""
-    return (np.where(mask, np.uint8(255), np.uint8(0)) for mask in scene.masks)
+    return np.where(mask, np.uint8(255), np.uint8(0))
 
 
-def _model_score(model: Model, frames: Iterable[Frame], labels: Iterable[Image]) -> PixelScore:
+def _model_score(model: Model, frames: Iterable[Frame], masks: Iterable[NDArray[np.bool_]]) -> PixelScore:
     score = PixelScore()
-    for frame, label in zip(frames, labels, strict=True):
-        score.add(frame.number, model.step(frame).foreground, label)
+    for frame, mask in zip(frames, masks, strict=True):
+        score.add(frame.number, model.step(frame).foreground, _label(mask))
     return score
 
 
@@ -112,7 +112,7 @@ def _long_expectations() -> list[Expectation]:
         ("standing for 1300 frames", street(1650, seed=7, stand=1300, car_leaves=1650)),
         ("shadows of clouds", street(800, seed=8, clouds=True)),
     ):
-        score = _model_score(Model("RSMCM", "recursive-bp", scene.size), scene, _labels(scene))
+        score = _model_score(Model("RSMCM", "recursive-bp", scene.size), scene, scene.masks)
         blocks = [each.f_measure for _, each in score.blocks() if each.true_positives + each.false_negatives]
         expectations.append(Expectation(f"F, {name}", score.total().f_measure, ">=", 0.95))
         expectations.append(Expectation(f"least F of 250 frames, {name}", min(blocks), ">=", 0.85))
@@ -121,30 +121,59 @@ def _long_expectations() -> list[Expectation]:
 
 def figures(scene: Scene) -> list[Picture]:
     """Figs. 1 and 7: input every thirtieth frame, background, foreground."""
+    alone = Model("alone", "stand-alone", scene.size, {"background": {"prior": SHOWN_PRIOR}})
     systems = {
-        "Fig. 1: the background by itself": Model(
-            "alone", "stand-alone", scene.size, {"background": {"prior": SHOWN_PRIOR}}
-        ),
+        "Fig. 1: the background by itself": alone,
         "Fig. 7: background and blobs together": Model("RSMCM", "recursive-bp", scene.size),
     }
-    numbers: list[str] = []
-    inputs: list[Image] = []
-    made: dict[str, tuple[list[Image], list[Image]]] = {name: ([], []) for name in systems}
-    with Progress("figures", len(scene)) as progress:
-        for frame in scene:
-            assert frame.image is not None
-            shown = frame.number % 30 == 0
-            for name, system in systems.items():
-                found = system.step(frame)
-                if shown:
-                    made[name][0].append(system.background())
-                    made[name][1].append(found.foreground)
-            if shown:
-                numbers.append(f"frame {frame.number}")
-                inputs.append(frame.image)
-            progress.update()
     pictures = []
-    for name, (backgrounds, masks) in made.items():
-        rows = [("input", inputs), ("estimated background", backgrounds), ("foreground", masks)]
-        pictures.append(Picture(f"fig-{name[5]}.png", mosaic(rows, numbers, 160), name))
+    with Progress("figures", 2 * len(scene)) as progress:
+        for name, system in systems.items():
+            rows: list[tuple[str, list[Image]]] = [
+                ("input", []),
+                ("estimated background", []),
+                ("foreground", []),
+            ]
+            for frame in scene:
+                found = system.step(frame)
+                if frame.number % 30 == 0 and frame.image is not None:
+                    made = (frame.image, system.background(), found.foreground)
+                    for (_, row), picture in zip(rows, made, strict=True):
+                        row.append(picture)
+                progress.update()
+            sheet = mosaic(rows, [f"frame {number}" for number in range(30, len(scene) + 1, 30)], 160)
+            pictures.append(Picture(f"fig-{name[5]}.png", sheet, name))
     return pictures
+
+
+def highway() -> Findings:
+    """Foreground of CDnet's highway against its masks, raw and after a 5x5 median.
+
+    Raises
+    ------
+    OSError
+        if the sequence cannot be found.
+    """
+    clean_ups = {"raw": CleanUp(), "5x5 median": CleanUp(median=5)}
+    folder = data_folder("cdnet-highway")
+    truth = read_ground_truth(folder)
+    assert isinstance(truth, MaskTruth)
+    with open_source(str(folder / "input")) as source, Progress("highway", source.n_frames) as progress:
+        models = [Model(name, engine, source.size) for name, engine in CHAINS]
+        scores = {(model.name, name): PixelScore() for model in models for name in clean_ups}
+        for frame in source:
+            for model in models:
+                mask = model.step(frame).foreground
+                if frame.image is not None and frame.number in truth:
+                    labels = truth.labels(frame.number)
+                    for name, clean_up in clean_ups.items():
+                        scores[model.name, name].add(frame.number, clean_up.apply(mask), labels)
+            progress.update()
+    found = {key: score.total() for key, score in scores.items()}
+    lines = [[*key, each.precision, each.recall, each.f_measure] for key, each in found.items()]
+    expectations = [
+        Expectation("F, raw", found["RSMCM", "raw"].f_measure, ">=", 0.93),
+        Expectation("F, after a 5x5 median", found["RSMCM", "5x5 median"].f_measure, ">=", 0.955),
+    ]
+    table = Table(("method", "clean-up", "precision", "recall", "F"), lines)
+    return Findings("CDnet highway", [table], expectations)

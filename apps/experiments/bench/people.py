@@ -1,0 +1,224 @@
+"""Speed of G-flow, beside optic flow and `cv2.remap`, and of the body tracker on one thread and on two."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Any, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ....chains.body.articulated_pose import ArticulatedPose
+from ....chains.body.dynamics import BodyDynamics
+from ....chains.body.fixed_lag import BLOCK, FixedLag
+from ....chains.body.flesh_tracker import FleshTracker
+from ....chains.face.gflow import GFlow, GFlowState
+from ....chains.face.texture_filter import Texture
+from ....chains.face.texture_likelihood import TexturedObject, TextureLikelihood, image_pyramid
+from ....inference import MultiChain, RecursiveBP, RunState
+from ....inference.engine.protocols import Incoming
+from ....models import BodyParts, Frame, HaarFaces, UpperBody
+from ....models.face.morphable_model import Poses
+from ....models.face.surface import SurfaceTexels
+from ....models.numerics.threads import set_threads
+from ....models.pixels.pixel_labels import PixelLabels, PixelMessage
+from ...io.sources.open_source import open_source
+from ...scenes import FaceScene, face
+from ..body import LAG, SignerFilm
+from ..datasets import data_folder
+from ..experiment import Findings
+from ..record import Expectation
+from .background import image_of
+from .timing import Spent, in_turns, over_frames, over_rounds
+
+Numbers = NDArray[np.float64]
+
+# --- faces --------------------------------------------------------------------------------------------------
+
+RATE = 25.0  # frames a second, of the film
+SIZE = (640, 480)
+EXPERTS, TEXELS = 20, 4000
+FACE_FRAMES = 25
+FACE_WARM_UP = 5  # frames that do not count
+ROUNDS, TURNS = 7, 10
+WANTED = {EXPERTS: 6.0, 1: 13.0}  # times real time, by experts
+
+
+def faces() -> Findings:
+    """All of them; on two threads where the tracker runs, on one where a peer runs beside it."""
+    scene = face(FACE_FRAMES, seed=0, size=SIZE)
+    set_threads(2)
+    rates = rate_expectations(scene)
+    set_threads(1)
+    return Findings("Faces", [], [*rates, *flow_expectations(scene), *fused_expectations(scene)])
+
+
+@lru_cache(maxsize=1)
+def _frames(scene: FaceScene) -> Sequence[Frame]:
+    """Rendered once."""
+    return tuple(scene)
+
+
+def seconds_a_frame(scene: FaceScene, experts: int, texels: int) -> Numbers:
+    """Of every frame after the first few."""
+    chain = GFlow(scene.model, scene.poses[0], experts=experts, texels=texels, spread=float(experts > 1))
+    state: GFlowState | None = None
+    seconds = []
+    for frame in _frames(scene):
+        started = time.perf_counter()
+        state = _followed(chain, state, frame)
+        seconds.append(time.perf_counter() - started)
+    return np.array(seconds[FACE_WARM_UP:])
+
+
+def _followed(chain: GFlow, state: GFlowState | None, frame: Frame) -> GFlowState:
+    state = chain.initial(frame) if state is None else chain.predict(state, 1 / RATE)
+    return chain.update(state, Incoming({PixelLabels(): PixelMessage(image=frame.image)}))
+
+
+def rate_expectations(scene: FaceScene) -> list[Expectation]:
+    """How often faster than the film: over continuation and resampling frames, in several runs."""
+    spent: Spent = {experts: [] for experts in WANTED}
+    for _ in range(ROUNDS):
+        for experts in WANTED:
+            spent[experts].append(float(seconds_a_frame(scene, experts, TEXELS).mean()))
+    what = "G-flow 480x640, {} x {} texels, two threads: speed over {:g} frames/s"
+
+    def judge(seconds: Mapping[Any, float]) -> list[Expectation]:
+        return [
+            Expectation(what.format(experts, TEXELS, RATE), 1 / (RATE * seconds[experts]), ">=", wanted)
+            for experts, wanted in WANTED.items()
+        ]
+
+    return over_rounds(judge, spent)
+
+
+def _over(what: str, peer: str, ours: str, bound: float, seconds: Mapping[Any, float]) -> list[Expectation]:
+    return [Expectation(what, seconds[peer] / seconds[ours], ">=", bound)]
+
+
+def flow_expectations(scene: FaceScene) -> list[Expectation]:
+    """One expert, dense, beside optic flow of as many points, forwards only and without a model."""
+    after = _frames(scene)[FACE_WARM_UP + 1]
+    here, there = scene.image(FACE_WARM_UP), scene.image(FACE_WARM_UP + 1)
+    chain = GFlow(scene.model, scene.poses[0], experts=1, texels=TEXELS, spread=0.0)
+    state: GFlowState | None = None
+    for frame in _frames(scene)[: FACE_WARM_UP + 1]:
+        state = _followed(chain, state, frame)
+    surface = chain.object
+    corners = surface.positions(scene.poses[FACE_WARM_UP])[0][surface.used_texels.groups]
+    points = np.einsum("na,nac->nc", surface.texels.weights, corners[surface.texels.group_of_texel])
+    nowhere: Any = None  # to begin from
+    steps = {
+        "expert": lambda: _followed(chain, state, after),
+        "flow": lambda: cv2.calcOpticalFlowPyrLK(here, there, points[:, None], nowhere),
+    }
+    what = f"G-flow: PyrLK of {TEXELS} points over one expert of {TEXELS} texels, time"
+    return over_rounds(partial(_over, what, "flow", "expert", 1.0), in_turns(steps, ROUNDS, TURNS))
+
+
+def fused_expectations(scene: FaceScene) -> list[Expectation]:
+    """Normal equations of one expert, beside three remaps and numpy."""
+    surface, poses = TexturedObject(scene.model, SurfaceTexels.dense(scene.model, TEXELS)), scene.poses[0]
+    level = image_pyramid(scene.image(1), float(poses.sizes[0]), n_levels=1, local_mean=True)
+    texture = Texture.unknown(1, 1, len(surface.texels), learn=False)
+    temperature = np.full_like(texture.variance, 36)
+    likelihood = TextureLikelihood(surface, level, texture.mean, temperature, surface.visible(poses))
+    slopes = [cv2.Sobel(level[0].image, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))]
+    owner = np.zeros(1, np.int64)
+    steps = {
+        "fused": lambda: likelihood.equations(0, poses, owner),
+        "remap": lambda: _by_remap(surface, likelihood, [level[0].image, *slopes], poses),
+    }
+    what = f"G-flow: remap and numpy over the fused normal equations, {TEXELS} texels, time"
+    return over_rounds(partial(_over, what, "remap", "fused", 6.0), in_turns(steps, TURNS, 5))
+
+
+def _by_remap(
+    surface: TexturedObject, likelihood: TextureLikelihood, pictures: list[Any], poses: Poses
+) -> tuple[Numbers, Numbers]:
+    """The same normal equations with a Jacobian of every texel."""
+    texels = surface.texels
+    positions, rows = surface.rows(poses)
+    corners = surface.used_texels.groups[texels.group_of_texel]
+    places = np.einsum("na,nac->nc", texels.weights, positions[0][corners])
+    texel_rows = np.einsum("na,nacd->ncd", texels.weights, rows[0][corners][..., : poses.dimension])
+    value, across, down = (
+        cv2.remap(picture, places[:, 0], places[:, 1], cv2.INTER_LINEAR)[:, 0] for picture in pictures
+    )
+    jacobian = across[:, None] * texel_rows[:, 0] + down[:, None] * texel_rows[:, 1]
+    triangles = positions[0][surface.used_texels.groups]
+    edges = triangles[:, 1:] - triangles[:, :1]
+    size = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
+    area = (size / texels.counts)[texels.group_of_texel]
+    weight = area * likelihood.visible[0] / likelihood.temperature[0]
+    weighted = jacobian * weight[:, None]
+    return weighted.T @ jacobian, weighted.T @ (value - likelihood.mean[0, 0])
+
+
+# --- bodies -------------------------------------------------------------------------------------------------
+
+N_FRAMES = 78
+WARM_UP = 24  # frames that do not count: hindsight begins with the 18th
+TURN = BLOCK  # frames in a row on so many threads: hindsight answers for as many at a time
+SAMPLES = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class BodyFilm:
+    """Preloaded frames, who is to be tracked in them, and a word on where they come from."""
+
+    label: str
+    frames: Sequence[Frame]
+    body: UpperBody
+    parts: BodyParts
+
+    @classmethod
+    def found(cls) -> Self:
+        """A real signer with OpenCV's cascades where there are both, else a generated one with its list."""
+        try:
+            path = data_folder("signer") / "signseg_demo_video.mp4"
+            with open_source(str(path), stop=N_FRAMES) as source:
+                frames = list(source)
+            parts = BodyParts.learned([image_of(frame) for frame in frames], HaarFaces())
+        except (OSError, ValueError):
+            film = SignerFilm.of(n_frames=N_FRAMES)
+            return cls("generated, no face detector", film.frames, film.scene.body, film.parts)
+        return cls("a signer's film", frames, UpperBody.from_head(parts.head_height), parts)
+
+
+def tracker(film: BodyFilm, threads: int) -> Callable[[Frame], object]:
+    """What takes in a frame as `rsmcm body` does, without decoding and files: both chains, and hindsight."""
+    flesh, pose = FleshTracker(film.body), ArticulatedPose(film.body, SAMPLES)
+    engine = RecursiveBP(MultiChain().connect(flesh, film.parts).connect(pose, film.parts))
+    hindsight, state = FixedLag(BodyDynamics(film.body), LAG), RunState()
+
+    def step(frame: Frame) -> object:
+        nonlocal state
+        set_threads(threads)
+        belief = engine.step(state, frame)
+        state = belief.state
+        return hindsight.add(frame, belief[pose], belief.evidence(film.parts).image)
+
+    return step
+
+
+def bodies() -> Findings:
+    """Frames a second on one thread and on two, which take turns; OpenCV has one, as in all commands."""
+    film = BodyFilm.found()
+    height, width = image_of(film.frames[0]).shape[:2]
+    what = f"body tracker, {film.label}, {width}x{height}, {SAMPLES} samples, lag {LAG}"
+    cv2.setNumThreads(1)
+
+    def judge(seconds: Mapping[Any, float]) -> list[Expectation]:
+        one, two = seconds[1], seconds[2]
+        return [
+            Expectation(f"{what}, one thread: frames a second", 1 / one),
+            Expectation(f"{what}, two threads: frames a second", 1 / two, ">=", 30),
+            Expectation(f"{what}: time on two threads over one", two / one, "<=", 0.75),
+        ]
+
+    steps = {threads: tracker(film, threads) for threads in (1, 2)}
+    return Findings("Bodies", [], over_rounds(judge, over_frames(steps, film.frames, TURN, WARM_UP)))

@@ -1,0 +1,748 @@
+"""Figs. 3 and 4 of the G-flow paper, its models of background and occlusion, and a real film."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any, Literal, Self
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ...chains.face.experts import find_modes
+from ...chains.face.gflow import GFlow, GFlowState
+from ...chains.face.pose_terms import PosePrior
+from ...chains.face.start import start_from_landmarks
+from ...chains.face.texture_filter import UNKNOWN_VARIANCE, Texture
+from ...chains.face.texture_likelihood import Level, TextureLikelihood, image_pyramid
+from ...chains.pixels.adaptive_background import AdaptiveBackground
+from ...inference import MultiChain, RecursiveBP, RunState
+from ...inference.engine.protocols import Incoming
+from ...inference.sfm.nonrigid.learning import learn_shape
+from ...models.core.frame import Frame
+from ...models.face.model_files import read_correspondences, read_model
+from ...models.face.morphable_model import Poses
+from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
+from ..io.sources.open_source import open_source
+from ..runs.progress import Progress
+from ..scenes import FaceScene, face
+from .datasets import data_folder
+from .experiment import Findings, Plot, by_seed, in_words
+from .record import Expectation, Table, over_seeds
+
+Numbers = NDArray[np.float64]
+
+SEEDS = range(10)
+LOST_SHARE = 0.5  # error from which a face counts as not followed, in sizes of the face
+LOST_SECONDS = 1.0  # for how long at a stretch, unless it is so in the last frame
+
+# --- trackers, and how they do ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """How a tracker did on a sequence."""
+
+    # `(n_frames,)` px: distance in the picture of the vertices that were found from the true ones, mean over
+    # all vertices, hidden ones too
+    errors: Numbers
+    # `(n_frames,)` px: the same in space, after the mean offset in depth is taken off, which a weak
+    # perspective does not show
+    errors_3d: Numbers
+    # `(n_frames,)`: normalised estimation error squared of the pose per dimension, about 1 where the
+    # tracker's covariance is honest; NaN where it was not worked out
+    nees: Numbers
+    size: float  # px: of the face
+    dt: float  # s from frame to frame
+    time: float = np.nan  # ms a frame, mean; NaN where it was not measured
+
+    @classmethod
+    def of(cls, scene: FaceScene, vertices: Numbers, nees: Numbers | None = None) -> Self:
+        """Of the vertices `(n_frames, n_vertices, 3)` px that were found in a scene."""
+        errors = vertex_errors(vertices, scene.model.positions(scene.poses))
+        nees = np.full(len(scene), np.nan) if nees is None else nees
+        return cls(*errors, nees, float(scene.poses.sizes[0]), scene.dt)
+
+    # the pose of the first frame was given
+
+    @property
+    def error(self) -> float:
+        """px: mean over the frames after the first."""
+        return float(self.errors[1:].mean())
+
+    @property
+    def error_3d(self) -> float:
+        """px: mean over the frames after the first."""
+        return float(self.errors_3d[1:].mean())
+
+    @property
+    def mean_nees(self) -> float:
+        """Mean over the frames after the first."""
+        return float(self.nees[1:].mean())
+
+    @property
+    def lost(self) -> bool:
+        """Whether the error is above half the face's size at the end, or was for more than a second."""
+        off = np.concatenate([[False], self.errors > LOST_SHARE * self.size, [False]])
+        starts, ends = np.flatnonzero(off[1:] & ~off[:-1]), np.flatnonzero(off[:-1] & ~off[1:])
+        longest = (ends - starts).max(initial=0) * self.dt
+        return bool(off[-2] or longest > LOST_SECONDS)
+
+
+Measured = Mapping[str, Sequence[Evaluation]]  # by tracker, one for each seed
+
+
+def vertex_errors(found: Numbers, truth: Numbers) -> tuple[Numbers, Numbers]:
+    """Mean distance of vertices `(n, n_vertices, 3)`, `(n,)` px: in the picture, and in space without the
+    mean offset in depth."""
+    off = found - truth
+    off[..., 2] -= off[..., 2].mean(axis=1, keepdims=True)
+    return np.linalg.norm(off[..., :2], axis=2).mean(axis=1), np.linalg.norm(off, axis=2).mean(axis=1)
+
+
+def values(evaluations: Sequence[Evaluation], measure: str = "error") -> list[float]:
+    """A measure of `Evaluation` of every sequence."""
+    return [getattr(evaluation, measure) for evaluation in evaluations]
+
+
+def median(evaluations: Sequence[Evaluation], measure: str = "error") -> float:
+    """Over the sequences."""
+    return float(np.median(values(evaluations, measure)))
+
+
+def quartiles(evaluations: Sequence[Evaluation], measure: str = "error") -> str:
+    """Median and quartiles over the sequences, in words."""
+    return in_words(values(evaluations, measure), "-")
+
+
+def n_lost(evaluations: Sequence[Evaluation]) -> int:
+    """Sequences on which the face was lost."""
+    return sum(evaluation.lost for evaluation in evaluations)
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A scene whose pictures are drawn once for all trackers."""
+
+    scene: FaceScene
+    frames: Sequence[Frame]
+
+    @classmethod
+    def of(cls, **settings: Any) -> Self:
+        """The scene of these settings of `face`."""
+        scene = face(**settings)
+        return cls(scene, list(scene))
+
+
+def states(
+    chain: GFlow,
+    frames: Sequence[Frame],
+    amended: Callable[[GFlowState, GFlowState], GFlowState] = lambda before, after: after,
+) -> Iterator[GFlowState]:
+    """Yield the state after every frame of a chain that is on its own; all frames have a picture.
+
+    `amended` gives the state to go on with, from those before and after a frame's picture.
+    """
+    state, pixels = chain.initial(frames[0]), PixelLabels()
+    for number, frame in enumerate(frames):
+        before = chain.predict(state, frame.time - frames[number - 1].time) if number else state
+        state = amended(before, chain.update(before, Incoming({pixels: PixelMessage(image=frame.image)})))
+        yield state
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """G-flow with settings, for all sequences alike."""
+
+    name: str  # for tables
+    settings: Mapping[str, Any] = field(default_factory=dict)  # of `GFlow`, beyond model and start
+    # `"own"`: the tracker, as in life. `"true"`: it learns every texture at the true poses. `"oracle"`: the
+    # floor, texture learned at the true poses and every search started at the true pose
+    kind: Literal["own", "true", "oracle"] = "own"
+
+    def run(self, clip: Clip) -> Evaluation:
+        """Follow the face through the clip from the true first pose."""
+        chain = GFlow(clip.scene.model, clip.scene.poses[0], **{"recover": False, **self.settings})
+        if self.kind == "oracle":
+            return floor(clip, replace(chain, experts=1))
+        return follow(clip, chain, true_texture=self.kind == "true")
+
+
+def follow(clip: Clip, chain: GFlow, *, true_texture: bool = False) -> Evaluation:
+    """Run a chain over a clip, by itself."""
+    scene, nees = clip.scene, np.full(len(clip.scene), np.nan)
+    truth = _GroundTruthTexture(chain, clip)
+
+    def amended(before: GFlowState, after: GFlowState) -> GFlowState:
+        if not true_texture:
+            return after
+        index = truth.learned + 1
+        if index:
+            mean = chain.mean_pose(after)
+            nees[index] = normalised_square(scene.poses[index], mean, truth.covariance(before, after, mean))
+        return replace(after, texture=truth.learn(index).of(np.zeros(chain.experts, np.int64)))
+
+    found = [chain.mean_pose(state) for state in states(chain, clip.frames, amended)]
+    return Evaluation.of(scene, scene.model.positions(Poses.concatenated(found)), nees)
+
+
+def floor(clip: Clip, chain: GFlow) -> Evaluation:
+    """The oracle: texture learned at the true poses, Gauss-Newton started at the true pose of each frame.
+
+    Its prior is what the filter's would be if all had gone well before: a walk from the true pose of the
+    previous frame. What remains is noise of the picture, the model's error, and texture that changes.
+    """
+    scene, truth = clip.scene, _GroundTruthTexture(chain, clip)
+    found, nees = [scene.poses[0]], np.full(len(scene), np.nan)
+    for index in range(1, len(scene)):
+        true = scene.poses[index]
+        likelihood = truth.likelihood(index, truth.learn(index - 1), true)
+        prior = PosePrior.after(scene.poses[index - 1], chain.dynamics, truth.size, scene.dt)
+        modes = find_modes(likelihood, prior, true, chain.effective_pixels, coarsest=chain.levels - 1)
+        found.append(modes.poses)
+        nees[index] = normalised_square(true, modes.poses, np.linalg.inv(modes.precision[0]))
+    return Evaluation.of(scene, scene.model.positions(Poses.concatenated(found)), nees)
+
+
+def normalised_square(truth: Poses, estimate: Poses, covariance: Numbers) -> float:
+    """e' C^-1 e per dimension, for the error e of one pose in the tangent space of the estimate."""
+    error = truth.changes_from(estimate)[0]
+    return float(error @ np.linalg.solve(covariance, error)) / len(error)
+
+
+@dataclass(eq=False)
+class _GroundTruthTexture:
+    """Texture of a chain's object learned at the true poses, frame after frame."""
+
+    chain: GFlow
+    clip: Clip
+    texture: Texture = field(init=False)
+    learned: int = field(init=False, default=-1)
+
+    def __post_init__(self) -> None:
+        self.texture = self.chain.initial(self.clip.frames[0]).texture.of(np.zeros(1, np.int64))
+
+    @cached_property
+    def size(self) -> float:
+        """px: of the face at the start, as the chain takes it."""
+        return float(self.clip.scene.poses.sizes[0])
+
+    def levels(self, index: int) -> list[Level]:
+        """Picture `index` as the chain prepares it."""
+        image, chain = self.clip.frames[index].image, self.chain
+        assert image is not None
+        return image_pyramid(image, self.size, n_levels=chain.levels, local_mean=chain.local_mean)
+
+    def likelihood(self, index: int, texture: Texture, poses: Poses) -> TextureLikelihood:
+        """What picture `index` says, seen with `texture`; visibility is that of `poses`."""
+        surface, noise = self.chain.object, self.chain.noise
+        temperature = texture.predicted(noise, self.clip.scene.dt).temperature(noise)
+        seen = surface.visible(poses)
+        return TextureLikelihood(surface, self.levels(index), texture.mean, temperature, seen)
+
+    def learn(self, index: int) -> Texture:
+        """The texture after the pictures up to `index`, of which this is the next."""
+        truth, surface = self.clip.scene.poses[index], self.chain.object
+        observed, seen = surface.observe(self.levels(index), truth, surface.visible(truth))
+        noise, elapsed = self.chain.noise, self.clip.scene.dt if index else 0.0
+        predicted = self.texture.predicted(noise, elapsed)
+        self.texture, self.learned = predicted.updated(observed, seen, noise, elapsed), index
+        return self.texture
+
+    def covariance(self, before: GFlowState, after: GFlowState, mean: Poses) -> Numbers:
+        """Of the pose: spread of the experts, and Laplace's about each, taken at their mean."""
+        chain, index = self.chain, self.learned + 1
+        changes = after.poses.changes_from(mean[np.zeros(len(after.poses), np.int64)])
+        spread: Numbers = np.einsum("n,ni,nj->ij", after.weights, changes, changes)
+        equations = self.likelihood(index, self.texture, mean).equations(0, mean, np.zeros(1, np.int64))
+        prior = PosePrior.after(before.poses, chain.dynamics, before.size, before.elapsed)
+        precision = chain.effective_pixels / equations.sums[0, 2] * equations.matrices[0]
+        return spread + np.linalg.inv(precision + np.diag(prior.precision))
+
+
+def on_one_scene(
+    trackers: Sequence[Tracker], scenes: Mapping[str, Mapping[str, Any]], name: str, seed: int
+) -> dict[str, Evaluation]:
+    """Run all trackers on the scene of a name and a seed."""
+    clip = Clip.of(**scenes[name], seed=seed)
+    return {tracker.name: tracker.run(clip) for tracker in trackers}
+
+
+ERRORS = ("error, px", "error in 3-D, px", f"lost of {len(SEEDS)}")
+OVER_SEQUENCES = "Medians and quartiles over the sequences."
+
+
+def errors_of(evaluations: Sequence[Evaluation]) -> list[object]:
+    """The cells of `ERRORS`."""
+    return [quartiles(evaluations), quartiles(evaluations, "error_3d"), n_lost(evaluations)]
+
+
+# --- Fig. 3a: what several experts are worth to flow, and a slow texture to all -----------------------------
+
+QUICK = "quick motion"
+EXPERTS_SCENE: Mapping[str, Any] = {"n_frames": 200, "motion": "fast"}
+"""The difficult sequence: quick motion, large expressions, and a lamp that moves about."""
+
+COUNTS = (1, 5, 10, 20)
+ALMOST_FLOW = 0.99
+FLOW_LEVELS = 2
+"""Levels on which patches are searched for. The paper tells of the picture only, on which one expert is
+lost at once. On all three it seldom takes a wrong peak and leaves little to others. All are shown."""
+SLOW = 0.02
+
+FLOW = "patches, flow, {} experts"
+MANY = FLOW.format(COUNTS[-1])
+MANY_FAR = f"{MANY}, three levels"
+ONE = "patches, flow, 1 expert"
+ONE_FAR, ONE_NEAR = f"{ONE}, three levels", f"{ONE}, one level"
+DENSE_FLOW = "dense, flow, 1 expert"
+DENSE = f"dense, gain {SLOW:g}, 20 experts"
+TAUGHT = f"{DENSE}, texture learned at the truth"
+ORACLE = f"oracle: dense, gain {SLOW:g}"
+
+AT_PEAK = {"experts": 1, "spread": 0.0}
+"""One expert that stays at its peak: constrained optic flow, where the texture is the last picture."""
+PATCHES = {"surface": "patches", "gain": ALMOST_FLOW}
+SINGLE = {"surface": "patches", "gain": 1.0, **AT_PEAK}
+EXPERTS: Sequence[tuple[Tracker, str]] = (
+    (Tracker(ONE, {**SINGLE, "levels": FLOW_LEVELS}), "#c0504d"),
+    *(
+        (Tracker(FLOW.format(count), {**PATCHES, "levels": FLOW_LEVELS, "experts": count}), colour)
+        for count, colour in zip(COUNTS[1:], ("#e0a050", "#7fb0d8", "#1f5fa8"), strict=True)
+    ),
+    (Tracker(ONE_NEAR, {**SINGLE, "levels": 1}), "#803030"),
+    (Tracker(ONE_FAR, {**SINGLE, "levels": 3}), "#e0a0a0"),
+    (Tracker(MANY_FAR, {**PATCHES, "levels": 3, "experts": COUNTS[-1]}), "#a0b0e0"),
+    (Tracker(DENSE_FLOW, {"gain": 1.0, **AT_PEAK}), "#b06fb0"),
+    (Tracker(f"dense, gain {SLOW:g}, 1 expert", {"gain": SLOW, **AT_PEAK}), "#6cc08b"),
+    (Tracker(DENSE, {"gain": SLOW}), "#2a8a4b"),
+    (Tracker(TAUGHT, {"gain": SLOW}, "true"), "#8a8a3a"),
+    (Tracker(ORACLE, {"gain": SLOW}, "oracle"), "#555555"),
+)
+"""All systems that are compared, and their colours."""
+
+
+def experts() -> Findings:
+    """Fig. 3a, with what is wanted of it."""
+    measure = partial(on_one_scene, [tracker for tracker, _ in EXPERTS], {QUICK: EXPERTS_SCENE})
+    found = by_seed("experts", measure, [QUICK], SEEDS)[QUICK]
+    lines = [[name, *errors_of(evaluations)] for name, evaluations in found.items()]
+    caption = f"Fig. 3a: error of the mean pose's vertices, median of {len(SEEDS)} sequences."
+    return Findings(
+        "Experts",
+        [Table(("system", *ERRORS), lines, OVER_SEQUENCES)],
+        over_seeds(expected_of_experts, found),
+        [Plot("fig-3a.png", partial(draw_experts, found), (9.0, 5.0), caption)],
+    )
+
+
+def expected_of_experts(found: Measured) -> list[Expectation]:
+    """What is wanted; of ratios of medians."""
+
+    def over(name: str, other: str, measure: str = "error") -> float:
+        return median(found[name], measure) / median(found[other], measure)
+
+    nees, far = median(found[TAUGHT], "mean_nees"), "flow by patches on three levels"
+    lost = "flow by patches: lost runs of 20 experts; half of those of one are wanted"
+    return [
+        Expectation("flow by patches: error of 20 experts over that of one", over(MANY, ONE), "<=", 0.7),
+        Expectation("the same in 3-D", over(MANY, ONE, "error_3d"), "<=", 0.55),
+        Expectation(lost, n_lost(found[MANY]), "<=", n_lost(found[ONE]) // 2),
+        Expectation(f"{far}: error of 20 experts over that of one", over(MANY_FAR, ONE_FAR)),
+        Expectation("the same in 3-D, on three levels", over(MANY_FAR, ONE_FAR, "error_3d")),
+        Expectation("dense, slow: error over the oracle", over(DENSE, ORACLE), "<=", 1.6),
+        Expectation("dense, slow: error over one expert's dense flow", over(DENSE, DENSE_FLOW), "<=", 0.5),
+        Expectation("dense, slow: error over one expert's flow by patches", over(DENSE, ONE), "<=", 0.2),
+        Expectation(f"dense, slow: error over one expert's {far}", over(DENSE, ONE_FAR)),
+        Expectation("dense, slow: lost runs", n_lost(found[DENSE]), "<=", 0),
+        Expectation("texture known: squared error over covariance, per dimension", nees, "<=", 3.0),
+        Expectation("the same, from below", nees, ">=", 0.3),
+    ]
+
+
+def draw_experts(found: Measured, canvas: Figure) -> None:
+    """Error over time, median over the sequences."""
+    axis = canvas.add_subplot()
+    for (name, evaluations), (_, colour) in zip(found.items(), EXPERTS, strict=True):
+        times = evaluations[0].dt * np.arange(len(evaluations[0].errors))
+        errors = np.median([evaluation.errors for evaluation in evaluations], axis=0)
+        dashed = "--" if "truth" in name or "oracle" in name else "-"
+        axis.plot(times[1:], errors[1:], dashed, color=colour, linewidth=1.4, label=name)
+    axis.set(yscale="log", xlabel="time, s", ylabel="mean error of vertices, px")
+    axis.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+# --- Fig. 3b: from template to flow, and gains that each texel learns for itself ----------------------------
+
+GAINS = (0.001, 0.01, 0.1, 0.5, 0.999)
+LEARNED = "learned"
+GAIN_TRACKERS = [Tracker(f"{gain:g}", {"gain": gain, "texels": 800}) for gain in GAINS]
+GAIN_TRACKERS.append(Tracker(LEARNED, {"gain": LEARNED, "texels": 800}))
+"""Twenty experts on a dense texture; the temperature is the same for all gains."""
+
+STEADY = "constant texture"
+CHANGING = "texture that changes"
+GAIN_SCENES: Mapping[str, Mapping[str, Any]] = {
+    STEADY: {"n_frames": 200, "motion": "fast", "light": 0.0},
+    CHANGING: {"n_frames": 200, "motion": "fast", "light": 0.0, "change": 30.0},
+}
+"""In even light: a lamp that moves would change what texels look like in both."""
+
+
+def gain() -> Findings:
+    """Fig. 3b, with what is wanted of it."""
+    everything = by_seed("gain", partial(on_one_scene, GAIN_TRACKERS, GAIN_SCENES), list(GAIN_SCENES), SEEDS)
+    lines = [
+        [scene, name, *errors_of(evaluations)]
+        for scene, found in everything.items()
+        for name, evaluations in found.items()
+    ]
+    caption = (
+        f"Fig. 3b: error of the mean pose's vertices over the gain, median and quartiles of {len(SEEDS)} "
+        "sequences; dashed, gains learned by each texel."
+    )
+    return Findings(
+        "Gain",
+        [Table(("scene", "gain", *ERRORS), lines, OVER_SEQUENCES)],
+        over_seeds(expected_of_gains, everything),
+        [Plot("fig-3b.png", partial(draw_gains, everything), (8.0, 4.5), caption)],
+    )
+
+
+def expected_of_gains(everything: Mapping[str, Measured]) -> list[Expectation]:
+    """What is wanted; of ratios of medians."""
+    best_gain, best = {}, {}
+    for scene, found in everything.items():
+        best_gain[scene] = min(GAINS, key=lambda gain, found=found: median(found[f"{gain:g}"]))  # type: ignore[misc]
+        best[scene] = median(found[f"{best_gain[scene]:g}"])
+    flow, moved = median(everything[STEADY][f"{GAINS[-1]:g}"]), best_gain[CHANGING] / best_gain[STEADY]
+    what = f"{STEADY}: error of flow (gain {GAINS[-1]:g}) over that of the best gain"
+    learned = "error with learned gains over that of the best fixed gain"
+    return [
+        Expectation(what, flow / best[STEADY], ">=", 2.0),
+        Expectation(f"{STEADY}: best gain", best_gain[STEADY]),
+        Expectation(f"{CHANGING}: best gain over that of constant texture", moved, ">=", 2.0),
+        *(
+            Expectation(f"{scene}: {learned}", median(found[LEARNED]) / best[scene], "<=", 1.1)
+            for scene, found in everything.items()
+        ),
+    ]
+
+
+def draw_gains(everything: Mapping[str, Measured], canvas: Figure) -> None:
+    """Error over the gain, on a scale of its log odds, so that both ends are seen."""
+    axis = canvas.add_subplot()
+    places = np.log(np.array(GAINS) / (1 - np.array(GAINS)))
+    for (scene, found), colour in zip(everything.items(), ("#1f5fa8", "#c98a2b"), strict=True):
+        low, middle, high = np.percentile(
+            [values(found[f"{gain:g}"]) for gain in GAINS], [25, 50, 75], axis=1
+        )
+        axis.plot(places, middle, "o-", color=colour, linewidth=1.4, label=scene)
+        axis.fill_between(places, low, high, color=colour, alpha=0.2, linewidth=0)
+        axis.axhline(median(found[LEARNED]), color=colour, linewidth=1.2, linestyle="--")
+    axis.set_xticks(places, [f"{gain:g}" for gain in GAINS])
+    axis.set(
+        yscale="log", xlabel="gain in the steady state: template to flow", ylabel="mean error of vertices, px"
+    )
+    axis.legend(fontsize=9)
+
+
+# --- Fig. 4: experts scattered about the pose find it, if they know what they look for ----------------------
+
+RECOVERY_SEEDS = range(20)
+RECOVERY_SCENE: Mapping[str, Any] = {"n_frames": 82}
+N_EXPERTS = 20
+SCATTER = 9.5  # px: mean distance of the experts' vertices from the true ones in the first frame
+SOON = 9  # index of the frame by which the pose is wanted to be found, the tenth
+SHOWN = (0, SOON, 80)
+NEAR = 1.5  # px: error up to which the pose counts as found
+KNOWN = "known texture"
+BLANK = "blank texture"
+
+
+@dataclass(frozen=True, eq=False)
+class Recovery:
+    """How scattered experts did on a sequence."""
+
+    errors: Numbers  # `(n_frames,)` px: mean distance of the mean pose's vertices from the true ones
+    at_first: Numbers  # `(n_experts,)` px: the same for every expert, in the first frame
+    vertices: Numbers  # `(n_shown, n_experts, n_vertices, 2)` px, in the frames `SHOWN`
+
+
+def recovery() -> Findings:
+    """Fig. 4: the texture is known at the start, or learned by each expert at its own wrong pose."""
+    (found,) = by_seed("recovery", recover, [N_EXPERTS], RECOVERY_SEEDS).values()
+    lines: list[list[object]] = []
+    for start, runs in found.items():
+        errors = [[float(run.errors[index]) for run in runs] for index in SHOWN]
+        lines.append(
+            [start, *(f"{np.median(each):.3g} ({min(each):.3g}-{max(each):.3g})" for each in errors)]
+        )
+    header = ("texture at the start", *(f"error in frame {index + 1}, px" for index in SHOWN))
+    scene = face(seed=RECOVERY_SEEDS[0], **RECOVERY_SCENE)
+    pictures = [scene.image(index) for index in SHOWN]
+    firsts = {start: runs[0] for start, runs in found.items()}
+    vertices = f"Fig. 4: vertices of all {N_EXPERTS} experts on the first sequence."
+    return Findings(
+        "Recovery",
+        [Table(header, lines, "Medians over the sequences (least - most).")],
+        over_seeds(expected_of_recovery, found),
+        [
+            Plot("fig-4.png", partial(draw_scattered, pictures, firsts), (12.0, 6.5), vertices),
+        ],
+    )
+
+
+def recover(n_experts: int, seed: int) -> dict[str, Recovery]:
+    """Start experts about the true pose of a sequence, with both textures."""
+    clip = Clip.of(seed=seed, **RECOVERY_SCENE)
+    start = scattered(clip.scene, np.random.default_rng([seed, 9]))
+    blank = GFlow(clip.scene.model, start, experts=n_experts, gain=0.03, recover=False, seed=seed)
+    # what the object looks like in the first picture at the true pose, and surely so
+    texture = _GroundTruthTexture(replace(blank, start=clip.scene.poses[0], texture=None), clip).learn(0)
+    steady = np.full_like(texture.variance, blank.noise.steady_variance)
+    seen = texture.variance < 0.5 * UNKNOWN_VARIANCE
+    texture = replace(texture, variance=np.where(seen, steady, texture.variance))
+    return {KNOWN: _recovered(clip, replace(blank, texture=texture)), BLANK: _recovered(clip, blank)}
+
+
+def scattered(scene: FaceScene, random: np.random.Generator) -> Poses:
+    """Experts about the true pose of the first frame, `SCATTER` px from it in the mean over all vertices.
+
+    Turned, shifted, sized and deformed at random, in proportions in which each of these moves vertices by
+    about as much.
+    """
+    truth = scene.poses[np.zeros(N_EXPERTS, np.int64)]
+    size = truth.sizes[0]
+    deviations = np.full(truth.dimension, 0.5 * size)
+    deviations[:6] = 0.2, 0.2, 0.2, 0.15 * size, 0.15 * size, 0.1 * size
+    changes = deviations * random.standard_normal((N_EXPERTS, truth.dimension))
+    factor = 1.0
+    for _ in range(20):  # vertices do not move in proportion to a turn, but nearly
+        poses = truth.moved(factor * changes)
+        factor *= SCATTER / float(_distances(scene, poses, 0).mean())
+    return poses
+
+
+def _distances(scene: FaceScene, poses: Poses, index: int) -> Numbers:
+    """`(n_poses,)` px: mean distance of vertices from the true ones."""
+    distances: Numbers = np.linalg.norm(scene.model.project(poses) - scene.vertices[index], axis=2).mean(
+        axis=1
+    )
+    return distances
+
+
+def _recovered(clip: Clip, chain: GFlow) -> Recovery:
+    scene, found = clip.scene, list(states(chain, clip.frames))
+    means = [_distances(scene, chain.mean_pose(state), index)[0] for index, state in enumerate(found)]
+    shown = [scene.model.project(found[index].poses) for index in SHOWN if index < len(found)]
+    return Recovery(np.array(means), _distances(scene, found[0].poses, 0), np.array(shown))
+
+
+def expected_of_recovery(found: Mapping[str, Sequence[Recovery]]) -> list[Expectation]:
+    """What is wanted, in the worst run; with a blank texture nothing is."""
+    known, blank = found[KNOWN], found[BLANK]
+    at_start = float(np.mean([run.at_first for run in known]))
+    by_then, end = ([float(run.errors[index]) for run in blank] for index in (SOON, -1))
+    largest = max(float(run.errors[SOON]) for run in known)
+    near = [float(np.mean([run.errors[SOON] <= NEAR for run in runs])) for runs in (known, blank)]
+    frame = f"frame {SOON + 1}"
+    return [
+        Expectation("experts' mean error at the start, px", at_start),
+        Expectation(f"{KNOWN}: largest error in {frame}, px", largest, "<=", NEAR),
+        Expectation(f"{KNOWN}: runs within {NEAR} px in {frame}, share", near[0], ">=", 1.0),
+        Expectation(f"{BLANK}: median error in {frame}, px", float(np.median(by_then))),
+        Expectation(f"{BLANK}: median error at the end, px", float(np.median(end))),
+        Expectation(f"{BLANK}: runs within {NEAR} px in {frame}, share", near[1]),
+    ]
+
+
+def draw_scattered(
+    pictures: Sequence[NDArray[np.uint8]], runs: Mapping[str, Recovery], canvas: Figure
+) -> None:
+    """Vertices of all experts over the pictures, a row for each start."""
+    axes = canvas.subplots(len(runs), len(pictures), squeeze=False)
+    for row, (start, run) in zip(axes, runs.items(), strict=True):
+        for axis, index, picture, vertices in zip(row, SHOWN, pictures, run.vertices, strict=True):
+            axis.imshow(picture, cmap="gray", vmin=0, vmax=255)
+            axis.plot(*vertices.reshape(-1, 2).T, ".", color="#ff3020", markersize=1.5)
+            axis.set(xlim=(0, picture.shape[1] - 1), ylim=(picture.shape[0] - 1, 0), xticks=[], yticks=[])
+            axis.set_title(f"{start}, frame {index + 1}: {run.errors[index]:.2g} px", fontsize=9)
+            axis.grid(visible=False)
+
+
+# --- models of the background (section 7.2.3 of the paper) and of self-occlusion, with and without ----------
+
+BACKGROUND_FRAMES = 100
+BACKGROUND_EXPERTS = 8
+NO_WORSE, BETTER, HALF = 1.02, 0.85, 0.5
+PAN = 40.0  # px/s by which the room moves where it does
+
+NONE, SHARED, EXACT = "no background", "shared", "a map per expert"
+SEEN, ALL = "self-occlusion handled", "every texel taken for visible"
+
+
+class PannedScene(FaceScene):
+    """The room moves to the side behind the face."""
+
+    def _drawn(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        picture, covered = super()._drawn(index)
+        moved = np.roll(self._room, round(PAN * self.dt * index), axis=1)
+        return picture + (1 - covered) * (moved - self._room), covered
+
+
+RAW = {"local_mean": False, "gain": 0.2}
+WEAK, MOVING = "weak texture, raw light", "moving room"
+CONDITIONS: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Any]]] = {
+    "textured, light taken out": ({}, {}),
+    WEAK: ({"texture": 0.3, "light": 0.3}, RAW),
+    "textured, raw light": ({"light": 0.3}, RAW),
+    MOVING: ({}, {}),
+}
+"""Settings of the scene and of the tracker, with which backgrounds are compared."""
+TURNING: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Any]]] = {
+    "turns by 60 degrees": ({"max_yaw": 60.0}, {}),
+    "parts that stand off": ({"shields": True}, {}),
+}
+"""The same, with which self-occlusion is compared."""
+COMPARED = {
+    **dict.fromkeys(CONDITIONS, (NONE, SHARED, EXACT)),
+    **dict.fromkeys(TURNING, (SEEN, ALL)),
+}
+"""The methods by condition."""
+
+
+def follow_before(case: tuple[str, str], seed: int) -> dict[str, Evaluation]:
+    """Follow one scene from its true first pose with one method; vertices are the mean over the experts."""
+    condition, method = case
+    settings, tracker = {**CONDITIONS, **TURNING}[condition]
+    scene = (PannedScene if condition == MOVING else FaceScene)(BACKGROUND_FRAMES, seed, **settings)
+    chain = GFlow(
+        scene.model,
+        scene.poses[0],
+        experts=BACKGROUND_EXPERTS,
+        background="experts" if method == EXACT else "shared",
+        occlusion=method != ALL,
+        recover=False,
+        seed=seed,
+        **tracker,
+    )
+    pixels, model = PixelLabels(), MultiChain()
+    if method == SHARED:
+        model.connect(AdaptiveBackground(), pixels)
+    engine, state = RecursiveBP(model.connect(chain, pixels)), RunState()
+    vertices, spent = [], 0.0
+    for frame in scene:
+        begin = time.perf_counter()
+        belief = engine.step(state, frame)
+        spent += time.perf_counter() - begin
+        state = belief.state
+        vertices.append(chain.vertices(belief[chain])[0])
+    return {method: replace(Evaluation.of(scene, np.array(vertices)), time=1000 * spent / len(scene))}
+
+
+def face_background() -> Findings:
+    """Errors with no background, a shared one, and one an expert; and with self-occlusion handled and not."""
+    cases = [(condition, method) for condition, methods in COMPARED.items() for method in methods]
+    found: dict[str, dict[str, list[Evaluation]]] = {condition: {} for condition in COMPARED}
+    for (condition, _), evaluations in by_seed("face and background", follow_before, cases, SEEDS).items():
+        found[condition].update(evaluations)
+    lines = [
+        [scene, method, quartiles(evaluations), n_lost(evaluations), f"{median(evaluations, 'time'):.0f}"]
+        for scene, methods in found.items()
+        for method, evaluations in methods.items()
+    ]
+    header = ("scene", "method", "error, px", f"lost of {len(SEEDS)}", "ms a frame")
+    note = "Medians and quartiles over the scenes; time in one thread, with another run beside it."
+    return Findings(
+        "Face and background",
+        [Table(header, lines, note)],
+        over_seeds(expected_of_backgrounds, found),
+    )
+
+
+def expected_of_backgrounds(found: Mapping[str, Measured]) -> list[Expectation]:
+    """What is wanted of ratios of medians."""
+
+    def over(condition: str, method: str, other: str) -> float:
+        return median(found[condition][method]) / median(found[condition][other])
+
+    gains = {condition: over(condition, SEEN, ALL) for condition in TURNING}
+    return [
+        *(
+            Expectation(
+                f"{condition}: error with {method} over that without",
+                over(condition, method, NONE),
+                "<=",
+                BETTER if condition == WEAK else NO_WORSE,
+            )
+            for method in (SHARED, EXACT)
+            for condition in CONDITIONS
+        ),
+        *(
+            Expectation(f"{condition}: error with self-occlusion handled over that without", gain)
+            for condition, gain in gains.items()
+        ),
+        Expectation("the better of these", min(gains.values()), "<=", HALF),
+    ]
+
+
+# --- a real film: a generic model, and a person's own learned from the film's landmarks ---------------------
+
+PUPILS = (31, 36)  # landmarks between which the distance in the first frame is the unit of errors
+OWN_BASES = 6
+LANDMARKS = (
+    "Mean distance of the 68 landmarks from the annotated ones, in % of the distance between the pupils in "
+    "the first frame. All are attached to the surface where a method starts, and carried by its mean pose."
+)
+
+
+def talking_face() -> Findings:
+    """Track the talking face and measure all 68 landmarks in every annotated frame.
+
+    Raises
+    ------
+    OSError
+        if the film or the model cannot be found.
+    """
+    folder, surrey = data_folder("talking-face"), data_folder("surrey-face")
+    truth = landmarks_of_film(np.load(folder / "landmarks_0000-1999.npy"))
+    unit = float(np.linalg.norm(truth[0, PUPILS[0]] - truth[0, PUPILS[1]]))
+    half = len(truth) // 2
+    pairs = read_correspondences(folder / "fgnet_to_ibug.txt")
+    methods = {
+        "Surrey model, 20 experts": (start_from_landmarks(read_model(surrey), truth[0], pairs), 0),
+        f"own model, {OWN_BASES} bases, 20 experts": (
+            start_from_landmarks(learn_shape(truth[:half], OWN_BASES).model(), truth[half]),
+            half,
+        ),
+    }
+    lines: list[list[Any]] = []
+    with Progress("talking face", 2 * len(truth) - half) as progress:
+        for name, (start, first) in methods.items():
+            chain, places, lost = GFlow(start.model, start.pose), [], 0
+            with open_source(str(folder / "franck.webm"), start=first + 1, stop=len(truth)) as source:
+                for belief in RecursiveBP(MultiChain().connect(chain, PixelLabels())).run(source):
+                    state = belief[chain.name]
+                    places.append(chain.points(state, start.points))
+                    lost += state.lost
+                    progress.update()
+            errors = 100 / unit * np.linalg.norm(np.stack(places) - truth[first:], axis=2).mean(axis=1)
+            middle = np.percentile(errors, (50, 95)).tolist()
+            lines.append([name, len(errors), float(errors.mean()), *middle, float(errors.max()), lost])
+    (_, _, mean, _, _, worst, lost), (_, _, mean_of_own, *_) = lines
+    expectations = [
+        Expectation("(a) Surrey model: mean, % of the pupils' distance", mean, "<=", 7.0),
+        Expectation("(a) worst frame, %", worst, "<=", 15.0),
+        Expectation("(a) frames lost", lost, "<=", 0),
+        Expectation("(b) own model, unseen half: mean error, %", mean_of_own, "<=", 5.0),
+    ]
+    header = ("method", "frames", "mean, %", "median, %", "95 %, %", "worst, %", "lost")
+    return Findings("A talking face", [Table(header, lines, LANDMARKS)], expectations)
+
+
+def landmarks_of_film(original: NDArray[np.floating]) -> Numbers:
+    """The annotation, made on the original film of 720x576 px, in px of the public one of half its size."""
+    places = np.asarray(original, np.float64)
+    return np.stack([(places[..., 0] + 7.45) / 2, (places[..., 1] - 0.45) / 2], axis=-1)

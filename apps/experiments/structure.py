@@ -1,0 +1,313 @@
+"""Figs. 9, 10 and 12 of the RSMCM paper: points that are lost, found again and drift, and turning objects."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ...chains.reconstruction import MOST_ROUNDS, Association, Coherence, Reconstruction, reconstruct
+from ...inference.sfm.affine_camera import affine_alignment
+from ...inference.sfm.factor_analysis.factorisation import factorise, predicted
+from ..evaluation.structure import REJECTED, StructureScores, score_structure
+from ..runs.progress import Progress
+from ..scenes import Cylinder, cylinder
+from ..structure.application import Film, read_film
+from ..structure.job import StructureJob
+from ..structure.page import drawn_of
+from ..view.overlay import PointsOverlay
+from .datasets import data_folder
+from .experiment import Findings, Picture, Plot, by_seed, in_words
+from .record import Expectation, Table, over_seeds
+
+Numbers = NDArray[np.float64]
+
+# --- the cylinder -------------------------------------------------------------------------------------------
+
+SEEDS = range(20)
+LOOSE = (0.0, 0.03, 0.06, 0.1, 0.12)
+DRIFT = (0.0, 0.1, 0.2, 0.3)
+DRIFT_AT = (0.0, 0.12)  # P(loose) of the upper panels of Fig. 10
+LOOSE_AT = (0.0, 0.2)  # P(drift) of the lower panels
+FIG_9 = (0.1, 0.3)  # P(loose) and P(drift) of Fig. 9
+REGAIN = 0.5
+PX = 100.0  # px per radius of the cylinder: noise is then 1 px, and drift 10 px
+EM_ITERATIONS = 300
+
+LOSSY = 0.1  # P(loose) from which single chains are said to fail
+EQUAL = 1.02  # ratio up to which errors pass for equal: EM stops a little before the optimum
+
+SINGLE = "factor analysis"
+SINGLE_COHERENT = "factor analysis, coherent"
+DUAL = "dual-chain"
+DUAL_COHERENT = "dual-chain, coherent"
+ORACLE = "oracle"
+METHODS = {
+    SINGLE: "#9a9a9a",
+    SINGLE_COHERENT: "#c98a2b",
+    DUAL: "#6fa8dc",
+    DUAL_COHERENT: "#1f5fa8",
+    ORACLE: "#3a9a5b",
+}
+"""Names and colours."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Chances with which sequences are made; `regain` is `None` where it is the same as `loose`."""
+
+    loose: float
+    drift: float
+    regain: float | None
+
+    @property
+    def named(self) -> tuple[str, str, str]:
+        """For tables."""
+        return f"{self.loose:g}", f"{self.drift:g}", "P(loose)" if self.regain is None else f"{self.regain:g}"
+
+    def sequence(self, seed: int) -> Cylinder:
+        """The sequence of a seed."""
+        regain = self.loose if self.regain is None else self.regain
+        return cylinder(p_loose=self.loose, p_drift=self.drift, p_regain=regain, seed=seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Recovered:
+    """What a method makes of a sequence, in radii."""
+
+    positions: Numbers
+    shape: Numbers
+    point_of_track: NDArray[np.int64]
+
+
+def cells() -> list[Cell]:
+    """All that the four panels show, at both values of P(regain); where nothing is lost, there is but one."""
+    chances = {(loose, drift) for loose in DRIFT_AT for drift in DRIFT}
+    chances |= {(loose, drift) for loose in LOOSE for drift in LOOSE_AT}
+    return [
+        Cell(loose, drift, regain)
+        for regain in (REGAIN, None)
+        for loose, drift in sorted(chances)
+        if loose > 0 or regain is not None
+    ]
+
+
+def recover(truth: Cylinder) -> dict[str, Recovered]:
+    """Run all methods on a sequence; the oracle is given which tracks belong together."""
+    tracks = truth.tracks()
+    oracle = factorise(PX * truth.observed, coherence=True)
+    return {
+        SINGLE: _factor_analysis(tracks, coherent=False),
+        SINGLE_COHERENT: _factor_analysis(tracks, coherent=True),
+        DUAL: _dual_chain(tracks, "none"),
+        DUAL_COHERENT: _dual_chain(tracks, "second-order"),
+        ORACLE: Recovered(predicted(oracle)[0] / PX, oracle.shape, truth.point_of_track),
+    }
+
+
+def _factor_analysis(tracks: Numbers, coherent: bool) -> Recovered:
+    """Every track a point of its own, EM from the mean-filled matrix, as published."""
+    found = factorise(PX * tracks, coherence=coherent, start="svd", polish=False, iterations=EM_ITERATIONS)
+    return Recovered(predicted(found)[0] / PX, found.shape, np.arange(tracks.shape[1]))
+
+
+def _dual_chain(tracks: Numbers, coherence: Coherence) -> Recovered:
+    found = reconstruct(PX * tracks, coherence=coherence, camera="affine")
+    return Recovered(found.positions / PX, found.shape, found.point_of_track)
+
+
+def scores(cell: Cell, seed: int) -> dict[str, StructureScores]:
+    """Errors of all methods on one sequence."""
+    truth = cell.sequence(seed)
+    return {
+        name: score_structure(found.positions, found.shape, found.point_of_track, truth)
+        for name, found in recover(truth).items()
+    }
+
+
+Measured = Mapping[str, Sequence[StructureScores]]  # by method, one for each seed
+
+
+def turning_cylinder() -> Findings:
+    """Figs. 9 and 10, with what is wanted of them."""
+    everything = by_seed("cylinder", scores, cells(), SEEDS)
+    errors = [
+        [*cell.named, *(in_words(_errors(measured[name])) for name in METHODS)]
+        for cell, measured in everything.items()
+    ]
+    example = Cell(*FIG_9, REGAIN).sequence(0)
+    shapes = recover(example)
+    fig_10 = (
+        f"Fig. 10: reprojection error in radii, median and quartiles of {len(SEEDS)} sequences; "
+        f"dashed, P(regain) = P(loose) instead of {REGAIN}"
+    )
+    fig_9 = (
+        f"Fig. 9: shapes from above and from the front, after the best affine map; P(loose) = {FIG_9[0]}, "
+        f"P(drift) = {FIG_9[1]}"
+    )
+    header = ("P(loose)", "P(drift)", "P(regain)", *METHODS)
+    return Findings(
+        "Cylinder",
+        [Table(header, errors, "Reprojection error in radii: median (quartiles).")],
+        over_seeds(expectations_of, everything),
+        [
+            Plot("fig-10.png", partial(draw_panels, everything), (12.0, 9.0), fig_10),
+            Plot("fig-9.png", partial(draw_shapes, shapes, example), (14.0, 6.5), fig_9),
+        ],
+    )
+
+
+def expectations_of(everything: Mapping[Cell, Measured]) -> list[Expectation]:
+    """What is wanted; of ratios of medians, in the worst of the cells that it is wanted of."""
+
+    def over(measured: Measured, name: str, *others: str, field: str = "reprojection_error") -> float:
+        return _median(measured[name], field) / min(_median(measured[other], field) for other in others)
+
+    cell_of = everything.items()
+    by_half, as_lost = (
+        max(
+            over(measured, DUAL_COHERENT, ORACLE)
+            for cell, measured in cell_of
+            if (cell.regain is None) == same
+        )
+        for same in (False, True)
+    )
+    lossy = [measured for cell, measured in cell_of if cell.loose >= LOSSY]
+    single = max(over(measured, DUAL_COHERENT, SINGLE, SINGLE_COHERENT) for measured in lossy)
+    everywhere = [measured[DUAL_COHERENT] for measured in everything.values()]
+    pure = min(float(np.mean([each.purity for each in one])) for one in everywhere)
+    points, missing = (max(_median(one, field) for one in everywhere) for field in ("n_points", "n_missing"))
+    clean, n_true = everything[Cell(0.0, 0.0, REGAIN)], len(cylinder().shape)
+    coherent = max(over(clean, name, ORACLE) for name in (SINGLE_COHERENT, DUAL_COHERENT))
+    shapes = max(over(clean, name, ORACLE, field="shape_error") for name in METHODS)
+    who, nothing = DUAL_COHERENT, "no loss, no drift"
+    return [
+        Expectation(f"{who}: error over the oracle, P(regain) = {REGAIN}", by_half, "<=", 1.5),
+        Expectation(f"{who}: error over the oracle, P(regain) = P(loose)", as_lost, "<=", 2.0),
+        Expectation(f"{who}: error over the better single chain, P(loose) >= {LOSSY}", single, "<=", 0.1),
+        Expectation(f"{who}: share of pure points", pure, ">=", 0.95),
+        Expectation(f"{who}: points over true points", points / n_true, "<=", 1.1),
+        Expectation(f"{who}: true points that are missing, of {n_true}", missing),
+        Expectation(f"{nothing}: coherent methods' error over the oracle", coherent, "<=", EQUAL),
+        Expectation(f"{nothing}: all methods' shape error over the oracle", shapes, "<=", EQUAL),
+    ]
+
+
+def draw_panels(everything: Mapping[Cell, Measured], canvas: Figure) -> None:
+    """Fig. 10: error over P(drift) above, over P(loose) below."""
+    axes = canvas.subplots(2, 2)
+    panels = [
+        *(
+            (f"P(loose) = {loose:g}", "P(drift)", [(drift, loose, drift) for drift in DRIFT])
+            for loose in DRIFT_AT
+        ),
+        *(
+            (f"P(drift) = {drift:g}", "P(loose)", [(loose, loose, drift) for loose in LOOSE])
+            for drift in LOOSE_AT
+        ),
+    ]
+    places = [(row, column) for row, at in enumerate((DRIFT_AT, LOOSE_AT)) for column in range(len(at))]
+    for (title, label, points), place in zip(panels, places, strict=True):
+        axis = axes[place]
+        for name, colour in METHODS.items():
+            for regain, style in ((REGAIN, "-"), (None, "--")):
+                shown = [
+                    (x, *np.quantile(_errors(everything[cell][name]), (0.25, 0.5, 0.75)))
+                    for x, loose, drift in points
+                    if (cell := Cell(loose, drift, regain)) in everything
+                ]
+                if not shown:
+                    continue
+                x, low, middle, high = np.array(shown).T
+                solid = regain is not None
+                axis.plot(x, middle, style, color=colour, linewidth=1.4, label=name if solid else None)
+                if solid:
+                    axis.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
+        axis.set_yscale("log")
+        axis.set_title(title, fontsize=10)
+        axis.set(xlabel=label, ylabel="reprojection error, radii")
+    axes[0, 0].legend(fontsize=8)
+
+
+def draw_shapes(shapes: Mapping[str, Recovered], truth: Cylinder, canvas: Figure) -> None:
+    """Fig. 9: every method's shape from above and from the front."""
+    axes = canvas.subplots(2, len(METHODS), sharex=True, sharey="row")
+    for column, (name, found) in zip(axes.T, shapes.items(), strict=True):
+        placed = aligned(found, truth)
+        for axis, height, label in ((column[0], 1, "y"), (column[1], 2, "height")):
+            axis.scatter(placed[:, 0], placed[:, height], s=9, color=METHODS[name], linewidths=0)
+            axis.set(xlim=(-1.8, 1.8), ylim=(-1.8, 1.8), aspect="equal")
+            if name == SINGLE:  # the first column's axis serves all
+                axis.set_ylabel(label)
+        column[0].set_title(f"{name}\n{len(placed)} points", fontsize=10)
+        column[1].set_xlabel("x")
+
+
+def aligned(found: Recovered, truth: Cylinder) -> Numbers:
+    """The shape `(n_points, 3)` after the affine map that brings it closest to the truth."""
+    taken = found.point_of_track != REJECTED
+    best = affine_alignment(
+        found.shape[found.point_of_track[taken]], truth.shape[truth.point_of_track[taken]]
+    )
+    placed: Numbers = found.shape @ best.matrix.T + best.translation
+    return placed
+
+
+def _errors(scores: Sequence[StructureScores]) -> list[float]:
+    return [each.reprojection_error for each in scores]
+
+
+def _median(scores: Sequence[StructureScores], field: str) -> float:
+    return float(np.median([getattr(each, field) for each in scores]))
+
+
+# --- turning objects ----------------------------------------------------------------------------------------
+
+SEQUENCES = ("cmu-hotel", "bobot")
+ALONE_OR_NOT: dict[str, Association] = {"stand-alone": "none", "dual-chain": "dual-chain"}
+LINE = ("sequence", "method", "frames", "tracks", "points", "median frames of a point", "error, px", "shape")
+
+
+def box() -> Findings:
+    """Fig. 12 on CMU's hotel and on a table top: tracker and shape together, and one after the other.
+
+    Raises
+    ------
+    OSError
+        if a sequence cannot be found.
+    """
+    folders = {name: data_folder(name) for name in SEQUENCES}
+    lines: list[list[object]] = []
+    expectations: list[Expectation] = []
+    pictures: list[Picture] = []
+    for name, folder in folders.items():
+        film = read_film(StructureJob(str(folder), out=folder))  # nothing is written
+        lengths, errors = [], []
+        for method, association in ALONE_OR_NOT.items():
+            with Progress(f"{name}, {method}", MOST_ROUNDS, unit="rounds") as progress:
+                found = reconstruct(
+                    film.frames, association=association, camera="affine", after_round=progress.update
+                )
+            lengths.append(float(np.median(np.count_nonzero(found.observed, axis=0))))
+            errors.append(found.reprojection_error)
+            counts = (len(found.positions), len(found.point_of_track), found.n_points)
+            lines.append([name, method, *counts, lengths[-1], errors[-1], found.geometry])
+            pictures += _pictures(film, found, f"{name}-{method}")
+        times, worse = lengths[1] / lengths[0], errors[1] / errors[0]
+        expectations += [
+            Expectation(f"{name}: median length of tracks, over stand-alone", times, ">=", 2.0),
+            Expectation(f"{name}: reprojection error, over stand-alone", worse, "<=", 1.0),
+        ]
+    return Findings("Turning objects", [Table(LINE, lines)], expectations, pictures)
+
+
+def _pictures(film: Film, found: Reconstruction, name: str) -> list[Picture]:
+    """The middle frame with its points, and the way that they came."""
+    overlay, drawn = PointsOverlay(), None
+    for index, frame in enumerate(film.frames[: len(film.frames) // 2 + 1]):
+        if frame.image is not None:
+            row = drawn_of(found, index)
+            drawn = overlay(frame.image, row, frame.number, frame.time, missing=False)
+    return [] if drawn is None else [Picture(f"{name}.png", drawn, f"{name}: dots are seen, rings predicted")]
