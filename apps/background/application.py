@@ -1,7 +1,7 @@
 """The background application: from a source of frames to masks, tracks, pictures and a page."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -269,15 +269,22 @@ class Background(Application[BackgroundJob]):
     def sinks(self, output: Output) -> list[Sink]:
         """Tracks, masks and events."""
         folder, after, self._log = output.folder, output.resume_after, output.log
-        tracks = LineWriter(folder / "tracks.txt", resume_after=after)
-        table = LineWriter(folder / TABLE, HEADER, after)
         masks = MaskWriter(folder, self.job.masks, output.rate, after)
+
+        def lines(name: str, header: Sequence[str], lines_of: Callable[..., list[str]]) -> Sink:
+            earlier = [
+                line
+                for row, objects in output.log.frames()
+                for line in lines_of(int(row["number"]), float(row["time"]), objects)
+            ]
+            file = LineWriter(folder / name, [*header, *earlier])
+            return Sink(
+                lambda frame, columns: file.append(lines_of(frame.number, frame.time, columns.objects)), file
+            )
+
         sinks = [
-            Sink(lambda frame, columns: tracks.append(mot_lines(frame.number, columns.objects)), tracks),
-            Sink(
-                lambda frame, columns: table.append(table_lines(frame.number, frame.time, columns.objects)),
-                table,
-            ),
+            lines("tracks.txt", (), mot_lines),
+            lines(TABLE, (HEADER,), table_lines),
             Sink(
                 lambda frame, columns: masks.write(columns.pictures["mask"], frame.number, frame.time), masks
             ),

@@ -339,8 +339,7 @@ class EventWriter(LineWriter):
     """`events.csv`, with the columns of `COLUMNS`, in the order in which events are known."""
 
     def __init__(self, path: Path, events: Sequence[Event] = ()) -> None:
-        super().__init__(path, ",".join(COLUMNS))
-        self.append(map(line_of, events))
+        super().__init__(path, [",".join(COLUMNS), *map(line_of, events)])
 
     def write(self, events: Sequence[Event]) -> None:
         """Append what happens in a frame; who reads along sees it at once."""

@@ -287,16 +287,14 @@ class Worker:
 
 
 class LineWriter:
-    """A text file of lines that begin with the number of their frame, and survives the end of its process.
+    """A text file of lines that grows, and survives the end of its process; what is there is replaced.
 
-    What is there is replaced, but for the header's and the lines' part up to frame `resume_after`.
+    It begins with these lines: a header, and those that a run that goes on has from its log.
     """
 
-    def __init__(self, path: str | Path, header: str = "", resume_after: int = 0) -> None:
+    def __init__(self, path: str | Path, lines: Iterable[str] = ()) -> None:
         self._path = path = Path(path)
-        first = f"{header}\n" if header else ""
-        kept = _lines_until(path, first, resume_after) if resume_after and path.exists() else ""
-        write_text(path, first + kept)
+        write_text(path, "".join(f"{line}\n" for line in lines))
         with naming(path):
             self._file = path.open("a", encoding="utf-8", newline="\n")
 
@@ -325,19 +323,6 @@ class LineWriter:
         except OSError:
             os.truncate(self._path, self._path.read_bytes().rfind(b"\n") + 1)
             raise
-
-
-def _lines_until(path: Path, header: str, number: int) -> str:
-    """Return the whole lines up to a frame; frames ascend, and a last line may be cut off."""
-    kept = []
-    with path.open(encoding="utf-8", newline="\n") as file:
-        file.seek(len(header.encode()))
-        for line in file:
-            frame = line.partition(",")[0]
-            if not line.endswith("\n") or not frame.isdecimal() or int(frame) > number:
-                break
-            kept.append(line)
-    return "".join(kept)
 
 
 class MaskWriter:

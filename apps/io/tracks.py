@@ -93,9 +93,6 @@ class TrackWriter(LineWriter):
     as 1, 1.
     """
 
-    def __init__(self, path: str | Path, resume_after: int = 0) -> None:
-        super().__init__(path, resume_after=resume_after)
-
     def write(self, number: int, tracks: Sequence[TrackedObject]) -> None:
         """Append the boxes (0-based px) of a frame."""
         self.append(
@@ -115,8 +112,8 @@ def columns_of(tracks: Sequence[TrackedObject]) -> dict[str, NDArray[Any]]:
 
 
 def table_lines(number: int, time: float, objects: Mapping[str, NDArray[Any]]) -> list[str]:
-    """Lines of `tracks.csv` of a frame, whose objects have these columns."""
-    rows = zip(*(objects[name].tolist() for name in OF_OBJECTS), strict=True)
+    """Lines of `tracks.csv` of a frame, whose objects, if any, have these columns."""
+    rows = zip(*(objects[name].tolist() for name in OF_OBJECTS), strict=True) if objects else ()
     return [
         f"{number},{time:.6f},{identity},{x:.2f},{y:.2f},{width:.2f},{height:.2f},{confidence:.4f},"
         f"{_known(vx)},{_known(vy)},{seen:d}"
@@ -124,9 +121,9 @@ def table_lines(number: int, time: float, objects: Mapping[str, NDArray[Any]]) -
     ]
 
 
-def mot_lines(number: int, objects: Mapping[str, NDArray[Any]]) -> list[str]:
-    """Lines of `tracks.txt` (see `TrackWriter`) of a frame, whose objects have these columns."""
-    rows = zip(*(objects[name].tolist() for name in OF_OBJECTS[:6]), strict=True)
+def mot_lines(number: int, _time: float, objects: Mapping[str, NDArray[Any]]) -> list[str]:
+    """Lines of `tracks.txt` (see `TrackWriter`) of a frame, whose objects, if any, have these columns."""
+    rows = zip(*(objects[name].tolist() for name in OF_OBJECTS[:6]), strict=True) if objects else ()
     return [
         f"{number},{identity},{x + 1:.2f},{y + 1:.2f},{width:.2f},{height:.2f},{confidence:.4f},-1,-1,-1"
         for identity, x, y, width, height, confidence in rows

@@ -275,7 +275,7 @@ def _predictions(folder: Path) -> list[Files]:
 
 
 def _exports(folder: Path) -> list[Files]:
-    with LineWriter(folder / TABLE, HEADER) as table:
+    with LineWriter(folder / TABLE, [HEADER]) as table:
         for number in (1, 2, 3):
             tracks = [TrackedBox(who, (5.0 * who, 6.0, 20.0, 30.0)) for who in range(1, number)]
             table.append(table_lines(number, number / 25, columns_of(tracks)))

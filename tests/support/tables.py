@@ -11,7 +11,8 @@ class TrackTableWriter(LineWriter):
     """`tracks.csv`, frame after frame."""
 
     def __init__(self, path: str | Path, resume_after: int = 0) -> None:
-        super().__init__(path, HEADER, resume_after)
+        there = Path(path).read_text().splitlines()[1:] if resume_after else []
+        super().__init__(path, [HEADER, *(line for line in there if int(line.split(",")[0]) <= resume_after)])
 
     def write(self, number: int, time: float, tracks: Sequence[TrackedObject]) -> None:
         self.append(table_lines(number, time, columns_of(tracks)))

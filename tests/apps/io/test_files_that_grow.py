@@ -143,9 +143,13 @@ def test_kill_loses_only_what_follows_the_last_checkpoint(tmp_path: Path) -> Non
     with output_folder(tmp_path, "background", resume=True) as folder:
         folder.begin(["a.txt", "foreground/a.txt"])
     assert not any(".unfinished" in name for name in names(tmp_path))
+    lines = (tmp_path / "tracks.txt").read_text().splitlines()
+    kept = [line for line in lines if int(line.split(",")[0]) <= 10]
     with (
         overlay_of(tmp_path / "overlay.mp4", 10) as overlay,
-        TrackWriter(tmp_path / "tracks.txt", 10) as tracks,
+        TrackWriter(
+            tmp_path / "tracks.txt", [line for line in kept if int(line.split(",")[0]) <= 10]
+        ) as tracks,
         MaskWriter(tmp_path, "png", 10, 10) as masks,
         MaskWriter(tmp_path, "video", 10, 10) as video,
     ):

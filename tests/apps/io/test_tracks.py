@@ -68,12 +68,12 @@ def test_tracks_of_a_full_disk_are_whole_lines(tmp_path: Path) -> None:
     assert read_tracks(path)["frame"].tolist() == list(range(1, text.count("\n") + 1))
 
 
-def test_resumed_tracks_end_at_the_state(tmp_path: Path) -> None:
+def test_tracks_that_are_there_are_replaced(tmp_path: Path) -> None:
     path = tmp_path / "tracks.txt"
-    path.write_text("1,1,1,1,1,1,1,-1,-1,-1\n9,1,1,1,1,1,1,-1,-1,-1\n10,1,1,1,1,1,1,-1,-1,-1\n11,1,1")
-    TrackWriter(path, resume_after=9).close()
-    assert path.read_text() == "1,1,1,1,1,1,1,-1,-1,-1\n9,1,1,1,1,1,1,-1,-1,-1\n"
-    TrackWriter(path, resume_after=0).close()
+    path.write_text("1,1,1,1,1,1,1,-1,-1,-1\n9,1,1")
+    TrackWriter(path, ["1,2,1,1,1,1,1,-1,-1,-1"]).close()
+    assert path.read_text() == "1,2,1,1,1,1,1,-1,-1,-1\n"
+    TrackWriter(path).close()
     assert path.read_text() == ""
 
 
