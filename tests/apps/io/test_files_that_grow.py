@@ -147,9 +147,7 @@ def test_kill_loses_only_what_follows_the_last_checkpoint(tmp_path: Path) -> Non
     kept = [line for line in lines if int(line.split(",")[0]) <= 10]
     with (
         overlay_of(tmp_path / "overlay.mp4", 10) as overlay,
-        TrackWriter(
-            tmp_path / "tracks.txt", [line for line in kept if int(line.split(",")[0]) <= 10]
-        ) as tracks,
+        TrackWriter(tmp_path / "tracks.txt", kept) as tracks,
         MaskWriter(tmp_path, "png", 10, 10) as masks,
         MaskWriter(tmp_path, "video", 10, 10) as video,
     ):
