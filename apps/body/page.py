@@ -37,7 +37,6 @@ from ..view.page import (
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 PART_JOINTS = [JOINTS.index(name) for name in PARTS]
 
@@ -96,11 +95,6 @@ def in_words(found: Mapping[str, Sequence[Doubt]]) -> list[str]:
 
 class BodyRecord(FrameRecord):
     """What summary and page need of a run, a few numbers a frame.
-
-    Parameters
-    ----------
-    log
-        the rows of the run.
 
     Attributes
     ----------

@@ -53,11 +53,6 @@ def angles(rotation: Array) -> Array:
 class FaceRecord(FrameRecord):
     """What summary and page need of a run, a few numbers a frame.
 
-    Parameters
-    ----------
-    log
-        the rows of the run.
-
     Attributes
     ----------
     lost, restarted

@@ -84,8 +84,6 @@ def in_words(summary: Mapping[str, Any]) -> list[str]:
     ]
 
 
-Image = NDArray[np.uint8]
-
 MOST_POINTS = 100_000
 """In space."""
 MOST_DRAWN, MOST_PLACES = 300, 60_000
