@@ -194,7 +194,7 @@ class Page:
 
 
 class FrameRecord:
-    """Numbers, times (s) and seconds of work of all frames of a run's log, and numbers of the missing ones."""
+    """Numbers, times (s) and seconds of work of all frames of a run, and numbers of missing ones."""
 
     def __init__(self, log: RowLog) -> None:
         self.numbers: list[int] = log["number"].tolist()
