@@ -109,8 +109,8 @@ ROWS = [
 ]
 
 
-def write(path: Path, rows: list[tuple[int, float, TrackedBox]] = ROWS, after: int = 0) -> Path:
-    with TrackTableWriter(path, after) as writer:
+def write(path: Path, rows: list[tuple[int, float, TrackedBox]] = ROWS) -> Path:
+    with TrackTableWriter(path) as writer:
         for number in sorted({number for number, _, _ in rows}):
             some = [row for row in rows if row[0] == number]
             writer.write(number, some[0][1], [track for _, _, track in some])
@@ -176,20 +176,6 @@ def test_boxes_are_those_of_mot(tmp_path: Path) -> None:
     boxes = np.stack([columns[name] for name in ("x", "y", "width", "height")], axis=1)
     np.testing.assert_array_equal(boxes, mot["box"])
     np.testing.assert_array_equal(columns["confidence"], mot["confidence"])
-
-
-def test_it_is_gone_on_with_behind_a_frame(tmp_path: Path) -> None:
-    whole = write(tmp_path / "whole.csv").read_text()
-    path = tmp_path / "tracks.csv"
-    path.write_text(whole[:-9])  # killed in the middle of a line
-    write(path, ROWS[1:], after=1)
-    assert path.read_text() == whole
-    write(path, [], after=0)
-    assert path.read_text() == HEADER + "\n"
-    assert len(read_tracks_table(path)["frame"]) == 0
-    path.unlink()
-    write(path, ROWS[1:], after=1)
-    assert read_tracks_table(path)["frame"].tolist() == [2, 2]
 
 
 @pytest.mark.parametrize(
