@@ -80,9 +80,9 @@ class _Ending(Interruption):
         super().__init__()
         self._here = here
 
-    def _arrive(self, number: int, frame: FrameType | None) -> None:
+    def _arrive(self, number: int, _: FrameType | None) -> None:
         if self.signal is not None or not self._here:
-            super()._arrive(number, frame)
+            super()._arrive(number, None)
         self.signal = number
         for child in psutil.Process().children():
             with suppress(psutil.Error):  # it has just ended by itself

@@ -307,8 +307,9 @@ class EventLog:
     def __init__(self, zones: Zones, log: RowLog | None = None) -> None:
         self._watch = Watch(zones)
         self.events: list[Event] = []
-        for row, objects in () if log is None else log.frames():
-            self.add(int(row["number"]), float(row["time"]), objects)
+        if log is not None:
+            for row, objects in log.frames():
+                self.add(int(row["number"]), float(row["time"]), objects)
 
     def add(self, number: int, time: float, objects: Mapping[str, NDArray[Any]]) -> list[Event]:
         """Go on with the objects of a frame, with the columns of `tracks.csv`, and return what happens."""

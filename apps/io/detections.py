@@ -222,7 +222,8 @@ def read_coco(path: Path, pictures: Pictures) -> Detections:
         return _table(path, (_of_coco(row, pictures.frame(row, row.values["image_id"]), {}) for row in rows))
     if "images" not in content:
         raise ValueError(f"{path}: got an object without images, expected images, annotations, categories")
-    frames, categories = {}, {}
+    frames: dict[int | str, int] = {}
+    categories: dict[str, str] = {}
     for row in json_rows(path, "image", content["images"], ("id", "file_name"), EXPECTED_COCO):
         frame = pictures.frame(row, str(row.values["file_name"]))
         frames[image_id(row, row.values["id"])] = frame
