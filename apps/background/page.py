@@ -40,16 +40,10 @@ MOST_POINTS = 256
 
 @dataclass(frozen=True, eq=False)
 class TrackHistory:
-    """The life of a track.
+    """The life of a track: numbers of its first and last frame, and in how many it is reported.
 
-    Parameters
-    ----------
-    first, last, n_frames
-        numbers of its first and last frame, and in how many it is reported.
-    width, height
-        of its box, means over these, px.
-    path
-        `(n, 2)` px: where its feet were in the first frame, in some between, and in the last one.
+    Width and height are means over these, px; `path (n, 2)` px is where its feet were in the first frame, in
+    some between, and in the last one.
     """
 
     first: int

@@ -38,18 +38,9 @@ CAMERA = "camera"
 
 @dataclass(frozen=True)
 class Found:
-    """A film or camera.
+    """A film or camera: its source as a run takes it, and options of its own.
 
-    Parameters
-    ----------
-    source
-        as a run takes it.
-    name
-        that was given to it; `None` where it is made of the source.
-    options
-        of its own, by name.
-    where
-        it is listed, for messages; empty for what was typed.
+    `name` is `None` where it is made of the source; `where` says for messages where it is listed.
     """
 
     source: str

@@ -64,12 +64,8 @@ _page = templates_in(Path(__file__).parent / "templates").get_template("films.ht
 class Summary:
     """The lines of all films whose results are in a folder, by source, those of earlier batches included.
 
-    Raises
-    ------
-    FileExistsError
-        if there is a file of the same name that no batch has written.
-    ValueError
-        naming the line, if one of it is no film's.
+    A file of the same name that no batch has written is a FileExistsError, a line that is no film's a
+    ValueError.
     """
 
     def __init__(self, out: Path) -> None:

@@ -29,15 +29,7 @@ GOES = (Kind.LEFT, Kind.DISAPPEARED, Kind.REMAINED)
 
 @dataclass(frozen=True, eq=False)
 class Happened:
-    """What happened to zones in a film.
-
-    Parameters
-    ----------
-    zones, events
-        that were looked after, and of the whole film.
-    span
-        times of the first and the last frame, s.
-    """
+    """What happened to zones in a film: all events of it, and times of its first and last frame, s."""
 
     zones: Zones
     events: Sequence[Event]

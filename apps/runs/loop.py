@@ -106,18 +106,9 @@ class Sink:
 
 @dataclass(frozen=True, eq=False)
 class Output:
-    """Where sinks write.
+    """Where sinks write: a folder, at so many frames per second.
 
-    Parameters
-    ----------
-    folder
-        of the results.
-    rate
-        frames per second.
-    resume_after
-        number of the frame after which this run goes on; 0 for a new one.
-    log
-        the rows until there.
+    A run that goes on does so after frame `resume_after` (0: a new one), until which `log` has the rows.
     """
 
     folder: Path

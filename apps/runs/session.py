@@ -28,12 +28,7 @@ ALWAYS = (STATE, "summary.json", VIEW, *_GROWING, *map(segment_pattern, _GROWING
 class Session:
     """A run of an application from the lock of its folder to its summary.
 
-    Parameters
-    ----------
-    job
-        what it is asked for.
-    settings
-        what the results depend on, beside the source.
+    `settings` are what the results depend on, beside the source.
 
     Attributes
     ----------

@@ -22,18 +22,9 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LearnedShape:
-    """A shape and the tracks that it was learned from.
+    """A shape and the tracks `(n_frames, n_points, 2)` px, NaN where not seen, that it was learned from.
 
-    Parameters
-    ----------
-    tracks
-        `(n_frames, n_points, 2)` px, NaN where a point was not seen.
-    numbers
-        of the frames, from 1.
-    learned
-        the shape, its poses and its modes.
-    choice
-        how the number of bases was chosen; `None` where it was given.
+    Frames are numbered from 1. `choice` is how the number of bases was chosen; `None` where it was given.
     """
 
     tracks: Numbers

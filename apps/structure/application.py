@@ -59,24 +59,11 @@ TRACK_FILES = (".npy", ".npz", ".mat")
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """What was read from the source.
+    """What was read from the source: frames with images, or with the points of a track file.
 
-    Parameters
-    ----------
-    name, fingerprint
-        of the source, and by which it is known again.
-    frames
-        with images, or with the points of a track file.
-    rate
-        frames per second, of those that were selected.
-    n_tracks
-        columns of the track file; `None` where there are images.
-    notes
-        what is out of the ordinary, a sentence each.
-    pictures
-        files of the frames, where it consists of such.
-    stream
-        what became of a camera or stream, as of `Source`.
+    Of a track file `n_tracks` is the number of its columns. `rate` is in frames per second of those that
+    were selected, `notes` are sentences on what is out of the ordinary, `pictures` the files of the frames,
+    where the source consists of such, and `stream` is what became of a camera or stream, as of `Source`.
     """
 
     name: str

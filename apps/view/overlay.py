@@ -491,18 +491,8 @@ class Draw(Protocol):
 class OverlayVideo:
     """A video of frames with what was found on them, drawn in their order in a thread.
 
-    Parameters
-    ----------
-    path
-        of the video; `None` for pictures that are shown only.
-    rate
-        pictures per second.
-    draw
-        draws a frame.
-    resume_after
-        number of the frame after which this run goes on; 0 for a new one.
-    show
-        is given each picture, in that thread.
+    Without a path, pictures are shown only: `show` is given each, in that thread. A run that goes on does so
+    after frame `resume_after`.
     """
 
     def __init__(
