@@ -57,7 +57,7 @@ def read_parameters(path: Path | None, chosen: Iterable[str] = ()) -> Parameters
             continue
         if section not in known:
             raise ValueError(
-                f"{path}: unknown key {section!r}, expected sections {_listed(known)}{meant(section, known)}"
+                f"{path}: unknown key {section!r}, expected sections {', '.join(known)}{meant(section, known)}"
             )
         if section == OTHERS:
             sections[OTHERS] = {
@@ -66,7 +66,8 @@ def read_parameters(path: Path | None, chosen: Iterable[str] = ()) -> Parameters
             }
         else:
             where = f"{path}, [{section}]"
-            sections[section] = read_fields(where, _kind(where, section, values), values, {"model": str})
+            kind = SECTIONS[section][_model(section, values, f"{where}: ")]
+            sections[section] = read_fields(where, kind, values, {"model": str})
     for name in chosen:
         sections.setdefault(OTHERS, {}).setdefault(name, {})
     return sections
@@ -109,7 +110,7 @@ def _other(name: str) -> type[Any]:
     """The class of a chain that another distribution has announced, which is a dataclass."""
     announced = {point.name: point for point in entry_points(group=GROUP)}
     if name not in announced:
-        there = f"expected {_listed(announced)}" if announced else "expected one that is installed; none is"
+        there = f"expected {', '.join(announced)}" if announced else "expected one that is installed; none is"
         raise ValueError(f"--chain: got {name!r}, {there}{meant(name, announced)}")
     try:
         chain: type[Any] = announced[name].load()
@@ -120,21 +121,10 @@ def _other(name: str) -> type[Any]:
     return chain
 
 
-def _kind(where: str, section: str, values: Mapping[str, Any]) -> type[Any]:
-    try:
-        return SECTIONS[section][_model(section, values)]
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
-
-
-def _model(section: str, values: Mapping[str, Any]) -> str:
+def _model(section: str, values: Mapping[str, Any], where: str = "") -> str:
     """The value of a section's key `model`."""
     known = list(SECTIONS[section])
     model = values.get("model", known[0])
     if model not in known:
-        raise ValueError(f"model = {model!r}, expected {', '.join(known)}")
+        raise ValueError(f"{where}model = {model!r}, expected {', '.join(known)}")
     return str(model)
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ", ".join(names)

@@ -369,7 +369,12 @@ class MaskWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self.close(finished=kind is None)
+        try:
+            if self._worker is not None:
+                self._worker.stop()
+        finally:
+            if self._video is not None:
+                self._video.close(finished=kind is None)
 
     def write(self, mask: NDArray[np.uint8], number: int, time: float) -> None:
         """Write the mask `(height, width)` of a frame; it is copied, encoding happens in a thread."""
@@ -387,15 +392,6 @@ class MaskWriter:
         for path in self._unsynced:
             sync(path)
         self._unsynced.clear()
-
-    def close(self, *, finished: bool) -> None:
-        """Complete the results; `finished` as in `SegmentedVideo.close`."""
-        try:
-            if self._worker is not None:
-                self._worker.stop()
-        finally:
-            if self._video is not None:
-                self._video.close(finished=finished)
 
     def _write_png(self, mask: NDArray[np.uint8], number: int, _time: float) -> None:
         # Eight bits a pixel: some programs read a PNG of one bit as 0 and 1, and CDnet's compare with 255.
