@@ -57,7 +57,8 @@ def read_parameters(path: Path | None, chosen: Iterable[str] = ()) -> Parameters
             continue
         if section not in known:
             raise ValueError(
-                f"{path}: unknown key {section!r}, expected sections {', '.join(known)}{meant(section, known)}"
+                f"{path}: unknown key {section!r}, expected sections {', '.join(known)}"
+                f"{meant(section, known)}"
             )
         if section == OTHERS:
             sections[OTHERS] = {

@@ -350,7 +350,6 @@ class MaskWriter:
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder / "foreground"
-        self._mode = mode
         self._video: SegmentedVideo | None = None
         self._worker: Worker | None = None
         self._unsynced: list[Path] = []  # written since the last checkpoint
