@@ -37,7 +37,7 @@ SAID = "compiling loops for this machine, which happens once"
 
 LIST = Path(__file__).parent / "kernels.json"
 
-RECORDS = ("chains.objects.kernels.blobs:RECORD", "models.pixels.kernels:LAYER")
+RECORDS = ("chains.objects.blob_records:RECORD", "models.pixels.layers:LAYER")
 """Types of records, of which loops are given arrays."""
 
 PACKAGE = "rsmcm."

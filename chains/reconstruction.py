@@ -52,10 +52,9 @@ class Reconstruction:
 
     Parameters
     ----------
-    positions
-        `(n_frames, n_points, 2)` px: where shape and cameras have every point, seen or not.
-    covariances
-        `(n_frames, n_points, 2, 2)` px^2 of these.
+    positions, covariances
+        `(n_frames, n_points, 2)` px and `(n_frames, n_points, 2, 2)` px^2: where shape and cameras have every
+        point, seen or not.
     observed
         `(n_frames, n_points)` bool.
     residuals
@@ -64,16 +63,13 @@ class Reconstruction:
         `(n_tracks,)` int64: the point that each track shows, -1 where it was rejected.
     cameras
         `(n_frames, 2, 4)`: position = `cameras[t, :, :3] @ shape[i] + cameras[t, :, 3]`.
-    shape
-        `(n_points, 3)`, in px at the mean scale of the cameras where the geometry is Euclidean.
-    shape_covariances
-        `(n_points, 3, 3)` in the square of the shape's unit.
+    shape, shape_covariances
+        `(n_points, 3)`, in px at the mean scale of the cameras where the geometry is Euclidean, and
+        `(n_points, 3, 3)`.
     noise_variance
         px^2 of each observed coordinate, as estimated.
-    objective
-        after each round of the ascent.
-    converged
-        whether the ascent ended by itself.
+    objective, converged
+        after each round of the ascent, and whether it ended by itself.
     geometry
         `"euclidean"`: `shape` is determined up to scale and reflection in depth. `"affine"`: up to an affine
         map. `"none"`: the motion says nothing of depth, and `shape` means nothing.
@@ -385,9 +381,10 @@ def _in_perspective(
 def _without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruction:
     """The reconstruction, without its shape if what was taken for depth is none.
 
-    Before affine cameras it may be perspective: then homographies explain clearly more than the shape.
-    Before a perspective camera that stays where it is, or sees a plane, they explain as much. Or there is
-    less parallax than a tracker makes.
+    Before affine cameras, perspective may have been: then homographies explain clearly more than the shape. A
+    perspective camera explains them too, with any depth if it stays where it is, or with any focal length if
+    it sees a plane: then homographies explain as much. Or there is less parallax than a tracker makes by
+    itself.
     """
     if found.geometry == "none":
         return found

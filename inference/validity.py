@@ -31,7 +31,7 @@ from typing import Any, Generic, Literal, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..models.numerics.densities import squared_distances
+from ..models.core.gaussian_message import squared_distances
 
 Numbers = NDArray[np.float64]
 

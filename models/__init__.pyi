@@ -1,8 +1,7 @@
 from .body.parts import BodyParts
 from .body.upper_body import BodyPoses, UpperBody
 from .core.categorical import Categorical
-from .core.frame import Frame, GivenBoxes
-from .core.keypoints import GivenKeypoints
+from .core.frame import Frame, GivenBoxes, GivenKeypoints
 from .face.detectors import HaarFaces, YuNetFaces
 from .face.morphable_model import MorphableModel, Poses
 from .objects.object_boxes import ObjectBoxes

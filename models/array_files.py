@@ -51,8 +51,6 @@ def read_arrays(
     ValueError
         in one line that names the file and says what is wrong: it is no such file, it is damaged, or it holds
         objects or more than `most` numbers.
-    OSError
-        if the file cannot be opened.
     """
     with path.open("rb") as file:
         try:

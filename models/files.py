@@ -27,13 +27,7 @@ UNFINISHED = ".unfinished-"
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Give an error of the system the name of the file, which `write` leaves out (a full disk).
-
-    Raises
-    ------
-    OSError
-        that was raised inside, naming `path`.
-    """
+    """Give an error of the system the name of the file, which `write` leaves out (a full disk)."""
     try:
         yield
     except OSError as error:
@@ -45,12 +39,7 @@ def write_atomically(path: Path) -> Iterator[Path]:
     """Yield the name of a file to write instead, which becomes `path` when all went well.
 
     The file lies in the same folder, has the same suffix, and is this process' own. After an error it is
-    gone, and `path` is as before.
-
-    Raises
-    ------
-    OSError
-        if the file cannot be written (no space, no permission); it names `path`.
+    gone, and `path` is as before. An `OSError` (no space, no permission) names `path`.
     """
     unfinished = path.with_name(f"{UNFINISHED}{os.getpid()}-{path.name}")
     try:
@@ -63,26 +52,15 @@ def write_atomically(path: Path) -> Iterator[Path]:
 
 
 def sync(path: Path) -> None:
-    """Return when a file has reached the disk, where it outlives a power cut.
-
-    Raises
-    ------
-    OSError
-        if it cannot be written; it names `path`.
-    """
+    """Return when a file has reached the disk, where it outlives a power cut; an `OSError` names `path`."""
     with naming(path), path.open("rb+") as file:
         os.fsync(file.fileno())
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 text, whole or not at all; lines end as in `text` on every system.
+    """Write UTF-8 text as of `write_atomically`; lines end as in `text` on every system.
 
     What UTF-8 lacks, from names of files that are no UTF-8, is written as Python and JSON escape it.
-
-    Raises
-    ------
-    OSError
-        if the file cannot be written; it names `path`.
     """
     with write_atomically(path) as unfinished:
         unfinished.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
@@ -91,21 +69,12 @@ def write_text(path: Path, text: str) -> None:
 def read_text(path: Path, expected: str, most: int = MOST_TEXT) -> str:
     """Read a text file; bytes that are not UTF-8 become replacement characters, a byte order mark goes.
 
-    Parameters
-    ----------
-    path
-        of the file.
-    expected
-        what the file should hold, for messages: "expected ...".
-    most
-        bytes that it may hold.
+    `expected` says what the file should hold, for messages; `most` bytes it may hold.
 
     Raises
     ------
     ValueError
         naming the file, if it is longer, or binary.
-    OSError
-        if the file cannot be read.
     """
     with path.open("rb") as file:
         content = file.read(most + 1)

@@ -14,7 +14,7 @@ from ...inference.validity import (
     compare,
     compare_scores,
 )
-from ...models.numerics.densities import squared_distances
+from ...models.core.gaussian_message import squared_distances
 from .predictions import FILE, PairRecord, ScoreRecord, read_predictions
 from .text_tables import in_columns
 

@@ -25,7 +25,7 @@ from ...inference.engine.recursive_bp import RunState
 from ...models.body.parts import BodyParts
 from ...models.body.upper_body import JOINTS, PARTS
 from ...models.core.frame import Frame
-from ...models.numerics.densities import squared_distances
+from ...models.core.gaussian_message import squared_distances
 from ..body.measures import (
     APART,
     ELBOWS,

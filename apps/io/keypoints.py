@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.frame import Frame
-from ...models.core.keypoints import COCO, KEYPOINTS, KNOWN, POINTS, SKELETONS, GivenKeypoints
+from ...models.core.frame import COCO, KEYPOINTS, KNOWN, POINTS, SKELETONS, Frame, GivenKeypoints
 from ...models.core.short_repr import short_repr
 from .detections import check_not_live, last_frame, with_found
 from .point_files import FARTHEST

@@ -12,9 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...inference.kalman import ornstein_uhlenbeck_velocity
 from ...models.body.parts import PartMessage
-from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
-from ...models.core.kernels import products
-from ...models.numerics.densities import log_sums
+from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures, log_sums, products
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]

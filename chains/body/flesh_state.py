@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import UpperBody
+from ...models.core.gaussian_mixtures import log_sums
 from ...models.core.short_repr import short_repr
-from ...models.numerics.densities import log_sums
 from .flesh_assignment import MovingParts
 
 Array = NDArray[np.float64]

@@ -15,9 +15,8 @@ from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothe
 from ...models.body.parts import FALSE_HANDS, BodyParts, PartMessage
 from ...models.body.upper_body import UpperBody
 from ...models.core.frame import Frame
-from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
+from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures, log_sums
 from ...models.core.short_repr import short_repr
-from ...models.numerics.densities import log_sums
 from .fixed_lag import FleshTrajectory, filtered, predicted_messages
 from .flesh_assignment import (
     VISIBLE,

@@ -12,8 +12,7 @@ from ...models.body.keypoints import head_places, joints_of, largest
 from ...models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
 from ...models.body.skin import SkinColour, static_skin
 from ...models.body.upper_body import PROPORTIONS, UpperBody
-from ...models.core.frame import BoundingBox, Frame
-from ...models.core.keypoints import GivenKeypoints
+from ...models.core.frame import BoundingBox, Frame, GivenKeypoints
 from ...models.face.detectors import HaarFaces, PartDetector, default_faces
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ from ...models.core.short_repr import short_repr
 from ...models.face.morphable_model import MorphableModel, Poses
 from ...models.face.surface import Box, covered, visible
 from ...models.numerics.threads import over_bands
-from ...models.pixels.kernels import ODDS_STEPS
+from ...models.pixels.background import ODDS_STEPS
 from ...models.pixels.layers import Layer, LayerStack
 from ...models.pixels.pixel_labels import PixelMessage
 from . import kernels

@@ -16,7 +16,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import overload
 
 import numpy as np
 
@@ -29,10 +28,10 @@ from ...models.objects.object_boxes import ObjectBoxes
 from ...models.pixels.layers import NO_LAYERS, LayerStack, log_uniform
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
 from . import detections
-from .blob_scene import VIEW_TIME, BlobScene, front_to_back, inherited, layers_of, registered
-from .blobs import Blob, Blobs, BlobState, likely_size
+from .blob_scene import VIEW_TIME, BlobScene, Learning, inherited
+from .blobs import Blob, Blobs, BlobState, front_to_back, layers_of, likely_size
 from .groups import alone, fragment_times, halves, merged, parting_columns, with_parts
-from .kernels.learning import Learning
+from .registration import registered
 
 MORE_THAN_0 = (
     "smallest", "mask_time", "colour_time", "spread", "strength", "temper", "acceleration", "first_speed",
@@ -79,7 +78,7 @@ class BlobTracker:
         s for which an object must have been seen before it is reported, in every frame.
     ghost_evidence
         nats from which on a blob is taken for a ghost: log ratio of an outline that is an edge of the
-        background's picture and one that is an edge of the image (see `chains.objects.kernels.learning`).
+        background's picture and one that is an edge of the image (see `chains.objects.blob_scene`).
     parting_time
         s for which a blob must have had a waist, or the width of two people, before it becomes two.
     size_time
@@ -121,18 +120,10 @@ class BlobTracker:
             blobs = detections.moved(blobs, dt, self.acceleration, state.detecting)
         return replace(state, blobs=blobs, elapsed=state.elapsed + dt)
 
-    @overload
-    def message(self, state: BlobState, feature: PixelLabels, incoming: Incoming) -> PixelMessage: ...
-    @overload
-    def message(self, state: BlobState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage: ...
     def message(
         self, state: BlobState, feature: PixelLabels | ObjectBoxes, incoming: Incoming
     ) -> PixelMessage | BoxMessage:
-        """What objects say to a feature (mu_{S -> F}).
-
-        To pixels: where they cover them and with which colours, front to back. To boxes: where they stand and
-        how large they look, of those that were well seen in the last frame.
-        """
+        """What objects say to a feature (mu_{S -> F})."""
         if isinstance(feature, PixelLabels):
             return PixelMessage(layers=self._placed(state, incoming)[2])
         pixels = incoming[PixelLabels]
@@ -146,7 +137,7 @@ class BlobTracker:
         pixels, boxes = incoming[PixelLabels], incoming.get(ObjectBoxes)
         blobs, newborn, layers = self._placed(state, incoming)
         if boxes is not None and boxes.association is not None:
-            blobs = blobs.taken(np.array([detections.is_kept(blob, state.size) for blob in blobs], bool))
+            blobs = blobs.taken(detections.are_kept(blobs, state.size))
             everybody, born = blobs.and_also(newborn), state.born + len(newborn)
             state = replace(state, blobs=everybody, born=born, detecting=True)
         if pixels.subtraction is None:
@@ -185,8 +176,7 @@ class BlobTracker:
             detections.newborn(number, boxes, k, channels)
             for number, k in enumerate(detections.unexplained(boxes, state.size), state.born + 1)
         ]
-        whole = np.array([not detections.is_part(blob, new) for blob in known], bool)
-        blobs = front_to_back(known.taken(whole))
+        blobs = front_to_back(known.taken(~detections.are_parts(known, Blobs.of(new, known.channels))))
         return blobs, new, self._layers(front_to_back(blobs.and_also(new)))
 
     def _registered(self, state: BlobState, pixels: PixelMessage) -> tuple[Blobs, LayerStack]:
@@ -204,27 +194,13 @@ class BlobTracker:
     def _rule(self, channels: int, scene: BlobScene, least_area: float) -> Learning:
         """How blobs follow what this frame shows."""
         times = self.mask_time, self.colour_time, VIEW_TIME, self.size_time
-        mask_share, colour_share, view_share, size_share = (
-            -math.expm1(-scene.elapsed / time) for time in times
-        )
         return Learning(
-            log_uniform=log_uniform(channels),
-            outliers=self.outliers,
-            elapsed=scene.elapsed,
-            mask_share=mask_share,
-            colour_share=colour_share,
-            view_share=view_share,
-            size_share=size_share,
-            first_size_share=mask_share,
-            kept=math.exp(-scene.elapsed / FADING),
-            strength=self.strength,
-            spread=self.spread,
-            temper=self.temper,
-            ghost_evidence=self.ghost_evidence,
-            least_area=least_area,
-            confirmed_time=self.confirmed_time,
-            patience=self.patience,
-            hidden_patience=self.hidden_patience,
+            log_uniform(channels),
+            scene.elapsed,
+            *(-math.expm1(-scene.elapsed / time) for time in times),
+            math.exp(-scene.elapsed / FADING),
+            least_area,
+            *(getattr(self, name) for name in Learning._fields[8:]),
         )
 
     def _parted(self, blobs: Blobs, numbers: Iterator[int], scene: BlobScene, least_area: float) -> Blobs:

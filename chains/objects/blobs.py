@@ -1,14 +1,12 @@
-"""Objects that move in front of a background, as soft masks with colours: what is known of them.
-
-All blobs of a frame are one table, their pixels in two flat arrays; a single one, taken out, is a `Blob`.
-"""
+"""Objects that move in front of a background, as soft masks with colours: what is known of them."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self, overload
+from typing import Any, Self
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -16,8 +14,8 @@ from ...models.camera.moving_camera import AffineMap
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import FOOT_X, FOOT_Y, HEIGHT, WIDTH
-from ...models.pixels.kernels import Pools
-from .kernels.blobs import MARGIN, RECORD, UNKNOWN_COLOUR, MaskShape, fill_boxes, shape_of, sweep
+from ...models.pixels.layers import LAYER, LayerSheet, Pools, log_density_ratio
+from .blob_records import MARGIN, RECORD, UNKNOWN_COLOUR, fill_boxes, measure_all, measured
 
 Map = NDArray[np.float32]
 Pair = NDArray[np.float64]
@@ -36,20 +34,10 @@ Two boxes of one size that are off by a and b of their sides share (1 - a) (1 - 
 OWN_WAY = 3.0
 """s after which what still moves, as small as it is, is somebody by itself."""
 
+COVERED, CRUMB = 0.3, 0.1
+"""Probability of cover from which on pixels make a spot, and share of the largest that crumbs have not."""
+
 WORDS = RECORD.itemsize // 8
-
-_PLAIN = (
-    "spread", "seen", "unseen", "still", "confidence", "view", "past_views", "fragment_time", "parting",
-    "existence", "noticed",
-)  # fmt: skip
-_ARRAYS = ("position", "velocity", "covariance", "size")
-
-
-def around(box: Box, other: Box) -> Box:
-    """The box that holds two boxes x, y, width, height."""
-    left, top = min(box[0], other[0]), min(box[1], other[1])
-    right, bottom = max(box[0] + box[2], other[0] + other[2]), max(box[1] + box[3], other[1] + other[3])
-    return left, top, right - left, bottom - top
 
 
 @short_repr
@@ -101,209 +89,93 @@ def middle_covariance(variance: Pair) -> Covariance:
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class DetectedBox:
-    """Box of an object as a detector finds it.
-
-    Parameters
-    ----------
-    mean
-        `(4,)` px: foot x and y from the top left corner of the blob's patch, width, height.
-    variance
-        `(4,)` px^2.
-    unfound
-        s since a box was last found that may be its.
-    """
-
-    mean: Pair
-    variance: Pair
-    unfound: float = 0.0
-
-
-@short_repr
-@dataclass(frozen=True, eq=False)
 class Blob:
-    """State of one object.
+    """One object by itself: its record, whose fields (see `RECORD`) are attributes as well, and its pixels.
 
     Parameters
     ----------
-    identity
-        from 1.
-    position, velocity
-        `(2,)` px and px/s, (down, right), of the patch's top left corner.
-    covariance
-        `(2, 2)` of position and velocity along either axis.
+    record
+        of type `RECORD`.
     mask
         `(height, width)` float32 probability of covering a pixel.
     appearance
         `(channels, height, width)` float32 planes; none where no image has shown it yet.
-    spread
-        squared grey levels: variance of its colours about `appearance`.
-    seen
-        s for which it was seen.
-    unseen, still
-        s since it was last seen, and for which it has not moved.
-    confidence
-        share of its visible part that was seen in the last frame.
-    view, past_views
-        nats, log ratio of being a ghost and being real by its outline as it is now, and by how it was before
-        (see `kernels.learning`).
-    fragment_time
-        s for which it has been much smaller than anybody where it stands.
-    whole
-        identity of the object that it is a part of; its own if it is one itself.
-    origin
-        x, y, width, height px of where it appeared.
-    parting
-        s for which it has seemed to be two beside each other.
-    size
-        `(2,)` px, its usual height and width.
-    existence
-        log odds that it is one of those that the detector is made to find, if there is one.
-    noticed
-        log odds that the detector finds it at present, if it is in sight.
-    detected
-        its box for the detector; `None` as long as it has not found it.
     """
 
-    identity: int
-    position: Pair
-    velocity: Pair
-    covariance: Pair
+    record: np.void
     mask: Map
     appearance: Map
-    spread: float
-    seen: float
-    unseen: float
-    still: float
-    confidence: float
-    view: float
-    past_views: float
-    fragment_time: float
-    whole: int
-    origin: Box
-    parting: float
-    size: Pair
-    existence: float = 0.0
-    noticed: float = 0.0
-    detected: DetectedBox | None = None
 
     @classmethod
     def newborn(
-        cls,
-        identity: int,
-        corner: Pair,
-        mask: Map,
-        planes: Map,
-        first_speed: float,
-        spread: float,
+        cls, identity: int, corner: Pair, mask: Map, planes: Map, first_speed: float, spread: float
     ) -> Self:
-        """An object that was never seen before.
+        """An object that was never seen before, with `corner` `(2,)` px the top and left of its patch.
 
-        Parameters
-        ----------
-        identity
-            from 1.
-        corner
-            `(2,)` px, top and left of its patch.
-        mask
-            `(height, width)`, with a border of `MARGIN`.
-        planes
-            `(channels, height, width)` of the image.
-        first_speed
-            of its own lengths in a second, standard deviation of its velocity.
-        spread
-            squared grey levels, of its colours.
+        Its mask `(height, width)` has a border of `MARGIN`; `planes` `(channels, height, width)` are the
+        image's there, `first_speed` is of its own lengths in a second, and `spread` squared grey levels of
+        its colours.
         """
         size = np.array(mask.shape) - 2.0 * MARGIN
-        return cls(
+        appearance = np.where(mask > 0.2, planes, np.float32(UNKNOWN_COLOUR))
+        return cls(np.zeros(1, RECORD)[0], mask, appearance).changed(
             identity=identity,
+            whole=identity,
             position=corner,
-            velocity=np.zeros(2),
             covariance=np.diag([1.0, (first_speed * size.max()) ** 2]),
             mask=mask,
-            appearance=np.where(mask > 0.2, planes, np.float32(UNKNOWN_COLOUR)),
             spread=spread,
-            seen=0.0,
-            unseen=0.0,
-            still=0.0,
             confidence=1.0,
-            view=0.0,
-            past_views=0.0,
-            fragment_time=0.0,
-            whole=identity,
             origin=(float(corner[1]) + MARGIN, float(corner[0]) + MARGIN, float(size[1]), float(size[0])),
-            parting=0.0,
             size=size,
         )
 
-    @cached_property
+    def __getattr__(self, name: str) -> Any:
+        if name not in RECORD.names:
+            raise AttributeError(name)
+        return self.record[name]
+
+    @property
     def corner(self) -> tuple[int, int]:
         """Top and left px of the patch, as it is rendered."""
         return math.floor(self.position[0] + 0.5), math.floor(self.position[1] + 0.5)
 
-    @cached_property
-    def shape(self) -> MaskShape:
-        """Measures of the mask."""
-        return shape_of(self.mask)
-
-    @cached_property
+    @property
     def box(self) -> Box:
         """x, y, width, height px of what the mask likely covers, or else of its patch."""
-        top, left, bottom, right = self.shape[1:5]
-        if bottom == 0 or right == 0:
-            (top, left), (bottom, right) = (0, 0), self.mask.shape
-        y, x = self.position.tolist()
-        return x + left, y + top, float(right - left), float(bottom - top)
-
-    @property
-    def reported_box(self) -> tuple[float, float, float, float]:
-        """x, y, width, height px: as detections have it, or else as the mask."""
-        if self.detected is None:
-            return self.box
-        x, y, width, height = self.detected.mean.tolist()
-        top, left = self.position.tolist()
-        return left + x - 0.5 * width, top + y - height, width, height
-
-    @property
-    def length(self) -> float:
-        """px, the longer side of the box."""
-        return max(self.reported_box[2:])
+        x, y, width, height = Blobs.of([self], len(self.appearance)).boxes[0].tolist()
+        return x, y, width, height
 
     def moved_patch(self, shift: NDArray[Any]) -> Self:
         """The same with another top left corner, px down and right of the old; the mask must follow."""
-        box = self.detected
-        if box is not None:
-            box = replace(box, mean=box.mean - (shift[1], shift[0], 0, 0))
-        return self.changed(position=self.position + shift, detected=box)
+        box_mean = self.box_mean - self.detected * np.array([shift[1], shift[0], 0, 0])
+        return self.changed(position=self.position + shift, box_mean=box_mean)
 
-    def changed(self, **values: Any) -> Self:
-        """Like `dataclasses.replace`, but what was measured of a mask that stays is kept."""
-        kept = {
-            name: value for name, value in self.__dict__.items() if name not in ("corner", "shape", "box")
-        }
-        blob = object.__new__(type(self))
-        blob.__dict__.update(kept | values)
-        if "mask" not in values and "shape" in self.__dict__:
-            blob.__dict__["shape"] = self.shape
-        return blob
+    def changed(self, mask: Map | None = None, appearance: Map | None = None, **values: Any) -> Self:
+        """With other pixels, or other values of fields of its record; a new mask is measured."""
+        record = np.array([self.record])[0] if mask is None else measured(mask, self.record)
+        for name, value in values.items():
+            record[name] = value
+        return type(self)(
+            record,
+            self.mask if mask is None else mask,
+            self.appearance if appearance is None else appearance,
+        )
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class Blobs(Sequence[Blob]):
-    """Blobs as rows of a table, in no particular order.
+class Blobs:
+    """Blobs as rows of a table, in no particular order; `blobs[k]` is one of them.
 
-    Loops over all of them take the table; a single one, taken out, is a `Blob` that refers to the same
-    pixels. Like any state it is never changed once it is made.
+    Like any state it is never changed once it is made.
 
     Parameters
     ----------
     words
         `(n, WORDS)` int64: records of type `RECORD`, bit by bit.
-    masks
-        float32, of all blobs one after the other.
-    colours
-        float32, likewise, plane by plane of each blob.
+    masks, colours
+        float32, of all blobs one after the other; colours plane by plane of each blob.
     channels
         of the colours, 1 or 3.
     """
@@ -324,13 +196,13 @@ class Blobs(Sequence[Blob]):
         return cls(np.zeros((0, WORDS), np.int64), nothing, nothing, channels)
 
     @classmethod
-    def of(cls, blobs: Sequence[Blob], channels: int) -> Self:
+    def of(cls, blobs: Collection[Blob], channels: int) -> Self:
         """Blobs that are on their own, in their order."""
-        table = np.zeros(len(blobs), RECORD)
+        table = np.array([blob.record for blob in blobs], RECORD)
         ends = np.cumsum([0, *(blob.mask.size for blob in blobs)])
         masks, colours = np.empty(ends[-1], np.float32), np.zeros(channels * ends[-1], np.float32)
-        for blob, record, start, end in zip(blobs, table, ends.tolist(), ends[1:].tolist(), strict=False):
-            _write(blob, record, start)
+        table["start"], table["coloured"] = ends[:-1], [len(blob.appearance) > 0 for blob in blobs]
+        for blob, start, end in zip(blobs, ends.tolist(), ends[1:].tolist(), strict=False):
             masks[start:end] = blob.mask.reshape(-1)
             if len(blob.appearance):
                 colours[channels * start : channels * end] = blob.appearance.reshape(-1)
@@ -416,34 +288,16 @@ class Blobs(Sequence[Blob]):
     def __iter__(self) -> Iterator[Blob]:
         return (self[k] for k in range(len(self.words)))
 
-    @overload
-    def __getitem__(self, index: int, /) -> Blob: ...
-    @overload
-    def __getitem__(self, index: slice, /) -> list[Blob]: ...
-    def __getitem__(self, index: int | slice, /) -> Blob | list[Blob]:
-        if isinstance(index, slice):
-            return [self[k] for k in range(*index.indices(len(self)))]
+    def __getitem__(self, index: int) -> Blob:
         record = self.table[index]
         shape, start = (int(record["rows"]), int(record["columns"])), int(record["start"])
-        end = start + shape[0] * shape[1]
-        known = self.channels if record["coloured"] else 0
-        box = None
-        if record["detected"]:
-            box = DetectedBox(record["box_mean"], record["box_variance"], float(record["unfound"]))
-        values: dict[str, Any] = {name: float(record[name]) for name in _PLAIN}
-        values |= {name: record[name] for name in _ARRAYS}
-        blob = Blob(
-            identity=int(record["identity"]),
-            whole=int(record["whole"]),
-            mask=self.masks[start:end].reshape(shape),
-            appearance=self.colours[self.channels * start : self.channels * start + known * (end - start)]
-            .reshape(known, *shape),
-            origin=tuple(record["origin"].tolist()),
-            detected=box,
-            **values,
-        )  # fmt: skip
-        blob.__dict__["shape"] = MaskShape(*(record[name].item() for name in MaskShape._fields))
-        return blob
+        size, known = shape[0] * shape[1], self.channels if record["coloured"] else 0
+        first = self.channels * start
+        return Blob(
+            record,
+            self.masks[start : start + size].reshape(shape),
+            self.colours[first : first + known * size].reshape(known, *shape),
+        )
 
     def with_table(self, table: NDArray[np.void]) -> Self:
         """Other records of the same pixels."""
@@ -451,10 +305,10 @@ class Blobs(Sequence[Blob]):
 
     def sweep(self, due: Mask) -> None:
         """Free the masks of those that are `due` `(n,)`, and that nobody else knows yet, of crumbs."""
-        if due.any():
-            sizes, columns = self.table["rows"] * self.table["columns"], self.table["columns"]
-            memory, scratch = np.empty(3 * sizes.max(), np.int64), np.empty(5 * columns.max(), np.float32)
-            sweep(self.table, self.pools, due, memory, scratch)
+        for k in np.flatnonzero(due).tolist():
+            mask = self[k].mask
+            if without_crumbs(mask):
+                measure_all(self.table[k : k + 1], self.pools, np.empty(5 * mask.shape[1], np.float32))
 
     def taken(self, which: NDArray[np.intp] | Mask) -> Self:
         """Some of them, by their numbers or whether to take them."""
@@ -474,19 +328,6 @@ class Blobs(Sequence[Blob]):
         )
 
 
-def _write(blob: Blob, record: np.void, start: int) -> None:
-    """Write all that is known of a blob but its pixels, which lie at `start`."""
-    for name in ("identity", "whole", "origin", *_PLAIN, *_ARRAYS):
-        record[name] = getattr(blob, name)
-    record["start"], (record["rows"], record["columns"]) = start, blob.mask.shape
-    record["coloured"], record["detected"] = len(blob.appearance) > 0, blob.detected is not None
-    if blob.detected is not None:
-        record["box_mean"], record["box_variance"] = blob.detected.mean, blob.detected.variance
-        record["unfound"] = blob.detected.unfound
-    for name, value in zip(MaskShape._fields, blob.shape, strict=True):
-        record[name] = value
-
-
 def union(boxes: Pair) -> Pair:
     """The box that holds all boxes `(n, 4)` x, y, width, height."""
     first, end = boxes[:, :2].min(axis=0), (boxes[:, :2] + boxes[:, 2:]).max(axis=0)
@@ -496,22 +337,10 @@ def union(boxes: Pair) -> Pair:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BlobState:
-    """All objects of a scene.
+    """All objects of a scene, and how many have been `born`, in a picture of `size` `(height, width)` px.
 
-    Parameters
-    ----------
-    blobs
-        in no particular order.
-    born
-        how many there have been.
-    size
-        `(height, width)` px of the picture.
-    elapsed
-        s since the last frame with an image.
-    confirmed_time
-        s for which an object must have been seen before it is reported.
-    detecting
-        whether a detector has run, which decides what is reported.
+    `elapsed` s have passed since the last frame with an image; an object is reported that has been seen for
+    `confirmed_time` s, or when a detector is `detecting`, that this has found and that likely exists.
     """
 
     blobs: Blobs
@@ -522,11 +351,7 @@ class BlobState:
     detecting: bool = False
 
     def tracks(self) -> list[Track]:
-        """Objects that are sure enough to be reported, by identity.
-
-        Once a detector has run, they are those that it has found, and that likely exist where they are said
-        to be.
-        """
+        """Objects that are sure enough to be reported, by identity."""
         blobs, table = self.blobs, self.blobs.table
         if not len(table):
             return []
@@ -568,10 +393,21 @@ def box_densities(identities: ArrayLike, boxes: ArrayLike) -> GaussianMessage:
     )
 
 
+def without_crumbs(mask: Map) -> bool:
+    """Take spots away, in place, that are apart and under a tenth of the largest; whether there were any."""
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats((mask > COVERED).astype(np.uint8), connectivity=8)
+    areas = boxes[:, cv2.CC_STAT_AREA]
+    crumbs = areas < CRUMB * areas[1:].max(initial=0)
+    crumbs[0] = False
+    gone = crumbs[labels]
+    mask[gone] = 0
+    return bool(gone.any())
+
+
 def likely_size(mask: Map) -> Pair:
     """Height and width px of what a mask likely covers, at least 1."""
-    shape = shape_of(mask)
-    return np.array([max(shape.bottom - shape.top, 1.0), max(shape.right - shape.left, 1.0)])
+    shape = measured(mask)
+    return np.array([max(shape["bottom"] - shape["top"], 1.0), max(shape["right"] - shape["left"], 1.0)])
 
 
 def paste(out: Map, top: int, left: int, source: Map, source_top: int, source_left: int) -> None:
@@ -585,3 +421,29 @@ def paste(out: Map, top: int, left: int, source: Map, source_top: int, source_le
             first_row - source_top : end_row - source_top,
             first_column - source_left : end_column - source_left,
         ]
+
+
+def front_to_back(blobs: Blobs) -> Blobs:
+    """What stands lower in the picture is nearer."""
+    return blobs.taken(np.lexsort((blobs.table["identity"], -blobs.feet)))
+
+
+def layers_of(blobs: Blobs, outliers: float, strength: float, ghost_evidence: float) -> LayerSheet:
+    """Blobs, front to back, as layers; a ghost says that there is no object where it is, nor beside it."""
+    known, table = blobs.table, np.empty(len(blobs), LAYER)
+    table["top"], table["left"] = np.floor(known["position"] + 0.5).T
+    for name in ("rows", "columns", "start", "coloured", "spread"):
+        table[name] = known[name]
+    table["log_ratio"] = log_density_ratio(blobs.channels, known["spread"])
+    table["outliers"], table["strength"] = outliers, strength
+    table["ghost"] = blobs.ghost_evidence >= ghost_evidence
+    masks = blobs.masks
+    for k in np.flatnonzero(table["ghost"]).tolist():
+        shape = _around(blobs[k].mask)
+        table["start"][k] = len(masks)
+        masks = np.concatenate([masks, shape.reshape(-1)])
+    return LayerSheet(table, Pools(masks, blobs.colours), blobs.channels)
+
+
+def _around(mask: Map) -> Map:
+    return np.asarray(cv2.dilate((mask > 0.25).astype(np.float32), np.ones((5, 5), np.uint8)), np.float32)

@@ -7,13 +7,12 @@ Of an object j with its blob at x_j and its box d_j within that, which exists (e
     p(j found | e_j, n_j) = its visible share, times NOTICED or UNNOTICED
 
 Existence and association are those of joint integrated probabilistic data association (D. Musicki, R. Evans,
-2004), with marginals by belief propagation (see `models.objects.association`). We depart in what a box of
+2004), with marginals by belief propagation (see `models.objects.object_boxes`). We depart in what a box of
 uncertain origin does: the mean of the log likelihood over assignments updates place and size, which does not
 widen them, and keeps objects that are close to each other apart better than the mixture's mean does.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from ...inference.kalman import kinematic
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage, LogOdds
-from .blobs import Blob, Blobs, DetectedBox, Map, Pair, box_densities, paste
-from .kernels.blobs import FRESH, MARGIN, move
+from .blob_records import FRESH, MARGIN, move
+from .blobs import Blob, Blobs, Map, Pair, box_densities, paste
 
 ACCELERATION = 0.4
 """Heights/s^2, standard deviation of what moves a person out of the straight way; it lasts half a second."""
@@ -118,15 +117,6 @@ def _expectations(blobs: Blobs) -> BoxMessage:
     return replace(message, hidden=gaussian)
 
 
-def from_mask(blob: Blob) -> DetectedBox:
-    """What a blob's mask tells of the box that a detector would find."""
-    x, y, width, height = blob.box
-    top, left = blob.position.tolist()
-    sides = np.array([width, height, width, height])
-    mean = np.array([x + 0.5 * width - left, y + height - top, width, height])
-    return DetectedBox(mean, (MASK_ERROR * sides) ** 2 + 1)
-
-
 def corrected(blobs: Blobs, boxes: BoxMessage) -> Blobs:
     """Objects after a detector has run: place, velocity and box as far as boxes are theirs."""
     association = boxes.association
@@ -134,30 +124,35 @@ def corrected(blobs: Blobs, boxes: BoxMessage) -> Blobs:
     precision, vector = association.drawn
     existence, noticed = (odds.of(association.identities) for odds in (boxes.existence, boxes.noticed))
     places = {int(identity): k for k, identity in enumerate(association.identities)}
-    result = []
-    for blob in blobs:
-        k = places.get(blob.identity)
+    table = blobs.table.copy()
+    for record, box in zip(table, blobs.boxes.tolist(), strict=True):
+        k = places.get(int(record["identity"]))
         if k is None:
-            result.append(blob)
             continue
-        blob = blob.changed(
-            existence=blob.existence + float(existence[k]), noticed=blob.noticed + float(noticed[k])
-        )
+        record["existence"] += existence[k]
+        record["noticed"] += noticed[k]
         share = float(association.pairs[k].sum())
-        if blob.detected is None and share > 0.5:
-            blob = blob.changed(detected=from_mask(blob))
-        if blob.detected is not None and share > 1e-3:
-            blob = _drawn(blob, vector[k] / precision[k], 1 / precision[k])
-        result.append(blob)
-    return Blobs.of(result, blobs.channels)
+        if not record["detected"] and share > 0.5:
+            _detect_by_mask(record, box)
+        if record["detected"] and share > 1e-3:
+            _draw(record, vector[k] / precision[k], 1 / precision[k])
+    return blobs.with_table(table)
+
+
+def _detect_by_mask(record: np.void, box: list[float]) -> None:
+    """What a blob's mask, with its `box`, tells of the box that a detector would find."""
+    x, y, width, height = box
+    top, left = record["position"].tolist()
+    record["box_mean"] = x + 0.5 * width - left, y + height - top, width, height
+    record["box_variance"] = (MASK_ERROR * np.array([width, height, width, height])) ** 2 + 1
+    record["detected"], record["unfound"] = 1, 0.0
 
 
 def unexplained(boxes: BoxMessage, size: tuple[int, int]) -> list[int]:
     """Which boxes, in the picture, may be of somebody who is not known yet."""
     association = boxes.association
     assert association is not None
-    likely: list[int] = np.flatnonzero(association.new > CANDIDATE).tolist()
-    return [k for k in likely if _inside(association.boxes[k], size)]
+    return np.flatnonzero((association.new > CANDIDATE) & _inside(association.boxes, size)).tolist()
 
 
 def newborn(identity: int, boxes: BoxMessage, k: int, channels: int) -> Blob:
@@ -174,73 +169,63 @@ def newborn(identity: int, boxes: BoxMessage, k: int, channels: int) -> Blob:
         if outline.any():  # in a detector's outline nearly everything is the object's
             mask = SURE_COVER * outline
     planes = np.zeros((channels, *mask.shape), np.float32)
-    mean = np.array([x - corner[1], y - corner[0], width, height])
     return Blob.newborn(identity, corner, mask, planes, FIRST_SPEED, SPREAD).changed(
         covariance=np.diag([1e-6, (FIRST_SPEED * height) ** 2]),
         existence=float(_log_odds(association.new[k])),
         noticed=float(_log_odds(0.98)),
         confidence=0.0,
-        detected=DetectedBox(mean, association.noise[k]),
+        detected=1,
+        box_mean=(x - corner[1], y - corner[0], width, height),
+        box_variance=association.noise[k],
     )
 
 
-def is_part(blob: Blob, detected: Sequence[Blob]) -> bool:
-    """Whether a blob that no detector has found lies in the boxes of others, so that it is a piece of one."""
-    if blob.detected is not None:
-        return False
-    x, y, width, height = blob.box
-    for other in detected:
-        left, top, across, down = other.reported_box
-        shared_x = min(x + width, left + across) - max(x, left)
-        shared_y = min(y + height, top + down) - max(y, top)
-        if shared_x > 0 and shared_y > 0 and shared_x * shared_y > 0.5 * width * height:
-            return True
-    return False
+def are_parts(blobs: Blobs, detected: Blobs) -> NDArray[np.bool_]:
+    """`(n,)`: which blobs that no detector has found lie in the boxes of others, as pieces of them."""
+    x, y, width, height = blobs.boxes.T[:, :, None]
+    left, top, across, down = detected.reported_boxes.T
+    shared_x = np.minimum(x + width, left + across) - np.maximum(x, left)
+    shared_y = np.minimum(y + height, top + down) - np.maximum(y, top)
+    shared = (shared_x > 0) & (shared_y > 0) & (shared_x * shared_y > 0.5 * width * height)
+    return np.asarray(shared.any(axis=1) & (blobs.table["detected"] == 0))
 
 
-def is_kept(blob: Blob, size: tuple[int, int]) -> bool:
-    """Whether an object that was detected once may still be there, in the picture; others may."""
-    if blob.detected is None:
-        return True
-    there = _inside(_absolute(blob, blob.detected), size) and blob.existence > GIVEN_UP
-    return there and blob.covariance[0, 0] < float(blob.detected.mean[HEIGHT]) ** 2
+def are_kept(blobs: Blobs, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """`(n,)`: which objects that were detected once may still be there, in the picture; others may."""
+    table = blobs.table
+    boxes = table["box_mean"].copy()
+    boxes[:, :WIDTH] += table["position"][:, ::-1]
+    there = _inside(boxes, size) & (table["existence"] > GIVEN_UP)
+    return (table["detected"] == 0) | (there & (table["covariance"][:, 0, 0] < boxes[:, HEIGHT] ** 2))
 
 
-def _inside(box: Pair, size: tuple[int, int]) -> bool:
-    """Whether a fifth of a box, along either axis, is in the picture."""
-    x, y, width, height = box.tolist()
-    across = min(x + 0.5 * width, size[1]) - max(x - 0.5 * width, 0.0)
-    down = min(y, size[0]) - max(y - height, 0.0)
-    return bool(across > 0.2 * width and down > 0.2 * height)
+def _inside(boxes: Pair, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """`(n,)`: whether a fifth of a box, along either axis, is in the picture."""
+    x, y, width, height = boxes.T
+    across = np.minimum(x + 0.5 * width, size[1]) - np.maximum(x - 0.5 * width, 0.0)
+    down = np.minimum(y, size[0]) - np.maximum(y - height, 0.0)
+    return np.asarray((across > 0.2 * width) & (down > 0.2 * height))
 
 
-def _drawn(blob: Blob, place: Pair, noise: Pair) -> Blob:
-    """The blob after its box was seen at a place: its patch, its velocity and the box within it share."""
-    box = blob.detected
-    assert box is not None
-    (along, both), (_, speed) = blob.covariance.tolist()
-    off = place - _absolute(blob, box)
-    noise = noise / min(max(box.unfound, 1e-3) / WHOLE, 1.0)
-    total = box.variance + noise
+def _draw(record: np.void, place: Pair, noise: Pair) -> None:
+    """Its box was seen at a place: its patch, its velocity and the box within it share that."""
+    (along, both), (_, speed) = record["covariance"].tolist()
+    top, left = record["position"].tolist()
+    mean, variance = record["box_mean"], record["box_variance"]
+    off = place - (mean + np.array([left, top, 0.0, 0.0]))
+    noise = noise / min(max(float(record["unfound"]), 1e-3) / WHOLE, 1.0)
+    total = variance + noise
     total[:WIDTH] += along
-    gain = box.variance / total
+    gain = variance / total
     middle = float(total[:WIDTH].mean())
     down_right = off[[FOOT_Y, FOOT_X]]
     kept = 1 - along / middle
-    mean = np.maximum(box.mean + gain * off, LEAST)
-    seen = DetectedBox(mean, (1 - gain) * box.variance)
-    return blob.changed(
-        position=blob.position + along / middle * down_right,
-        velocity=blob.velocity + both / middle * down_right,
-        covariance=np.array([[kept * along, kept * both], [kept * both, speed - both**2 / middle]]),
-        detected=seen,
-    )
-
-
-def _absolute(blob: Blob, box: DetectedBox) -> Pair:
-    """`(4,)` px: foot x and y in the picture, width, height."""
-    top, left = blob.position.tolist()
-    return np.asarray(box.mean + np.array([left, top, 0.0, 0.0]))
+    record["position"] += along / middle * down_right
+    record["velocity"] += both / middle * down_right
+    record["covariance"] = [[kept * along, kept * both], [kept * both, speed - both**2 / middle]]
+    record["box_mean"] = np.maximum(mean + gain * off, LEAST)
+    record["box_variance"] = (1 - gain) * variance
+    record["unfound"] = 0.0
 
 
 def _ellipse(width: float, height: float) -> Map:

@@ -41,13 +41,7 @@ UNDETECTED = 3.0
 @short_repr
 @dataclass(frozen=True, eq=False)
 class ScoreMoments:
-    """Weight, mean and mean square of scores, of true and of false boxes.
-
-    Parameters
-    ----------
-    weights, sums, squares
-        `(2,)`: true, false.
-    """
+    """Weights, sums and sums of squares `(2,)` of the scores of true and of false boxes."""
 
     weights: Numbers
     sums: Numbers
@@ -60,17 +54,13 @@ class ScoreMoments:
 
     def forgotten(self, kept: float) -> Self:
         """With less weight."""
-        return replace(self, weights=kept * self.weights, sums=kept * self.sums, squares=kept * self.squares)
+        return type(self)(kept * self.weights, kept * self.sums, kept * self.squares)
 
     def with_more(self, scores: Numbers, true: Numbers) -> Self:
         """With the scores of a frame `(n,)`, each true with a probability `(n,)`."""
         share = np.stack([true, 1 - true])
-        return replace(
-            self,
-            weights=self.weights + share.sum(axis=1),
-            sums=self.sums + share @ scores,
-            squares=self.squares + share @ scores**2,
-        )
+        weights, sums = self.weights + share.sum(axis=1), self.sums + share @ scores
+        return type(self)(weights, sums, self.squares + share @ scores**2)
 
     def learned(self) -> Scores | None:
         """What scores mean; `None` as long as they are all alike."""
@@ -92,21 +82,11 @@ class ScoreMoments:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class DetectorState:
-    """What is known of a detector.
+    """What is known of a detector, on a picture of `area` px, `elapsed` s after it has run.
 
-    Parameters
-    ----------
-    counts, exposures
-        `(4,)`: objects found of those in sight, false boxes of frames, second boxes of found objects,
-        newcomers of seconds.
-    scores
-        of true and false boxes.
-    undetected
-        people in the picture who were not found yet.
-    area
-        px of the picture.
-    elapsed
-        s since the detector has run.
+    `counts` and `exposures` `(4,)` are of objects found of those in sight, false boxes of frames, second
+    boxes of found objects, newcomers of seconds; `scores` are of true and false boxes; `undetected`, people
+    in the picture who were not found yet.
     """
 
     counts: Numbers

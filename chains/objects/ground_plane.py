@@ -41,6 +41,11 @@ LEAST_SPREAD = 0.05
 HALF_HIDDEN = 0.5
 """Heights: standard deviation of what an observation is off by that does not show an object wholly."""
 
+MORE_THAN_0 = (
+    "stature", "spread", "foot_spread", "acceleration", "first_speed", "observation_time", "patience",
+)  # fmt: skip
+"""Parameters of `GroundPlane` that must be more than 0."""
+
 LEAST_WORTH = 1e-9
 """Of an observation that says nothing: it is left out as if its noise were that much greater."""
 
@@ -51,35 +56,14 @@ class GroundState:
     """Perspective of the scene and the objects in it.
 
     With its foot in row y, object k is scene[0] + scene[1] (y - middle) + scene[2 + k] heights[k] high: what
-    the plane makes of everybody, and how much taller or shorter this one is.
+    the plane makes of everybody, and how much taller or shorter this one is. `scene` `(2 + n_objects,)` is px
+    height in the middle row of a picture of `size` `(height, width)` px, px it grows with each row, and each
+    object's share; heights deviate from that by a share of `variation`.
 
-    Parameters
-    ----------
-    size
-        `(height, width)` px of the picture; `middle` is its middle row.
-    variation
-        standard deviation of heights over what the plane predicts, as a share of that.
-    scene
-        `(2 + n_objects,)`: px height with the foot in the middle row, px it grows with each row, and each
-        object's share.
-    scene_covariance
-        `(2 + n_objects, 2 + n_objects)`.
-    everybody
-        `(3,)`: weight, mean and variance of the width over height of all who were seen.
-    identities
-        `(n_objects,)` int64, increasing.
-    feet
-        `(n_objects, 2, 2)`: along x and y, position px and velocity px/s.
-    feet_covariance
-        `(n_objects, 2, 2, 2)`: along x and y, of position and velocity.
-    heights
-        `(n_objects,)` px, the scale on which an object moves and varies.
-    aspects, aspect_variances
-        `(n_objects,)` width over height.
-    trust
-        `(n_objects,)` log odds that the object stands on the plane.
-    unseen
-        `(n_objects,)` s since it was last heard of.
+    `everybody` `(3,)` is weight, mean and variance of the width over height of all who were seen. Of objects,
+    with increasing `identities`: `feet` `(n_objects, 2, 2)`, along x and y, position px and velocity px/s,
+    and their covariances; `heights` px, the scale on which they move and vary; `aspects`, width over height;
+    `trust`, log odds that they stand on the plane; `unseen`, s since they were last heard of.
     """
 
     size: tuple[int, int]
@@ -139,13 +123,7 @@ class GroundState:
         """Density N(x) N(y) N(height; plane's at y) N(width; aspect * height) of every object's box.
 
         Of the perspective, which all objects share, each gets its own marginal, with the slope at its mean.
-
-        Parameters
-        ----------
-        spread
-            standard deviation of one person's height about their own mean, as a share.
-        foot_spread
-            heights: standard deviation of the bottom edge's middle about the point on the ground.
+        `spread` and `foot_spread` are those of `GroundPlane`.
         """
         count, slope, aspects, square = len(self.identities), self.scene[1], self.aspects, self.heights**2
         x, y = self.feet[:, :, 0].T
@@ -212,19 +190,7 @@ class GroundPlane:
     ports = (Port(ObjectBoxes),)
 
     def __post_init__(self) -> None:
-        check_bounds(
-            self,
-            {
-                "stature": POSITIVE,
-                "spread": POSITIVE,
-                "foot_spread": POSITIVE,
-                "acceleration": POSITIVE,
-                "first_speed": POSITIVE,
-                "observation_time": POSITIVE,
-                "patience": POSITIVE,
-                "outliers": SHARE,
-            },
-        )
+        check_bounds(self, dict.fromkeys(MORE_THAN_0, POSITIVE) | {"outliers": SHARE})
 
     def initial(self, frame: Frame) -> GroundState:
         """Nobody there, and any perspective: people are taller lower down, if it has to be guessed."""
@@ -280,19 +246,7 @@ class GroundPlane:
         covariances: Numbers,
         exists: Numbers | float,
     ) -> GroundState:
-        """What boxes teach of the plane and of objects.
-
-        Boxes are judged by what was known before all of them.
-
-        Parameters
-        ----------
-        places
-            `(n,)` of the boxes' objects among those of the state, each once.
-        boxes, covariances
-            `(n, 4)` px and `(n, 4, 4)` px^2.
-        exists
-            `(n,)` probability that the object exists.
-        """
+        """What boxes `(n, 4)` px, each of another object, teach; all are judged by what was known before."""
         below, height, slope = boxes[:, FOOT_Y] - state.middle, boxes[:, HEIGHT], state.scene[1]
         own = state.usual_heights(below, height)
         design = state.design(below, places, own)
@@ -347,8 +301,7 @@ class GroundPlane:
     ) -> tuple[Numbers, Numbers]:
         """Feet and their covariances after observations that show them as likely as `reliable` `(n,)`.
 
-        What hides feet does so for a while: of their row such observations are `worth` `(n,)` a part of a new
-        one.
+        What hides feet does so for a while: of their row they are `worth` `(n,)` a part of a new one.
         """
         noise = (
             covariances.diagonal(axis1=1, axis2=2)[:, :WIDTH] + ((self.foot_spread * heights) ** 2)[:, None]
@@ -371,11 +324,7 @@ class GroundPlane:
         return odds / (1 + odds)
 
     def _joined(self, state: GroundState, identities: NDArray[np.int64], boxes: Numbers) -> GroundState:
-        """The state without who was not heard of for long, and with who is new.
-
-        Somebody new starts where they are first observed with next to no information, so that the
-        observation counts once.
-        """
+        """The state without who was not heard of for long, and with who is new."""
         place = np.searchsorted(state.identities, identities)
         known = np.zeros(len(identities), np.bool_)
         inside = place < len(state.identities)

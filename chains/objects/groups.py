@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...models.objects.box_message import Newcomers
+from .blob_records import FRESH, UNKNOWN_COLOUR, measured, next_piece
 from .blob_scene import BlobScene
-from .blobs import Blob, Blobs, Map, Pair, around, likely_size, union
-from .kernels.blobs import FRESH, UNKNOWN_COLOUR, next_piece, shape_of
+from .blobs import Blob, Blobs, Map, Pair, likely_size, union
 
 UPRIGHT = 0.75
 """Width over height below which anybody is upright, and stands beside others."""
@@ -48,11 +48,10 @@ def with_parts(blobs: Blobs, newcomers: Newcomers | None) -> Blobs:
         grown = seen[k] >= SETTING_OFF or found[k]
         if len(parts) > 1 and (grown or not are_one(parts.boxes, newcomers)):
             whole[k] = table["identity"][k]
-    rows = {k: blobs[k] for k in young}
     for first, k in enumerate(young):
         for other in young[first + 1 :]:
             kept, given = sorted((table["whole"][k], table["whole"][other]))
-            if kept != given and set_off_together(rows[k], rows[other], newcomers):
+            if kept != given and set_off_together(blobs, k, other, newcomers):
                 # where any of them appeared, each may still be one with what they have left
                 members = np.isin(table["whole"], (kept, given))
                 table["origin"][members] = union(table["origin"][members])
@@ -81,16 +80,17 @@ def are_one(boxes: Pair, newcomers: Newcomers | None) -> bool:
     return not too_high and bool(pair_evidence(whole, newcomers) < 0)
 
 
-def set_off_together(one: Blob, other: Blob, newcomers: Newcomers | None) -> bool:
+def set_off_together(blobs: Blobs, one: int, other: int, newcomers: Newcomers | None) -> bool:
     """Whether two blobs set out at the same time, close to each other and in the same way."""
-    _, _, wide, tall = around(one.box, other.box)
+    boxes, (here, there) = blobs.boxes[[one, other]], blobs.table[[one, other]]
+    _, _, wide, tall = union(boxes).tolist()
     length = max(wide, tall)
-    gap = max(wide - one.box[2] - other.box[2], tall - one.box[3] - other.box[3])
-    slower = min(math.hypot(*one.velocity), math.hypot(*other.velocity))
-    apart = math.hypot(*(one.velocity - other.velocity))
-    alike = slower > 0.1 * length and apart < 0.2 * length and abs(one.seen - other.seen) < SAME_TIME
-    close = gap < max(one.length, other.length) and min(one.length, other.length) < 0.5 * length
-    return close and alike and are_one(np.array([one.box, other.box]), newcomers)
+    gap = max(wide - boxes[0, 2] - boxes[1, 2], tall - boxes[0, 3] - boxes[1, 3])
+    slower = min(math.hypot(*here["velocity"]), math.hypot(*there["velocity"]))
+    apart = math.hypot(*(here["velocity"] - there["velocity"]))
+    alike = slower > 0.1 * length and apart < 0.2 * length and abs(here["seen"] - there["seen"]) < SAME_TIME
+    shorter, longer = sorted(blobs.reported_boxes[[one, other], 2:].max(axis=1).tolist())
+    return bool(gap < longer and shorter < 0.5 * length and alike and are_one(boxes, newcomers))
 
 
 def anybodys_height(feet: ArrayLike, newcomers: Newcomers | None) -> tuple[Pair, Pair]:
@@ -140,20 +140,20 @@ def parting_columns(blobs: Blobs, newcomers: Newcomers | None) -> NDArray[np.int
 
 def thinnest_column(mask: Map) -> int:
     """The column in the middle half of a mask's likely part that holds least of it."""
-    shape = shape_of(mask)
-    quarter = (shape.right - shape.left) // 4
-    columns = mask.sum(axis=0)[shape.left + quarter : shape.right - quarter]
+    shape = measured(mask)
+    left, right = int(shape["left"]), int(shape["right"])
+    quarter = (right - left) // 4
+    columns = mask.sum(axis=0)[left + quarter : right - quarter]
     if not len(columns):
-        return (shape.left + shape.right) // 2
+        return (left + right) // 2
     smooth = np.convolve(np.pad(columns, 2, mode="edge"), np.ones(5) / 5, mode="valid")
-    return int(np.argmin(smooth)) + shape.left + quarter
+    return int(np.argmin(smooth)) + left + quarter
 
 
 def halves(blob: Blob, column: int) -> tuple[Map, Map]:
     """The mask left and right of a column, the larger one first."""
     left, right = blob.mask.copy(), blob.mask.copy()
-    left[:, column:] = 0
-    right[:, :column] = 0
+    left[:, column:], right[:, :column] = 0, 0
     return (left, right) if left.sum() >= right.sum() else (right, left)
 
 
@@ -188,5 +188,5 @@ def joined(one: Blob, other: Blob) -> Blob:
         appearance=appearance,
         size=likely_size(mask),
         seen=max(one.seen, other.seen),
-        origin=around(one.origin, other.origin) if one.seen < FRESH else one.origin,
+        origin=union(np.array([one.origin, other.origin])) if one.seen < FRESH else one.origin,
     )

@@ -14,7 +14,7 @@ first frame in which it was seen, and leaves out what was not seen for long enou
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ...inference.engine.protocols import BatchIncoming, Port, Smoothed
 from ...inference.kalman import PointStates, filter_tracks, kinematic, smooth
 from ...models.core.gaussian_message import GaussianMessage
-from ...models.core.short_repr import short_repr
+from ...models.core.short_repr import Rows, short_repr
 from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage
 from ...models.objects.object_boxes import ObjectBoxes
 from .blobs import Track, middle_covariance
@@ -44,17 +44,11 @@ GOES_ON, GOES_ON_AT_EDGE = 0.5, 0.05
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class Boxes:
+class Boxes(Rows):
     """Boxes of objects in the frames of a film, one a row, ordered by object and then by time.
 
-    Parameters
-    ----------
-    frames
-        `(n,)` int64, index of the frame.
-    identities
-        `(n,)` int64.
-    means, variances
-        `(n, 4)` px and px^2, in the order of `ObjectBoxes`.
+    `frames` `(n,)` int64 are indices, `means` and `variances` `(n, 4)` px and px^2, in the order of
+    `ObjectBoxes`.
     """
 
     frames: NDArray[np.int64]
@@ -78,16 +72,7 @@ class Boxes:
 
     def sorted(self) -> Self:
         """By object and time."""
-        return self[np.lexsort((self.frames, self.identities))]
-
-    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Self:
-        return replace(
-            self,
-            frames=self.frames[rows],
-            identities=self.identities[rows],
-            means=self.means[rows],
-            variances=self.variances[rows],
-        )
+        return self.only(np.lexsort((self.frames, self.identities)))
 
     def mask(self, size: tuple[int, int], room: float) -> NDArray[np.bool_]:
         """`(height, width)`: where any of the boxes is, with a share of its size around it."""
@@ -104,19 +89,13 @@ class Boxes:
         """Those of each object."""
         edges = np.flatnonzero(np.diff(self.identities)) + 1
         starts = [0, *edges.tolist(), len(self)]
-        return [self[start:end] for start, end in pairwise(starts) if end > start]
+        return [self.only(slice(start, end)) for start, end in pairwise(starts) if end > start]
 
     @classmethod
     def together(cls, tracks: Sequence["Boxes"]) -> "Boxes":
         """All of them in one."""
         empty = Boxes(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, BOX)), np.zeros((0, BOX)))
-        parts = [empty, *tracks]
-        return Boxes(
-            np.concatenate([part.frames for part in parts]),
-            np.concatenate([part.identities for part in parts]),
-            np.concatenate([part.means for part in parts]),
-            np.concatenate([part.variances for part in parts]),
-        ).sorted()
+        return empty.joined(tracks).sorted()
 
 
 def messages_of(boxes: Boxes, n_frames: int) -> list[BoxMessage]:
@@ -136,18 +115,12 @@ def messages_of(boxes: Boxes, n_frames: int) -> list[BoxMessage]:
     ]
 
 
-@dataclass(frozen=True)
-class Motion:
+class Motion(NamedTuple):
     """How objects move and change, in units of their own height.
 
-    Parameters
-    ----------
-    acceleration
-        heights^2/s^3, spectral density of what moves feet out of their straight way.
-    growth
-        heights^2/s^3, of what changes the growth of their width and height.
-    first_speed
-        heights/s, standard deviation of a velocity.
+    `acceleration` and `growth`, heights^2/s^3, are spectral densities of what moves feet out of their
+    straight way, and of what changes the growth of width and height; `first_speed`, heights/s, is the
+    deviation of a velocity.
     """
 
     acceleration: float
@@ -157,20 +130,10 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Smooth:
-    """One object's trajectory in all frames from first to last.
+    """One object's trajectory in all frames from the one with index `first` to the last.
 
-    Parameters
-    ----------
-    first
-        index of the first frame.
-    identity
-        of the object.
-    height
-        px, its usual one.
-    seen
-        `(n_frames,)` bool, whether it was seen there.
-    feet, sizes
-        states in every frame, of one point each: the foot, and width and height.
+    Its usual `height` px, where it was `seen` `(n_frames,)`, and states of one point each: its `feet`, and
+    its `sizes`, width and height.
     """
 
     first: int
@@ -201,17 +164,7 @@ class Smooth:
 
 
 def smoothed(track: Boxes, times: Numbers, motion: Motion) -> Smooth:
-    """A track given all that was seen of it, before and after, by Rauch, Tung and Striebel's recursion.
-
-    Parameters
-    ----------
-    track
-        of one object.
-    times
-        `(n_frames,)` s of all frames.
-    motion
-        of objects.
-    """
+    """A track of one object given all that was seen of it, by Rauch, Tung and Striebel's recursion."""
     first, last = int(track.frames[0]), int(track.frames[-1])
     seconds, place = times[first : last + 1], track.frames - first
     height = float(np.median(track.means[:, HEIGHT]))
@@ -237,14 +190,8 @@ def smoothed(track: Boxes, times: Numbers, motion: Motion) -> Smooth:
 class Comings:
     """How objects come and go.
 
-    Parameters
-    ----------
-    size
-        `(height, width)` px of the picture.
-    rate
-        1/s, at which new ones come.
-    patience
-        s, the longest time for which one may be out of sight and still be known.
+    In a picture of `size` `(height, width)` px new ones come at a `rate` 1/s, and one may be out of sight for
+    `patience` s and still be known.
     """
 
     size: tuple[int, int]
@@ -274,25 +221,11 @@ class Comings:
 
 
 def joins(tracks: Sequence[Smooth], times: Numbers, motion: Motion, comings: Comings) -> dict[int, int]:
-    """Which tracks go on as which others, all decided at once.
+    """By index of the track that ends, which other one goes on with it, all decided at once.
 
     A track that ends and one that begins soon after are one object if that is likelier than that somebody is
     gone and somebody else is new: the end, predicted to where the other begins, is a Gaussian over place,
     velocity and size; a newcomer comes at some rate, mostly at the picture's edge.
-
-    Parameters
-    ----------
-    tracks
-        of all objects.
-    times, motion
-        as of `smoothed`.
-    comings
-        of objects.
-
-    Returns
-    -------
-    next_of
-        index of the track that goes on by index of the one that ends.
     """
     if len(tracks) < 2:
         return {}
@@ -310,10 +243,7 @@ def joins(tracks: Sequence[Smooth], times: Numbers, motion: Motion, comings: Com
 
 
 def _log_same(one: Smooth, other: Smooth, gap: float, motion: Motion) -> float:
-    """Log density of the place where a track begins if it is what another one was, `gap` s before.
-
-    Velocity and size count by their densities over those of anybody's.
-    """
+    """Log density of the place where a track begins if it is what another one was, `gap` s before."""
     height = 0.5 * (one.height + other.height)
     mean, covariance = one.feet.mean[-1], one.feet.covariance[-1]
     start, start_covariance = other.feet.mean[0], other.feet.covariance[0]
@@ -339,7 +269,7 @@ def joined(boxes: Boxes, tracks: Sequence[Smooth], next_of: dict[int, int]) -> B
         if row in next_of:
             names[next_of[row]] = name
     renamed = {tracks[row].identity: name for row, name in names.items()}
-    kept = boxes[np.isin(boxes.identities, list(renamed))]
+    kept = boxes.only(np.isin(boxes.identities, list(renamed)))
     identities = np.array([renamed[identity] for identity in kept.identities.tolist()], np.int64)
     return replace(kept, identities=identities).sorted()
 
@@ -349,14 +279,8 @@ def joined(boxes: Boxes, tracks: Sequence[Smooth], next_of: dict[int, int]) -> B
 class ObjectsOverTime:
     """Who was where, in every frame.
 
-    Parameters
-    ----------
-    boxes
-        of all objects in all frames, with one identity for each object; `n` in all.
-    velocities
-        `(n, 2)` px/s of their feet, to the right and down.
-    seen
-        `(n,)` bool: whether the frame shows them; in gaps they are known from before and after.
+    Boxes have one identity for each object; `velocities` `(n, 2)` px/s are of their feet, to the right and
+    down, and `seen` `(n,)` says which a frame shows: in gaps they are known from before and after.
     """
 
     boxes: Boxes
@@ -366,21 +290,17 @@ class ObjectsOverTime:
     @classmethod
     def of(cls, tracks: Sequence[Smooth]) -> Self:
         """Those of objects that are known, of tracks ordered by identity."""
-        known = [track.known() for track in tracks]
+        known = [(track, track.known()) for track in tracks]
         return cls(
-            Boxes.together([track.boxes()[rows] for track, rows in zip(tracks, known, strict=True)]),
-            np.concatenate(
-                [np.zeros((0, 2)), *(t.feet.mean[rows, 2:] for t, rows in zip(tracks, known, strict=True))]
-            ),
-            np.concatenate(
-                [np.zeros(0, bool), *(t.seen[rows] for t, rows in zip(tracks, known, strict=True))]
-            ),
+            Boxes.together([track.boxes().only(rows) for track, rows in known]),
+            np.concatenate([np.zeros((0, 2)), *(track.feet.mean[rows, 2:] for track, rows in known)]),
+            np.concatenate([np.zeros(0, bool), *(track.seen[rows] for track, rows in known)]),
         )
 
     def at(self, index: int) -> list[Track]:
         """Every object in a frame, by index from 0; of who is reported here, nobody is unsure any more."""
         rows = np.flatnonzero(self.boxes.frames == index)
-        boxes = self.boxes[rows]
+        boxes = self.boxes.only(rows)
         corners = boxes.means - np.outer(boxes.means[:, WIDTH], [0.5, 0, 0, 0])
         corners[:, FOOT_Y] -= boxes.means[:, HEIGHT]
         return [

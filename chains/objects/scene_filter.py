@@ -17,7 +17,7 @@ R_1 alone, and messages are worked out again in each pass.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,16 +49,9 @@ FEWEST_FRAMES = 9
 @short_repr
 @dataclass(frozen=True, eq=False)
 class SceneTrajectory:
-    """From what all the rest follows.
+    """From what all the rest follows: the empty scene before the first frame, and the boxes that others know.
 
-    Parameters
-    ----------
-    empty
-        the empty scene before the first frame.
-    times
-        `(n_frames,)` s.
-    boxes
-        what others say of the objects in all frames.
+    `times` are `(n_frames,)` s.
     """
 
     empty: EmptyScene
@@ -133,7 +126,7 @@ class SceneFilter:
             if image is not None:
                 images.append(image)
                 seen.append(times[index])
-                covered.append(boxes[boxes.frames == index].mask(first.shape[:2], ROOM))
+                covered.append(boxes.only(boxes.frames == index).mask(first.shape[:2], ROOM))
         return Smoothed(SceneTrajectory(self.empty(images, np.array(seen), covered), times, boxes))
 
     def most(self, n_bytes: int) -> int:
@@ -146,7 +139,7 @@ class SceneFilter:
         times: Numbers,
         covered: Sequence[NDArray[np.bool_]] | None = None,
     ) -> EmptyScene:
-        """Return the empty scene that a sample of images shows: see `AdaptiveBackground.empty_scene`."""
+        """Return the empty scene of a sample of images: see `AdaptiveBackground.empty_scene`."""
         background: Any = self.model.chains[self._background() or ""]
         scene: EmptyScene = background.empty_scene(images, times, covered)
         return scene
@@ -157,25 +150,13 @@ class SceneFilter:
             (name for name, chain in self.model.chains.items() if hasattr(chain, "empty_scene")), None
         )
 
-    @overload
-    def messages(
-        self, trajectory: SceneTrajectory, feature: PixelLabels, incoming: Sequence[BatchIncoming]
-    ) -> Sequence[PixelMessage]: ...
-    @overload
-    def messages(
-        self, trajectory: SceneTrajectory, feature: ObjectBoxes, incoming: Sequence[BatchIncoming]
-    ) -> Sequence[BoxMessage]: ...
     def messages(
         self,
         trajectory: SceneTrajectory,
         feature: PixelLabels | ObjectBoxes,
         incoming: Sequence[BatchIncoming],
     ) -> Sequence[PixelMessage] | Sequence[BoxMessage]:
-        """What the filter says of each frame (mu_{scene -> F}).
-
-        To pixels: background and layers. To boxes: where every object is that the frame shows, also before
-        it is confirmed.
-        """
+        """What the filter says of each frame (mu_{scene -> F})."""
         engine = RecursiveBP(self.model)
         start = self.start(trajectory)
 
@@ -226,13 +207,12 @@ class SceneFilter:
 
 
 def _seen(state: BlobState) -> list[tuple[int, Box]]:
-    """Identities and boxes of objects that the frame shows, also before they are confirmed.
-
-    With a detector they are those that it confirms.
-    """
+    """Identities and boxes of objects that the frame shows; with a detector, of those that it confirms."""
     if state.detecting:
         return [(track.identity, track.box) for track in state.tracks()]
-    return [(blob.identity, blob.box) for blob in state.blobs if blob.unseen == 0]
+    table, boxes = state.blobs.table, state.blobs.boxes
+    shown = table["unseen"] == 0
+    return list(zip(table["identity"][shown].tolist(), boxes[shown].tolist(), strict=True))
 
 
 def sample_of(times: Numbers, most: int, memory: float) -> list[int]:

@@ -26,19 +26,12 @@ from ...models.core.short_repr import short_repr
 from ...models.pixels import colour
 from ...models.pixels.background import EmptyScene
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
-from .background_prediction import (
-    BackgroundPrediction,
-    LightField,
-    fixed_point,
-    followed,
-    light_grid,
-    share_of_blocks,
-    stored_planes,
-)
+from .background_prediction import BackgroundPrediction, fixed_point, stored_planes
 from .empty_scene import empty_scene
-from .kernels.gaussian import Gaussians, Light
-from .kernels.second_colours import SETTLED, SecondColours, Settling, learn_second_colours, update_behind
-from .kernels.sway import Sway, count_moved, learn_rates
+from .gaussians import Gaussians
+from .light import LightField, followed, light_grid, share_of_blocks
+from .second_colours import SETTLED, SecondColours, Settling, learn_second_colours, update_behind
+from .sway import Sway, learned_rates, sway_reach
 
 Planes = NDArray[np.float32]
 
@@ -66,50 +59,27 @@ LONG = 60.0
 MOST_NOISE_SHARE = 0.1
 """Of a single observation in a pixel's noise, however long ago the one before was."""
 
-SWAY_REACH = 0.01
-"""Share of the picture's longer side within which leaves sway."""
-
-SWAY_TIME = 10.0
-"""s for which it is remembered that something swayed: a lull is longer than somebody's passing."""
-
-CALM_TIME = 1.0
-"""s for which it is taken for granted in the beginning that nothing sways."""
-
-LEAST_SEEN = 4
-"""Pixels of a block that tell how much of it sways."""
-
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BackgroundState:
-    """What is known of the empty scene, pixel by pixel in fixed-point numbers of 16 bits.
+    """What is known of the empty scene, `size` `(height, width)` px, pixel by pixel in numbers of 16 bits.
 
     Parameters
     ----------
-    size
-        `(height, width)` px.
     mean
         `(channels, n_pixels)` int16, in steps of 1/32 grey level: under the first frame's light, in the
         planes of `models.pixels.colour` (`planes` has them as float32).
-    variance
-        `(n_pixels,)` uint16, of the mean (see `Gaussians` for its steps).
-    noise
-        `(n_pixels,)` uint16, of a single observation, in steps of 1/128 squared grey level.
-    light
-        `(block_rows, block_columns)` float32: today's light relative to that of `mean`.
-    covered
-        `(block_rows, block_columns)` float32: share of the block behind known objects.
-    sway
-        `(block_rows, block_columns)` float32: how often its pixels show what is beside them, as leaves do.
+    variance, noise
+        `(n_pixels,)` uint16, of the mean and of a single observation (see `Gaussians` for their steps).
+    light, covered, sway
+        `(block_rows, block_columns)` float32: today's light relative to that of `mean`, the share behind
+        known objects, and how often pixels show what is beside them.
     candidate, seen
         second hypothesis: `(n_pixels * channels,)` uint8 colour that is neither background nor an object,
         and `(n_pixels,)` uint16 how much of the settling time it has lasted (see `SecondColours`).
-    elapsed
-        s since the last frame with an image.
-    age
-        s for which the scene has been seen.
-    frames
-        with an image, since the first.
+    elapsed, age, frames
+        s since the last frame with an image, s for which the scene has been seen, and in how many frames.
     """
 
     size: tuple[int, int]
@@ -195,20 +165,16 @@ class AdaptiveBackground:
         """The first image is taken for the empty scene, with the variance of a single observation."""
         image = frame.required_image()
         height, width = image.shape[:2]
-        n_pixels = height * width
-        pixels = fixed_point(
-            colour.to_planes(image),
-            np.full(n_pixels, self.first_variance, np.float32),
-            np.full(n_pixels, self.noise, np.float32),
-        )
+        variance, noise = (np.full(height * width, x, np.float32) for x in (self.first_variance, self.noise))
+        grid = light_grid(height, width)
         return BackgroundState(
             size=(height, width),
-            **pixels._asdict(),
-            light=np.ones(light_grid(height, width), np.float32),
-            covered=np.zeros(light_grid(height, width), np.float32),
-            sway=np.zeros(light_grid(height, width), np.float32),
+            **fixed_point(colour.to_planes(image), variance, noise)._asdict(),
+            light=np.ones(grid, np.float32),
+            covered=np.zeros(grid, np.float32),
+            sway=np.zeros(grid, np.float32),
             candidate=np.zeros(image.size, np.uint8),
-            seen=np.zeros(n_pixels, np.uint16),
+            seen=np.zeros(height * width, np.uint16),
             elapsed=0.0,
             age=0.0,
             frames=0,
@@ -337,39 +303,3 @@ class AdaptiveBackground:
             tolerance=8.0 * len(state.mean) * self.noise,
             sway=Sway(state.sway, sway_reach(state.size)),
         )
-
-
-def sway_reach(size: tuple[int, int]) -> int:
-    """px within which the scene of `size` `(height, width)` sways."""
-    return max(math.ceil(SWAY_REACH * max(size)), 3)
-
-
-def learned_rates(
-    sway: Sway,
-    pixels: NDArray[np.uint8],
-    before: Gaussians,
-    light: Light,
-    log_odds: NDArray[np.int8],
-    covered: NDArray[np.uint8],
-    age: float,
-    elapsed: float,
-) -> NDArray[np.float32]:
-    """Rates after a frame; what is `covered` `(n_pixels,)` tells nothing of them.
-
-    Parameters
-    ----------
-    sway, before, light
-        predicted.
-    pixels
-        `(n_pixels * channels,)` uint8, of the image.
-    log_odds
-        `(n_pixels,)` int8, of each pixel by itself.
-    age, elapsed
-        s for which the scene has been seen, and s since the frame before.
-    """
-    counts = np.empty((*sway.rates.shape, 4), np.float32)
-    count_moved(pixels, before, light, log_odds, covered, sway.reach, counts)
-    share = 1 - math.exp(-elapsed / (min(age, SWAY_TIME) + CALM_TIME))
-    rates: NDArray[np.float32] = np.empty_like(sway.rates)
-    learn_rates(counts, sway.rates, np.float32(share), LEAST_SEEN, rates)
-    return rates

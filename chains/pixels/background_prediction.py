@@ -8,36 +8,305 @@ Comparing an image with the prediction is the one pass over all pixels of a fram
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.short_repr import short_repr
+from ...models.numerics.compiled import compiled, inlined, put
 from ...models.numerics.threads import over_bands
 from ...models.pixels import colour
-from ...models.pixels.background import Subtraction
-from ...models.pixels.kernels import ODDS_STEPS, StoredPlanes
-from .kernels.gaussian import (
+from ...models.pixels.background import ODDS_STEPS, SPAN, StoredPlanes, Subtraction, foreground_spans
+from ...models.pixels.colour import planes_of
+from .gaussians import (
     COARSE_STEPS,
+    HIGHEST_NOISE,
     HIGHEST_VARIANCE,
     LOWEST_NOISE,
+    LOWEST_VARIANCE,
     MEAN_STEPS,
     NOISE_STEPS,
     ROUNDING,
     ROUNDING_PERIOD,
+    SURE,
     VARIANCE_STEPS,
     Certain,
     Gaussians,
-    Light,
     PixelModel,
+    light_beside,
     log_evidence,
+    mean_of,
+    mean_steps,
+    noise_of,
+    noise_steps,
+    posterior,
+    rounding_along,
     smooth_log_odds,
+    variance_of,
+    variance_steps,
+    whole_steps,
 )
-from .kernels.light import Following, follow, interpolate, light_ratios, share_covered
-from .kernels.second_colours import SecondColours
-from .kernels.subtraction import subtract
-from .kernels.sway import Sway
+from .light import LightField
+from .second_colours import SecondColours, recall
+from .sway import LEAST_RATE, Sway, recall_moved
+
+_f4, _i4 = np.float32, np.int32
+_ONE, _TWO, _THREE = np.uint64(1), np.uint64(2), np.uint64(3)
+_SPAN = np.uint64(SPAN)
+_ODDS, _PLANES, _VARIANCES, _NOISES = (np.uint64(number * SPAN) for number in (1, 2, 5, 6))
+
+_UNSURE = np.int8(-128)
+"""Where the log odds are not known yet."""
+
+_HIGHEST = HIGHEST_VARIANCE * VARIANCE_STEPS
+
+HALO = 2
+"""Rows beyond a band that its own log odds depend on."""
+
+
+BLOCK = 32
+"""Rows that are worked on at a time: small enough to stay in the cache."""
+
+
+@inlined
+def usual_update(distance, light, spread, noise, certain):
+    """What `posterior` gives where the log odds are at their bound, without its logarithm and exponential.
+
+    Everything is in the steps of the numbers that are stored: `spread`, the variance with the drift, and
+    `distance` per channel in those of variances. Gives the step of the mean in theirs per grey level,
+    variance and noise to be stored, and whether the log odds are at their bound indeed.
+    """
+    over = light * spread
+    total = light * over + _f4(VARIANCE_STEPS / NOISE_STEPS) * noise
+    gain = over / total
+    narrower = spread - gain * (certain.weight * over - certain.weights * gain * distance)
+    narrower = min(max(narrower, _f4(LOWEST_VARIANCE * VARIANCE_STEPS)), _f4(_HIGHEST))
+    noisier = noise + certain.noise_share * (distance - total)
+    noisier = min(max(noisier, _f4(LOWEST_NOISE * NOISE_STEPS)), _f4(HIGHEST_NOISE * NOISE_STEPS))
+    bound = min(certain.offset + certain.slope * total, certain.offset_beyond + certain.slope_beyond * total)
+    sure = (distance <= bound) & (total <= certain.most)
+    return certain.step * gain, narrower, noisier, sure
+
+
+@compiled
+def usual_rows_of_colour(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds):
+    """Rows `first` to `end` of a colour picture where they show the background for sure.
+
+    Their `log_odds` are `_UNSURE` where they do not; what follows for the Gaussians, in `after` from pixel
+    `to` on, holds only where they do. (A loop over rows that is a function of its own keeps the constants of
+    the inner one from being spilled: a third of the time.)
+    """
+    luma, red, blue = before.mean[0], before.mean[1], before.mean[2]
+    new_luma, new_red, new_blue = after.mean[0], after.mean[1], after.mean[2]
+    variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
+    width = light_field.rows.shape[1]
+    for y in range(first, end):
+        upper, lower, below_share = light_beside(light_field, y)
+        cut = rounding_along(rounding, y)
+        own = (y - first) * width
+        base, base_after, base_odds = np.uint64(y * width), np.uint64(to + own), np.uint64(own)
+        for x in range(np.uint64(width)):
+            i, j = base + x, base_after + x
+            k = _THREE * i
+            c0, c1, c2 = planes_of(pixels[k], pixels[k + _ONE], pixels[k + _TWO])
+            light = upper[x] + below_share * (lower[x] - upper[x])
+            glow = light * _f4(1 / MEAN_STEPS)
+            m0, m1, m2 = _f4(luma[i]), _f4(red[i]), _f4(blue[i])
+            d0, d1, d2 = c0 - glow * m0, c1 - glow * m1, c2 - glow * m2
+            distance = (d0 * d0 + d1 * d1 + d2 * d2) * _f4(VARIANCE_STEPS / 3)
+            known, grain = _f4(variance[i]), _f4(noise[i])
+            step, narrower, noisier, sure = usual_update(
+                distance, light, known + certain.drift, grain, certain
+            )
+            new_luma[j] = whole_steps(m0 + step * d0, cut[x])
+            new_red[j] = whole_steps(m1 + step * d1, cut[x])
+            new_blue[j] = whole_steps(m2 + step * d2, cut[x])
+            new_variance[j] = np.uint16(_i4(narrower + cut[x]))
+            new_noise[j] = np.uint16(_i4(noisier + cut[x]))
+            log_odds[base_odds + x] = SURE if sure & (known <= _f4(_HIGHEST)) else _UNSURE
+
+
+@compiled
+def usual_rows_of_grey(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds):
+    """Rows `first` to `end` of a grey picture, as `usual_rows_of_colour`."""
+    luma, new_luma = before.mean[0], after.mean[0]
+    variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
+    width = light_field.rows.shape[1]
+    for y in range(first, end):
+        upper, lower, below_share = light_beside(light_field, y)
+        cut = rounding_along(rounding, y)
+        own = (y - first) * width
+        base, base_after, base_odds = np.uint64(y * width), np.uint64(to + own), np.uint64(own)
+        for x in range(np.uint64(width)):
+            i, j = base + x, base_after + x
+            light = upper[x] + below_share * (lower[x] - upper[x])
+            m0 = _f4(luma[i])
+            d0 = _f4(pixels[i]) - light * _f4(1 / MEAN_STEPS) * m0
+            known, grain = _f4(variance[i]), _f4(noise[i])
+            distance = d0 * d0 * _f4(VARIANCE_STEPS)
+            step, narrower, noisier, sure = usual_update(
+                distance, light, known + certain.drift, grain, certain
+            )
+            new_luma[j] = whole_steps(m0 + step * d0, cut[x])
+            new_variance[j] = np.uint16(_i4(narrower + cut[x]))
+            new_noise[j] = np.uint16(_i4(noisier + cut[x]))
+            log_odds[base_odds + x] = SURE if sure & (known <= _f4(_HIGHEST)) else _UNSURE
+
+
+@compiled
+def other_rows(first, end, pixels, before, light_field, model, rounding, to, after, log_odds):
+    """Rows `first` to `end` of a picture again, in spans with pixels that do not show background for sure.
+
+    Gives the greatest variance there, as it is stored. A span is worked on in one array of its own: loops
+    over many arrays find out first, each time, that they do not overlap.
+    """
+    channels, width = before.mean.shape[0], light_field.rows.shape[1]
+    spans, work = np.empty(width // SPAN + 1, np.int64), np.zeros(8 * SPAN, np.float32)
+    most = _i4(0)
+    for y in range(first, end):
+        own = (y - first) * width
+        for k in range(foreground_spans(log_odds[own : own + width], spans)):
+            left, right = spans[k], min(spans[k] + SPAN, width)
+            start = y * width + left
+            _take_in(pixels[channels * start : channels * (y * width + right)], channels, work)
+            _take_in_light(light_field, y, left, right, work)
+            here = slice(start, y * width + right)
+            most = max(most, _take_in_state(before, here, work))
+            _posteriors(model, _f4(channels), work)
+            there = slice(to + own + left, to + own + right)
+            _put_out(work, rounding_along(rounding, y)[left:right], before, here, after, there)
+            odds = log_odds[own + left : own + right]
+            for x in range(odds.size):
+                odds[x] = np.int8(work[_ODDS + np.uint64(x)] * _f4(ODDS_STEPS))
+    return most
+
+
+@compiled
+def _take_in(shown, channels, work):
+    """Planes of a span of pixels."""
+    if channels == 3:
+        for x in range(np.uint64(shown.size // 3)):
+            k = _THREE * x
+            luma, red, blue = planes_of(shown[k], shown[k + _ONE], shown[k + _TWO])
+            work[_PLANES + x] = luma
+            work[_PLANES + _SPAN + x], work[_PLANES + _SPAN + _SPAN + x] = red, blue
+    else:
+        for x in range(np.uint64(shown.size)):
+            work[_PLANES + x] = _f4(shown[x])
+
+
+@compiled
+def _take_in_light(light_field, y, left, right, work):
+    upper, lower, below_share = light_beside(light_field, y)
+    above, below = upper[left:right], lower[left:right]
+    for x in range(above.size):
+        work[x] = above[x] + below_share * (below[x] - above[x])
+
+
+@compiled
+def _take_in_state(before, here, work):
+    """Differences from the means of a span, its variances and noises; gives the greatest variance stored."""
+    for channel in range(before.mean.shape[0]):
+        mean, seen = before.mean[channel, here], work[(2 + channel) * SPAN : (3 + channel) * SPAN]
+        for x in range(mean.size):
+            seen[x] -= work[x] * mean_of(mean[x])
+    variance, noise = before.variance[here], before.noise[here]
+    most = _i4(0)
+    for x in range(np.uint64(variance.size)):
+        work[_VARIANCES + x] = variance_of(variance[x])
+        most = max(most, _i4(variance[x]))
+    for x in range(np.uint64(noise.size)):
+        work[_NOISES + x] = noise_of(noise[x])
+    return most
+
+
+@compiled
+def _posteriors(model, channels, work):
+    """Log odds, steps, variances and noises of a whole span."""
+    for x in range(_SPAN):
+        d0 = work[_PLANES + x]
+        d1, d2 = work[_PLANES + _SPAN + x], work[_PLANES + _SPAN + _SPAN + x]
+        odds, step, spread, grain = posterior(
+            d0 * d0 + d1 * d1 + d2 * d2, work[x], work[_VARIANCES + x], work[_NOISES + x], model, channels
+        )
+        work[_ODDS + x] = odds
+        work[x] = step
+        work[_VARIANCES + x] = spread
+        work[_NOISES + x] = grain
+
+
+@compiled
+def _put_out(work, cut, before, here, after, there):
+    """What follows for the Gaussians of a span."""
+    for channel in range(before.mean.shape[0]):
+        old, new = before.mean[channel, here], after.mean[channel, there]
+        away = work[(2 + channel) * SPAN : (3 + channel) * SPAN]
+        for x in range(new.size):
+            new[x] = mean_steps(mean_of(old[x]) + work[x] * away[x], cut[x])
+    variance, noise = after.variance[there], after.noise[there]
+    for x in range(np.uint64(variance.size)):
+        variance[x] = variance_steps(work[_VARIANCES + x], cut[x])
+    for x in range(np.uint64(noise.size)):
+        noise[x] = noise_steps(work[_NOISES + x], cut[x])
+
+
+@compiled
+def subtract(
+    first, end, pixels, before, light_field, model, certain, rounding, second, tolerance, sway, prior, share,
+    after, log_odds, smoothed,
+):  # fmt: skip
+    """Rows `first` to `end` of a picture: log odds of background, and the update that they imply.
+
+    `certain` is what pixels need of the `model` that show background for sure, `rounding` what is added to
+    numbers before they are cut off. What else a pixel may show and be background is its `second` colour,
+    within a tolerance, and what sways. `log_odds` get those of each pixel by itself, `smoothed` those with
+    the neighbours' `share` of them, less the `prior` ones (int16, in steps). What rows of other bands add to
+    that is worked out again here, so that no band waits for another one.
+    """
+    channels, (height, width) = before.mean.shape[0], (light_field.positions.size, light_field.rows.shape[1])
+    top, bottom = max(first - HALO, 0), min(end + HALO, height)
+    own = np.empty((bottom - top) * width, np.int8)
+    beyond = Gaussians(
+        np.empty((channels, HALO * width), np.int16),
+        np.empty(HALO * width, np.uint16),
+        np.empty(HALO * width, np.uint16),
+    )
+    most, start = 0, top
+    while start < bottom:
+        # one call for all rows: a copy of the loops inside is compiled for each
+        is_own = first <= start < end
+        if is_own:
+            stop, to, updated = min(start + BLOCK, end), start * width, after
+        else:
+            stop, to, updated = first if start < first else bottom, 0, beyond
+        odds = own[(start - top) * width : (stop - top) * width]
+        highest = _rows(start, stop, pixels, before, light_field, model, certain, rounding, to, updated, odds)
+        most = max(most, highest) if is_own else most
+        start = stop
+    recall(top * width, pixels, second, tolerance, model, own)
+    if sway.rates.max() >= LEAST_RATE:
+        recall_moved(top, pixels, before, light_field, model, sway, own)
+    put(own[(first - top) * width : (end - top) * width], log_odds[first * width : end * width])
+    smooth_log_odds(
+        first - top, end - top, bottom - top, width, own, prior, share,
+        smoothed[top * width : bottom * width],
+    )  # fmt: skip
+    if most > HIGHEST_VARIANCE * VARIANCE_STEPS:  # neighbours tell nothing of a value that nobody knows
+        for i in range(first * width, end * width):
+            if before.variance[i] > HIGHEST_VARIANCE * VARIANCE_STEPS:
+                smoothed[i] = np.int8(model.label_odds * np.float32(ODDS_STEPS))
+
+
+@compiled
+def _rows(first, end, pixels, before, light_field, model, certain, rounding, to, after, log_odds):
+    """Rows `first` to `end`: their `log_odds`, and the Gaussians `after` them from pixel `to` on."""
+    if before.mean.shape[0] == 3:
+        usual_rows_of_colour(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds)
+    else:
+        usual_rows_of_grey(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds)
+    return other_rows(first, end, pixels, before, light_field, model, rounding, to, after, log_odds)
+
 
 Planes = NDArray[np.float32]
 
@@ -47,167 +316,19 @@ CERTAIN = 6.0
 CHORDS = (LOWEST_NOISE, 100.0, 1000.0)
 """Squared grey levels of variance, between which the bound of `Certain` is made of straight lines."""
 
-FASTEST_LIGHT = 1.25
-"""Log of the most that light changes in a second; a lamp that is switched takes a few frames."""
-
-STEADY_LIGHT, LIGHT_TIME = 0.02, 0.2
-"""Log of a change below which it may be noise, and s, the time constant with which it is followed then."""
-
-UNSEEN = 1e-5
-"""Probability at most that a block all behind objects shows the empty scene, before its texture is looked at.
-
-What it leaks must be small against `OWN_WEIGHT`, for an object may stay for as long as it likes."""
-
-DARKEST, BRIGHTEST = 0.1, 10.0
-"""Light relative to that of the remembered picture; beyond there is nothing to be seen."""
-
-LEAST_AGREEMENT = 0.3
-"""Share of a block's samples that must change by one factor; else something stands there that is new."""
-
-SAME_LIGHT = 0.05
-"""Log of a ratio within which a block agrees with the light that its neighbourhood has."""
-
-HIDDEN_TIME = 1.0
-"""s in which the light of a block that is not seen, or disagrees, becomes that of the blocks around it."""
-
-SAMPLED = 4
-"""px between those of which the covered share of a block is counted."""
-
-WINDOW_WEIGHT, OWN_WEIGHT = 1.0, 0.05
-"""In blocks: what the next wider window counts in a window, and what all of them count in a block itself."""
-
-
-@short_repr
-@dataclass(frozen=True, eq=False)
-class LightField:
-    """How bright the scene is lit now, relative to the picture that is remembered, on a grid of blocks.
-
-    Parameters
-    ----------
-    blocks
-        `(block_rows, block_columns)` float32, 1 where the light is as it was.
-    size
-        `(height, width)` px of the picture.
-    """
-
-    blocks: Planes
-    size: tuple[int, int]
-
-    @cached_property
-    def along_rows(self) -> Light:
-        """The field along x at the blocks' centres, and where between them each row lies.
-
-        There is one more block on every side, as the slope of the logarithm goes on.
-        """
-        left, share = _neighbours(self.size[1], self.blocks.shape[1])
-        rows: Planes = np.empty((len(self.blocks) + 2, self.size[1]), np.float32)
-        interpolate(self.blocks, left, share, DARKEST, BRIGHTEST, rows)
-        return Light(rows, _positions(self.size[0], self.blocks.shape[0]))
-
-
-@lru_cache(maxsize=16)
-def _positions(n_pixels: int, n_blocks: int) -> Planes:
-    """Where the centres of pixels lie between those of blocks, `(n_pixels,)`; block 0 is before the first."""
-    return ((np.arange(n_pixels) + 0.5) * n_blocks / n_pixels + 0.5).astype(np.float32)
-
-
-@lru_cache(maxsize=16)
-def _neighbours(n_pixels: int, n_blocks: int) -> tuple[NDArray[np.intp], Planes]:
-    """The block left of every pixel, and the share of the one right of it."""
-    position = _positions(n_pixels, n_blocks)
-    left = position.astype(np.intp)
-    return left, (position - left).astype(np.float32)
-
-
-def followed(
-    before: LightField, image: NDArray[np.uint8], mean: NDArray[np.int16], covered: Planes, elapsed: float
-) -> LightField:
-    """Light of a frame: smooth, and moved only by what most of a neighbourhood agrees on.
-
-    Objects change the ratio of seen to predicted brightness too. A block behind known ones speaks only if it
-    shows the scene's texture nevertheless; else it takes the change of those around it, over windows as wide
-    as it needs, and nothing from itself. A new object would have to fill most of three by three blocks with
-    one and the same factor.
-
-    Parameters
-    ----------
-    before
-        of the frame before.
-    image
-        uint8 `(height, width[, 3])`.
-    mean
-        `(channels, n_pixels)` int16, the empty scene (see `Gaussians`).
-    covered
-        `(block_rows, block_columns)` share of the block behind known objects.
-    elapsed
-        s since the frame before.
-    """
-    ratios, agreement, texture = (np.empty_like(before.blocks) for _ in range(3))
-    flat = np.ascontiguousarray(image).reshape(-1)
-    light = before.along_rows  # made before the threads ask for it
-
-    def work(first: int, end: int) -> None:
-        light_ratios(first, end, flat, mean, light, ratios, agreement, texture)
-
-    over_bands(work, len(before.blocks))
-    rule = Following(
-        FASTEST_LIGHT * elapsed, STEADY_LIGHT, -math.expm1(-elapsed / LIGHT_TIME),
-        -math.expm1(-elapsed / HIDDEN_TIME), SAME_LIGHT, LEAST_AGREEMENT, UNSEEN, WINDOW_WEIGHT, OWN_WEIGHT,
-        DARKEST, BRIGHTEST,
-    )  # fmt: skip
-    blocks: Planes = np.empty_like(before.blocks)
-    follow(before.blocks, ratios, agreement, texture, covered, rule, blocks)
-    return LightField(blocks, before.size)
-
-
-def light_grid(height: int, width: int) -> tuple[int, int]:
-    """Blocks of light over a picture: 24 along its longer side, at least two each way."""
-    block = max(height, width) / 24
-    return max(round(height / block), 2), max(round(width / block), 2)
-
-
-def share_of_blocks(covered: NDArray[np.uint8], grid: tuple[int, ...]) -> Planes:
-    """Share of every block of light that is covered: `(height, width)` uint8, 255 where it is."""
-    shares: Planes = np.zeros(grid, np.float32)
-    share_covered(
-        covered, min(SAMPLED, *(max(n // m, 1) for n, m in zip(covered.shape, grid, strict=True))), shares
-    )
-    return shares
-
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BackgroundPrediction:
     """Prediction of every pixel's background value: N(L; light * mean, light^2 * (variance + drift) + noise).
 
-    Parameters
-    ----------
-    size
-        `(height, width)` px.
-    pixels
-        before this frame; the mean in the planes of `colour`.
-    frames
-        seen before this one.
-    light
-        of this frame.
-    prior
-        P(B=1), that a pixel shows background.
-    drift
-        squared grey levels added to the variance since the last observation.
-    noise_share
-        share by which the noise follows what is seen, 0 to keep it fixed.
-    first_variance
-        squared grey levels, of a value seen once.
-    unknown_variance
-        squared grey levels, of a value that others take for an object's (see `update_behind`); 0 for none.
-    pooling
-        weight of what the 5 x 5 pixels around a pixel show in its own log odds: neighbours mostly share their
-        label, but are not independent observations. 0 makes every pixel decide for itself.
-    second
-        second colour of every pixel: once known, what is within `tolerance` (squared grey levels, four times
-        the variance of all channels) of it is background too.
-    sway
-        how often pixels show what is beside them.
+    `pixels` are known from so many `frames` before this one; `light` is this frame's; `drift`, squared grey
+    levels, was added to the variance since, and the noise follows what is seen by `noise_share`. A value seen
+    once has `first_variance`, one that others take for an object's `unknown_variance` (see `update_behind`),
+    0 for none. `pooling` is the weight of what the 5 x 5 pixels around a pixel show in its own log odds:
+    neighbours mostly share their label, but are not independent observations. Once a `second` colour is
+    known, what is within `tolerance` of it (squared grey levels, four times the variance of all channels) is
+    background too; `sway` says how often pixels show what is beside them.
     """
 
     size: tuple[int, int]
@@ -223,8 +344,9 @@ class BackgroundPrediction:
     second: SecondColours
     tolerance: float
     sway: Sway
-    _compared: dict[int, tuple[NDArray[np.uint8], Subtraction]] = field(default_factory=dict)
-    _updates: dict[int, Gaussians] = field(default_factory=dict)
+    _compared: dict[int, tuple[NDArray[np.uint8], Subtraction, Gaussians | None]] = field(
+        default_factory=dict
+    )
 
     @property
     def colours(self) -> StoredPlanes:
@@ -258,17 +380,16 @@ class BackgroundPrediction:
 
     def compare(self, image: NDArray[np.uint8]) -> Subtraction:
         """Compare an image with the prediction; the same image only once."""
-        known = self._compared.get(id(image))
-        if known is None:
-            subtraction, update = self._subtract(image)
-            known = self._compared[id(image)] = (image, subtraction)
-            self._updates[id(image)] = update
-        return known[1]
+        if id(image) not in self._compared:
+            self._compared[id(image)] = image, *self._subtract(image)
+        return self._compared[id(image)][1]
 
     def update(self, image: NDArray[np.uint8]) -> Gaussians:
         """The background after the image. The arrays are the caller's to change: they are forgotten here."""
-        self.compare(image)
-        return self._updates.pop(id(image), None) or self._subtract(image)[1]
+        subtraction = self.compare(image)
+        after = self._compared[id(image)][2]
+        self._compared[id(image)] = image, subtraction, None
+        return after or self._subtract(image)[1]
 
     def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None) -> float:
         """Log probability of the image, summed over its pixels as if they were independent (nats).
@@ -303,15 +424,7 @@ class BackgroundPrediction:
 
 
 def fixed_point(mean: Planes, variance: Planes, noise: Planes) -> Gaussians:
-    """The nearest numbers of 16 bits.
-
-    Parameters
-    ----------
-    mean
-        `(channels, n_pixels)` grey levels.
-    variance, noise
-        `(n_pixels,)` squared grey levels.
-    """
+    """The nearest numbers of 16 bits."""
     beyond = HIGHEST_VARIANCE * (VARIANCE_STEPS - COARSE_STEPS)
     variances = np.minimum(variance * VARIANCE_STEPS, variance * COARSE_STEPS + beyond)
     return Gaussians(
@@ -342,10 +455,7 @@ def certain_model(model: PixelModel, channels: int) -> Certain:
 
 
 def log_prior_odds(prior: float, channels: int) -> float:
-    """Log of P(B=1) over P(B=0) times the uniform density, in the units of the planes.
-
-    The factor of 2 pi in the density of a Gaussian is part of it.
-    """
+    """Log of P(B=1) over P(B=0) times the uniform density, in the units of the planes."""
     odds = np.log(prior) - np.log1p(-prior)
     return float(
         odds + channels * (np.log(256.0) - 0.5 * np.log(2 * np.pi)) + np.log(colour.VOLUME[channels])

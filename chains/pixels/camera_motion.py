@@ -38,14 +38,9 @@ FIRST_VARIANCE = 1e-6
 class CameraState:
     """Where the camera looks, and at what.
 
-    Parameters
-    ----------
-    mean, covariance
-        `(6,)` px and `(6, 6)` px^2: of the parameters of the map from scene to frame.
-    picture
-        `(height, width[, 3])` float32: the scene under today's light, in the first frame's places.
-    elapsed
-        s since the last frame with an image.
+    `mean` `(6,)` px and `covariance` px^2 are of the parameters of the map from scene to frame, `picture`
+    `(height, width[, 3])` float32 is the scene under today's light, in the first frame's places; `elapsed` s
+    since the last frame with an image.
     """
 
     mean: NDArray[np.float64]

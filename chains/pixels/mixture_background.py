@@ -11,6 +11,7 @@ of a pixel slows its learning, so that objects that they track do not become bac
 """
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +20,181 @@ from ...inference.engine.protocols import Incoming, Port
 from ...models.core.bounds import NOT_NEGATIVE, POSITIVE, Bound, check_bounds
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
+from ...models.numerics.compiled import compiled, exponential, logarithm
 from ...models.numerics.threads import over_bands
 from ...models.pixels import colour
-from ...models.pixels.background import Subtraction
-from ...models.pixels.kernels import StoredPlanes
+from ...models.pixels.background import ODDS_STEPS, StoredPlanes, Subtraction
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
 from .background_prediction import log_prior_odds, smooth
-from .kernels.mixture import Mixture, learn_mixture, mixture_log_evidence, subtract_mixture
+from .gaussians import HIGHEST_NOISE, LOWEST_NOISE
+
+_f4 = np.float32
+
+LEAST_WEIGHT = 1e-9
+"""Weight below which a component is forgotten: it is 0 from then on."""
+
+_LEAST_DENSITY = _f4(1e-30)
+
+
+class Mixture(NamedTuple):
+    """Components of every pixel, in the order of weight over standard deviation; all float32.
+
+    `(components, n_pixels)` weights, whose sum is 1 (0 where there is no such component);
+    `(components, channels, n_pixels)` means in the planes of `colour`; `(components, n_pixels)`
+    variances of each channel, squared grey levels.
+    """
+
+    weights: NDArray[np.float32]
+    means: NDArray[np.float32]
+    variances: NDArray[np.float32]
+
+
+@compiled
+def _row_distance(planes, mean, here, out):
+    """Squared distance of what is seen from one component's mean, along the row of pixels `here`."""
+    out[:] = _f4(0)
+    for channel in range(planes.shape[0]):
+        seen, expected = planes[channel, here], mean[channel, here]
+        for x in range(out.size):
+            difference = seen[x] - expected[x]
+            out[x] += difference * difference
+
+
+@compiled
+def _row_log_odds(planes, mixture, here, share, log_prior, out):
+    """Log odds of background along one row: density of the components that together exceed `share`."""
+    channels = _f4(planes.shape[0])
+    distance = np.empty(out.size, np.float32)
+    density, gathered = np.zeros(out.size, np.float32), np.zeros(out.size, np.float32)
+    for k in range(len(mixture.weights)):
+        _row_distance(planes, mixture.means[k], here, distance)
+        weight, variance = mixture.weights[k, here], mixture.variances[k, here]
+        for x in range(out.size):
+            part = weight[x] if gathered[x] <= share else _f4(0)
+            power = _f4(-0.5) * (channels * logarithm(variance[x]) + distance[x] / variance[x])
+            density[x] += part * exponential(power)
+            gathered[x] += part
+    for x in range(out.size):
+        out[x] = log_prior + logarithm(max(density[x], _LEAST_DENSITY)) - logarithm(gathered[x])
+
+
+@compiled
+def subtract_mixture(first, end, width, planes, mixture, share, log_prior, log_odds):
+    """Rows `first` to `end`: log odds of background as int8 in steps of `1 / ODDS_STEPS`."""
+    odds = np.empty(width, np.float32)
+    for y in range(first, end):
+        here = slice(y * width, (y + 1) * width)
+        _row_log_odds(planes, mixture, here, share, log_prior, odds)
+        out = log_odds[here]
+        for x in range(width):
+            out[x] = np.int8(min(max(odds[x], _f4(-6)), _f4(6)) * _f4(ODDS_STEPS))
+
+
+@compiled
+def mixture_log_evidence(width, planes, mixture, share, log_prior, shift):
+    """Sum over pixels of log(exp(log odds + shift) + 1), the log odds neither rounded nor saturated."""
+    odds, added = np.empty(width, np.float32), np.full(width, shift[0])
+    total = 0.0
+    for y in range(planes.shape[1] // width):
+        here = slice(y * width, (y + 1) * width)
+        _row_log_odds(planes, mixture, here, share, log_prior, odds)
+        if shift.size > 1:
+            added[:] = shift[here]
+        in_row = _f4(0)
+        for x in range(width):
+            sum_of_both = odds[x] + added[x]
+            in_row += max(sum_of_both, _f4(0)) + logarithm(_f4(1) + exponential(-abs(sum_of_both)))
+        total += in_row
+    return total
+
+
+@compiled
+def learn_mixture(first, end, width, planes, rates, least_rate, first_variance, reach, before, mixture):
+    """Rows `first` to `end`: one step of learning from `before` to `mixture`, by each pixel's own rate.
+
+    The most probable component within `reach` variances learns. Where there is none, a new one takes the
+    place of the last, if the rate exceeds `least_rate`: a component cannot be replaced in part.
+    """
+    weights, means, variances = before
+    new_weights, new_means, new_variances = mixture
+    components, channels = means.shape[:2]
+    distances = np.empty((components, width), np.float32)
+    shown, fresh = np.empty(width, np.float32), np.empty(width, np.float32)
+    gain, total = np.empty(width, np.float32), np.empty(width, np.float32)
+    for y in range(first, end):
+        here = slice(y * width, (y + 1) * width)
+        rate = rates[here]
+        shown[:] = _f4(components)
+        for k in range(components - 1, -1, -1):
+            distance, weight, variance = distances[k], weights[k, here], variances[k, here]
+            _row_distance(planes, means[k], here, distance)
+            for x in range(width):
+                near = (weight[x] > _f4(0)) & (distance[x] < reach * variance[x])
+                shown[x] = _f4(k) if near else shown[x]
+        for x in range(width):
+            replaced = (shown[x] == _f4(components)) & (rate[x] > least_rate)
+            fresh[x] = _f4(1) if replaced else _f4(0)
+            shown[x] = _f4(components - 1) if replaced else shown[x]
+        total[:] = _f4(0)
+        for k in range(components):
+            distance, weight, variance = distances[k], weights[k, here], variances[k, here]
+            weight_after, variance_after = new_weights[k, here], new_variances[k, here]
+            for x in range(width):
+                is_shown = shown[x] == _f4(k)
+                new = is_shown & (fresh[x] > _f4(0))
+                kept = _f4(0) if new else (_f4(1) - rate[x]) * weight[x]
+                after = kept + rate[x] if is_shown else kept
+                after = after if after > _f4(LEAST_WEIGHT) else _f4(0)
+                step = rate[x] / max(after, _f4(LEAST_WEIGHT)) if is_shown else _f4(0)
+                rest = _f4(1) - step
+                spread = rest * variance[x] + step * rest * rest * distance[x] / _f4(channels)
+                spread = min(max(spread, _f4(LOWEST_NOISE)), _f4(HIGHEST_NOISE))
+                weight_after[x] = after
+                variance_after[x] = first_variance if new else (spread if is_shown else variance[x])
+                gain[x] = step
+                total[x] += after
+            for channel in range(channels):
+                seen, mean, mean_after = (
+                    planes[channel, here],
+                    means[k, channel, here],
+                    new_means[k, channel, here],
+                )
+                for x in range(width):
+                    mean_after[x] = mean[x] + gain[x] * (seen[x] - mean[x])
+        for k in range(components):
+            weight_after = new_weights[k, here]
+            for x in range(width):
+                weight_after[x] /= total[x]
+        # only one component can be out of order: one pass lets it sink, the other lets it rise
+        for k in range(components - 1):
+            _order(k, here, mixture, shown)
+        for k in range(components - 3, -1, -1):
+            _order(k, here, mixture, shown)
+
+
+@compiled
+def _order(k, here, mixture, swapped):
+    """Let components `k` and `k + 1` of a row change places where the second is the more probable."""
+    weights, means, variances = mixture
+    weight, next_weight = weights[k, here], weights[k + 1, here]
+    variance, next_variance = variances[k, here], variances[k + 1, here]
+    for x in range(swapped.size):
+        ahead = weight[x] * weight[x] * next_variance[x]
+        behind = next_weight[x] * next_weight[x] * variance[x]
+        swapped[x] = _f4(1) if behind > ahead else _f4(0)
+    _swap(weight, next_weight, swapped)
+    _swap(variance, next_variance, swapped)
+    for channel in range(means.shape[1]):
+        _swap(means[k, channel, here], means[k + 1, channel, here], swapped)
+
+
+@compiled
+def _swap(one, other, swapped):
+    for x in range(swapped.size):
+        here, there = one[x], other[x]
+        one[x] = there if swapped[x] > _f4(0) else here
+        other[x] = here if swapped[x] > _f4(0) else there
+
 
 Planes = NDArray[np.float32]
 
@@ -44,20 +213,8 @@ REVEALED = 3.0
 class MixturePrediction:
     """Prediction of every pixel's background value: the first components of its mixture, normalised.
 
-    Stauffer and Grimson, "Adaptive background mixture models for real-time tracking", CVPR 1999.
-
-    Parameters
-    ----------
-    size
-        `(height, width)` px.
-    mixture
-        of all that was seen.
-    prior
-        P(B=1), that a pixel shows background.
-    share
-        as many of the first components are background as it takes for their weight to exceed this (their T).
-    pooling
-        weight of what the 5 x 5 pixels around a pixel show in its own log odds.
+    As many of the first components are background as it takes for their weight to exceed `share` (the paper's
+    T); `prior` and `pooling` are those of `MixtureBackground`.
     """
 
     size: tuple[int, int]
@@ -77,7 +234,7 @@ class MixturePrediction:
         return self._comparison(image)[2]
 
     def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None) -> float:
-        """Log probability of the image, summed over its pixels as if they were independent (nats).
+        """Log probability of the image (nats), pixels being independent.
 
         `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0.
         """
@@ -100,16 +257,8 @@ class MixturePrediction:
         m + g (I - m) and the variance to (1 - g) v + g (I - m)^2, in which m is the new one. (The paper's g
         is a N(I; m, v), by which a mean hardly moves; a / w makes it an average of what was seen.)
 
-        Parameters
-        ----------
-        image
-            uint8 `(height, width[, 3])`.
-        rates
-            `(n_pixels,)` float32, a of every pixel.
-        least_rate
-            at a pixel whose rate does not exceed it, no new component begins.
-        first_variance
-            squared grey levels, of a new component.
+        `rates` `(n_pixels,)` float32 are a of every pixel; where they do not exceed `least_rate`, no new
+        component begins, of `first_variance` squared grey levels.
         """
         height, width = self.size
         planes = self._comparison(image)[1]
@@ -149,17 +298,7 @@ class MixturePrediction:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class MixtureState:
-    """What was seen at every pixel.
-
-    Parameters
-    ----------
-    size
-        `(height, width)` px.
-    mixture
-        of colours.
-    elapsed
-        s since the last frame with an image.
-    """
+    """What was seen at every pixel of a picture `(height, width)`; `elapsed` s since the last image."""
 
     size: tuple[int, int]
     mixture: Mixture
@@ -206,17 +345,10 @@ class MixtureBackground:
 
     def __post_init__(self) -> None:
         inside: Bound = (lambda value: 0 < value < 1, "more than 0 and less than 1")
-        check_bounds(
-            self,
-            {
-                "prior": inside,
-                "background_share": inside,
-                "rate": POSITIVE,
-                "first_variance": POSITIVE,
-                "components": (lambda count: count >= 1, "1 or more"),
-                "pooling": NOT_NEGATIVE,
-            },
-        )
+        positive = dict.fromkeys(("rate", "first_variance"), POSITIVE)
+        least: Bound = (lambda count: count >= 1, "1 or more")
+        shares = {"prior": inside, "background_share": inside}
+        check_bounds(self, {**shares, **positive, "components": least, "pooling": NOT_NEGATIVE})
 
     def initial(self, frame: Frame) -> MixtureState:
         """One component for every pixel, the first image."""

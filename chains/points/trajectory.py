@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.kalman import PointStates, cavity, filter_tracks, smooth
-from ...models.core.gaussian_message import GaussianMessage
+from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.short_repr import short_repr
-from ...models.numerics.densities import squared_distances
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -39,16 +38,10 @@ EVERY_SPEED = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Measured positions of points in all frames, in information form.
+    """Measured positions of points in all frames, at `times` `(n_frames,)` s, in information form.
 
-    Parameters
-    ----------
-    times
-        `(n_frames,)` s, increasing.
-    information
-        `(n_frames, n_points, 2, 2)` 1/px^2, zeros where a point was not seen.
-    vector
-        `(n_frames, n_points, 2)` 1/px, information times position.
+    `information` `(n_frames, n_points, 2, 2)` 1/px^2 is 0 where a point was not seen; `vector` 1/px is that
+    times the position.
     """
 
     times: Numbers
@@ -76,17 +69,7 @@ class Measurements:
 
 @dataclass(frozen=True)
 class MotionModel:
-    """What points move like.
-
-    Parameters
-    ----------
-    acceleration
-        px^2/s^3, spectral density of the white acceleration along each coordinate.
-    speed
-        px/s, standard deviation of each coordinate's velocity, of a point that nobody has seen move.
-    extent
-        px, standard deviation of a position that nobody knows.
-    """
+    """What points move like: px^2/s^3, and the deviations, px/s and px, of what nobody knows."""
 
     acceleration: float
     speed: float
@@ -98,17 +81,12 @@ class MotionModel:
 
 
 def estimate_motion(measured: Measurements, acceleration: float | None = None) -> MotionModel:
-    """Motion that fits the measurements.
+    """Motion that fits the measurements; `acceleration` px^2/s^3 where it is known.
 
-    The acceleration is the one with which half of all measurements are inside the ellipses in which the
-    filter, one frame ahead, expects half of them: the median of the squared distances is a Gaussian's.
-    Maximum likelihood agrees where errors are Gaussian, but would be swayed by tracks that jump or slip.
-    Where measurements scatter less than they claim, the acceleration is the least that is believed.
-
-    Parameters
-    ----------
-    acceleration
-        px^2/s^3 where it is known.
+    It is the one with which half of all measurements are inside the ellipses in which the filter, one frame
+    ahead, expects half of them: the median of the squared distances is a Gaussian's. Maximum likelihood
+    agrees where errors are Gaussian, but would be swayed by tracks that jump or slip. Where measurements
+    scatter less than they claim, it is the least that is believed.
     """
     seen = measured.seen
     position, covariance = measured.moments()
@@ -134,22 +112,7 @@ def estimate_motion(measured: Measurements, acceleration: float | None = None) -
 
 
 def one_frame_ahead(filtered: PointStates, times: Numbers, acceleration: float) -> tuple[Numbers, Numbers]:
-    """Positions that are expected in all frames but the first, each from the frames before.
-
-    Parameters
-    ----------
-    filtered
-        `n_frames` times `n_points`.
-    times
-        `(n_frames,)` s.
-    acceleration
-        px^2/s^3.
-
-    Returns
-    -------
-    mean, covariance
-        `(n_frames - 1, n_points, 2)` px and `(n_frames - 1, n_points, 2, 2)` px^2.
-    """
+    """Positions that are expected in all frames but the first, each from the frames before."""
     dt = np.diff(times)[:, None, None]
     mean, covariance = filtered.mean[:-1], filtered.covariance[:-1]
     expected = mean[:, :, :2] + dt * mean[:, :, 2:]
@@ -194,15 +157,7 @@ AT_ONCE = 128
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Appearances:
-    """What points look like.
-
-    Parameters
-    ----------
-    identities
-        `(n,)` int64, increasing.
-    first, last
-        `(n, side, side)` float32: as they were found first, and as they were followed at the end.
-    """
+    """What points look like, `first` and `last`, `(n, side, side)` float32; `identities` increase."""
 
     identities: Identities
     first: NDArray[np.float32]
@@ -218,27 +173,14 @@ class Appearances:
 class PointTrajectory:
     """Where points are in all frames, and what a tracker says of that.
 
-    Parameters
-    ----------
-    identities
-        `(n,)` int64, increasing.
-    position, covariance
-        `(n_frames, n, 2)` px and `(n_frames, n, 2, 2)` px^2, given all that is known; meaningless where a
-        point is not alive.
-    observed
-        `(n_frames, n)`: the frame itself shows the point.
-    alive
-        `(n_frames, n)`: its position is known well enough, and inside the picture.
-    information, vector
-        `(n_frames, n, 2, 2)` 1/px^2 and `(n_frames, n, 2)` 1/px: what the other frames' evidence says of the
-        position, zeros where it is too little; never what other chains said.
-    appearances
-        what points look like, also some that no frame shows; `None` where there are no pictures.
-    absorbed
-        `(m, 2)` int64: identities that turned out to be another point, and of which one.
-    log_prior
-        log probability of what was found under the motion of points, one after the other, less what beliefs
-        over the features say of it already: with them it makes the log evidence of all tracks.
+    `position` `(n_frames, n, 2)` px and `covariance` px^2 are given all that is known, and mean nothing where
+    a point is not `alive` `(n_frames, n)`: known well enough, and inside the picture; `observed` where the
+    frame itself shows it. `information` 1/px^2 and `vector` 1/px are what the other frames' evidence says of
+    the position, 0 where it is too little; never what other chains said. `appearances` are also of points
+    that no frame shows, `None` where there are no pictures; `absorbed` `(m, 2)` int64 are identities that
+    turned out to be another point, and of which one. `log_prior` is the log probability of what was found
+    under the motion of points, one after the other, less what beliefs over the features say of it already:
+    with them it makes the log evidence of all tracks.
     """
 
     identities: Identities
@@ -263,17 +205,7 @@ class PointTrajectory:
 
 @dataclass(frozen=True, eq=False)
 class StackedMessages:
-    """Gaussian messages of all frames side by side.
-
-    Parameters
-    ----------
-    identities
-        `(n,)` int64, increasing.
-    measured
-        of these points.
-    log_scale
-        `(n_frames, n)`.
-    """
+    """Gaussian messages of all frames side by side; `log_scale` is `(n_frames, n)`."""
 
     identities: Identities
     measured: Measurements
@@ -304,19 +236,7 @@ def smoothed_trajectory(
     limit: float,
     size: tuple[int, int] | None,
 ) -> PointTrajectory:
-    """Smooth tracks, once with everything and once with the frames' evidence alone.
-
-    Parameters
-    ----------
-    evidence, others
-        what frames and what other chains say of the same points.
-    motion
-        of the points.
-    limit
-        px, standard deviation from which a position counts as not known.
-    size
-        `(height, width)` px of the picture; `None` where there is none.
-    """
+    """Smooth tracks, once with everything and once with the frames' evidence alone."""
     n_frames, n_points = evidence.log_scale.shape
     times = evidence.measured.times
     position, covariance = np.zeros((n_frames, n_points, 2)), np.zeros((n_frames, n_points, 2, 2))
@@ -378,10 +298,7 @@ def _log_prior(
     motion: MotionModel,
     limit: float,
 ) -> float:
-    """Log evidence of the tracks, each find given those before it, less that of each given all others.
-
-    Where a track begins anywhere will do, which the scale of the evidence makes 1.
-    """
+    """Log evidence of the tracks, each find given those before it, less that of each given all others."""
     expected, spread = one_frame_ahead(filtered, seen.times, motion.acceleration)
     position, noise = seen.moments()
     found = seen.seen

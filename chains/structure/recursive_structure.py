@@ -18,9 +18,8 @@ from ...inference.kalman import kinematic
 from ...inference.sfm.factor_analysis.em import CameraPrior, estimate_cameras, homogeneous
 from ...inference.sfm.factor_analysis.factorisation import Factorisation, factorise, projected
 from ...models.core.frame import Frame
-from ...models.core.gaussian_message import GaussianMessage
+from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.short_repr import short_repr
-from ...models.numerics.densities import squared_distances
 from ...models.points.point_tracks import NOWHERE, PointMessage, PointTracks
 
 Numbers = NDArray[np.float64]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rsmcm.apps.io import open_source, with_keypoints
 from rsmcm.models import Frame
-from rsmcm.models.core.keypoints import KEYPOINTS
+from rsmcm.models.core.frame import KEYPOINTS
 
 
 class YoloPose:

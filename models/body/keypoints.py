@@ -7,8 +7,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.frame import KEYPOINTS, GivenKeypoints
 from ..core.gaussian_mixtures import GaussianMixtures
-from ..core.keypoints import KEYPOINTS, GivenKeypoints
 from ..core.short_repr import short_repr
 from .kernels import keypoint_terms
 from .upper_body import JOINTS, PARTS, PROPORTIONS, UpperBody

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.frame import BoundingBox, Frame
-from ..core.gaussian_mixtures import GaussianMixtures
+from ..core.gaussian_mixtures import GaussianMixtures, log_sums
 from ..core.pictures import draw_region
 from ..core.short_repr import short_repr
 from ..face.detectors import HaarFaces, PartDetector
-from ..numerics.densities import log_sums
 from ..numerics.threads import side_by_side
 from .image_features import BodyImage, SkinBlobs, edge_distances, skin_blobs
 from .keypoints import SeenKeypoints

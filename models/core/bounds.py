@@ -13,13 +13,7 @@ SHARE: Bound = (lambda value: 0 < value < 1, "a share between 0 and 1")
 
 
 def check_bounds(owner: object, bounds: dict[str, Bound]) -> None:
-    """Make sure that attributes of an object are within bounds.
-
-    Raises
-    ------
-    ValueError
-        that names the first one which is not: what came, and what was expected.
-    """
+    """Raise a `ValueError` that names the first attribute out of bounds: what came, what was expected."""
     for name, (holds, expected) in bounds.items():
         value = getattr(owner, name)
         if not holds(value):

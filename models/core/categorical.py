@@ -13,13 +13,7 @@ from .short_repr import short_repr
 
 @short_repr
 class CategoricalMessage:
-    """A weight for each value of the feature.
-
-    Parameters
-    ----------
-    log_weights
-        `(size,)`; minus infinity for an impossible value.
-    """
+    """A weight for each value of the feature, by logs `(size,)`; minus infinity for an impossible value."""
 
     def __init__(self, log_weights: ArrayLike) -> None:
         self.log_weights: NDArray[np.float64] = np.asarray(log_weights, np.float64)
@@ -30,13 +24,7 @@ class CategoricalMessage:
         return float(logsumexp(self.log_weights))
 
     def probabilities(self) -> NDArray[np.float64]:
-        """`(size,)` weights that sum to 1.
-
-        Raises
-        ------
-        ValueError
-            if every value is impossible.
-        """
+        """`(size,)` weights that sum to 1; a `ValueError` if every value is impossible."""
         log_mass = self.log_mass
         if log_mass == -np.inf:
             raise ValueError("message: got weight 0 for every value, expected one that is possible")
@@ -73,13 +61,7 @@ class Categorical:
         return CategoricalMessage(np.zeros(self.size))
 
     def evidence(self, frame: Frame, prior: CategoricalMessage) -> CategoricalMessage:
-        """Likelihood of the frame; `prior` is not needed.
-
-        Raises
-        ------
-        ValueError
-            if `log_likelihood` gives another number of values.
-        """
+        """Likelihood of the frame; a `ValueError` if `log_likelihood` gives another number of values."""
         if self.log_likelihood is None:
             return self.uniform()
         message = CategoricalMessage(self.log_likelihood(frame))

@@ -1,5 +1,6 @@
 """Independent Gaussians by identity: what is known of many things of one kind, each on its own."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -7,8 +8,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .kernels import invert
-from .short_repr import short_repr
+from ..numerics.compiled import compiled, inlined
+from .short_repr import Rows, short_repr
 
 Numbers = NDArray[np.float64]
 
@@ -18,23 +19,16 @@ LEAST_INFORMATION = 1e-12
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class GaussianMessage:
+class GaussianMessage(Rows):
     """A product over things k of exp(scale_k + vector_k . F_k - F_k . information_k F_k / 2).
 
     In information form products add, and a thing that a message does not mention has no information there.
     Things are kept apart: what a chain knows of several together (one plane below all boxes, one camera that
     sees all points) is sent as each one's own marginal.
 
-    Parameters
-    ----------
-    identities
-        `(n,)` int64, increasing.
-    information
-        `(n, d, d)` 1/px^2, symmetric, positive definite or semi-definite.
-    vector
-        `(n, d)` 1/px, information times mean.
-    log_scale
-        `(n,)`; see `from_moments` for that of a density.
+    `identities` `(n,)` int64 increase; `information` `(n, d, d)` 1/px^2 is symmetric, positive definite or
+    semi-definite; `vector` `(n, d)` 1/px is that times the mean; `log_scale` `(n,)`: see `from_moments` for
+    that of a density.
     """
 
     identities: NDArray[np.int64]
@@ -45,12 +39,8 @@ class GaussianMessage:
     @classmethod
     def uniform(cls, dimension: int) -> Self:
         """The constant 1, which mentions nothing."""
-        return cls(
-            np.zeros(0, np.int64),
-            np.zeros((0, dimension, dimension)),
-            np.zeros((0, dimension)),
-            np.zeros(0, np.float64),
-        )
+        nothing = np.zeros((0, dimension))
+        return cls(np.zeros(0, np.int64), np.zeros((0, dimension, dimension)), nothing, np.zeros(0))
 
     @classmethod
     def from_moments(cls, identities: ArrayLike, means: ArrayLike, covariances: ArrayLike) -> Self:
@@ -60,10 +50,8 @@ class GaussianMessage:
         ----------
         identities
             `(n,)` integers in any order, each once.
-        means
-            `(n, d)` px.
-        covariances
-            `(n, d, d)` px^2.
+        means, covariances
+            `(n, d)` px and `(n, d, d)` px^2.
 
         Raises
         ------
@@ -134,8 +122,8 @@ class GaussianMessage:
     def log_mass(self) -> float:
         """Log of the integral over all things that the message knows something of.
 
-        A number without any information counts as if it were not mentioned, and so does a thing without any,
-        but for its scale; one with information about a direction between its numbers has no finite integral.
+        A number without any information counts as if it were not mentioned; a thing with information about a
+        direction between its numbers alone has no finite integral.
         """
         known = np.asarray(self.information.any(axis=(1, 2)))
         if not self.proper[known].all():
@@ -158,13 +146,7 @@ class GaussianMessage:
         return type(self)(self.identities, filled, self.vector, scales).log_mass
 
     def marginal(self, identity: int) -> tuple[Numbers, Numbers]:
-        """Mean `(d,)` px and covariance `(d, d)` px^2 of one thing.
-
-        Raises
-        ------
-        KeyError
-            if there is none of that number, or not enough is known to say where it is.
-        """
+        """Mean `(d,)` px and covariance `(d, d)` px^2 of one thing; a `KeyError` if they are not known."""
         identities, means, covariances = self.moments
         place = int(np.searchsorted(identities, identity))
         if place == len(identities) or identities[place] != identity:
@@ -172,25 +154,13 @@ class GaussianMessage:
         return means[place], covariances[place]
 
     def among(self, identities: NDArray[np.int64]) -> Self:
-        """The same function, which also mentions things of which it says nothing.
-
-        Parameters
-        ----------
-        identities
-            `(m,)` int64, increasing; all of this message's are there.
-        """
+        """The same function, which also mentions things of which it says nothing."""
         place = np.searchsorted(identities, self.identities)
         count, dimension = len(identities), self.dimension
         information, vector = np.zeros((count, dimension, dimension)), np.zeros((count, dimension))
         log_scale = np.zeros(count)
         information[place], vector[place], log_scale[place] = self.information, self.vector, self.log_scale
         return type(self)(identities, information, vector, log_scale)
-
-    def only(self, kept: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
-        """The factors of those of whom `kept` is true, or at these places, in order."""
-        return type(self)(
-            self.identities[kept], self.information[kept], self.vector[kept], self.log_scale[kept]
-        )
 
 
 def _inverted(
@@ -203,3 +173,72 @@ def _inverted(
     log_determinants, regular = np.empty(count), np.empty(count, np.bool_)
     invert(matrices, vectors, least, inverses, products, log_determinants, regular)
     return inverses, products, log_determinants, regular
+
+
+@inlined
+def _cholesky(matrix, scales, least, root):
+    """Lower root of a matrix scaled to a unit diagonal; whether all its pivots are more than `least`."""
+    size = scales.size
+    for i in range(size):
+        if not matrix[i, i] > 0:
+            return False
+        scales[i] = math.sqrt(matrix[i, i])
+    for i in range(size):
+        for j in range(i + 1):
+            value = matrix[i, j] / (scales[i] * scales[j])
+            for k in range(j):
+                value -= root[i, k] * root[j, k]
+            if i > j:
+                root[i, j] = value / root[j, j]
+            elif value > least:
+                root[i, i] = math.sqrt(value)
+            else:
+                return False
+    return True
+
+
+@inlined
+def _inverse(root, scales, lower, out):
+    """Inverse of the matrix of which `_cholesky` gave the root; `lower` is for the root's."""
+    size = scales.size
+    for j in range(size):
+        for i in range(j, size):
+            value = 1.0 if i == j else 0.0
+            for k in range(j, i):
+                value -= root[i, k] * lower[k, j]
+            lower[i, j] = value / root[i, i]
+    for i in range(size):
+        for j in range(i + 1):
+            value = 0.0
+            for k in range(i, size):
+                value += lower[k, i] * lower[k, j]
+            out[i, j] = out[j, i] = value / (scales[i] * scales[j])
+
+
+@compiled
+def invert(matrices, vectors, least, inverses, products, log_determinants, regular):
+    """Inverses of symmetric `(n, d, d)` matrices, and these times vectors; 0 of those not `regular`."""
+    size = matrices.shape[1]
+    scales, root, lower = np.empty(size), np.zeros((size, size)), np.zeros((size, size))
+    for n in range(matrices.shape[0]):
+        inverse, product = inverses[n], products[n]
+        log_determinant = 0.0
+        regular[n] = _cholesky(matrices[n], scales, least, root)
+        if regular[n]:
+            _inverse(root, scales, lower, inverse)
+            for i in range(size):
+                log_determinant += math.log(root[i, i] * scales[i])
+        else:
+            inverse[:] = 0.0
+        for i in range(size):
+            value = 0.0
+            for j in range(size):
+                value += inverse[i, j] * vectors[n, j]
+            product[i] = value
+        log_determinants[n] = 2 * log_determinant
+
+
+def squared_distances(off: Numbers, covariance: Numbers) -> Numbers:
+    """Squared distances `(...)` of vectors `(..., d)` from 0, by covariances `(..., d, d)`."""
+    distances: Numbers = (off * np.linalg.solve(covariance, off[..., None])[..., 0]).sum(axis=-1)
+    return distances

@@ -1,16 +1,15 @@
 """Mixtures of Gaussians in the picture, one for each of a few parts, with components that are flat."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.densities import log_sums
+from ..numerics.compiled import compiled, inlined
 from ..numerics.threads import over_bands
-from .kernels import products, sums_of_densities, sums_over_hypotheses
 from .short_repr import short_repr
 
 Array = NDArray[np.float64]
@@ -40,10 +39,8 @@ class GaussianMixtures:
     ----------
     log_weights
         `(n_parts, n)`; minus infinity for a filler.
-    means
-        `(n_parts, n, 2)` px.
-    covariances
-        `(n_parts, n, 2, 2)` px^2, positive definite.
+    means, covariances
+        `(n_parts, n, 2)` px and `(n_parts, n, 2, 2)` px^2, positive definite.
     flat
         `(n_parts, n)` bool: components without mean and covariance (whose entries are not used).
     labels
@@ -80,12 +77,9 @@ class GaussianMixtures:
     ) -> Self:
         """Mixtures with different numbers of components.
 
-        Parameters
-        ----------
-        log_weights, means, covariances, labels
-            one array for each part: `(n,)`, `(n, 2)` px, `(n, 2, 2)` px^2, `(n,)`; n may be 0.
-        log_flat
-            `(n_parts,)` log weight of a flat component of each part (per px^2), minus infinity for none.
+        `log_weights` `(n,)`, `means` `(n, 2)` px, `covariances` `(n, 2, 2)` px^2 and `labels` `(n,)` are one
+        array for each part, n may be 0; `log_flat` `(n_parts,)` is the log weight of a flat component of each
+        (per px^2), minus infinity for none.
 
         Raises
         ------
@@ -134,82 +128,44 @@ class GaussianMixtures:
 
     def take(self, parts: Sequence[int] | NDArray[np.intp]) -> Self:
         """Mixtures of some of the parts, in that order."""
-        chosen = np.asarray(parts)
-        return type(self)(
-            self.log_weights[chosen],
-            self.means[chosen],
-            self.covariances[chosen],
-            self.flat[chosen],
-            self.labels[chosen],
-        )
+        return self._each(lambda values: values[np.asarray(parts)])
 
     @classmethod
     def stacked(cls, mixtures: "Sequence[GaussianMixtures]") -> Self:
         """The parts of several, one after the other."""
         most = max(each.log_weights.shape[1] for each in mixtures)
-        filled = [each._filled(most) for each in mixtures]
-        return cls(
-            np.concatenate([each.log_weights for each in filled]),
-            np.concatenate([each.means for each in filled]),
-            np.concatenate([each.covariances for each in filled]),
-            np.concatenate([each.flat for each in filled]),
-            np.concatenate([each.labels for each in filled]),
-        )
+        return cls._joined([each._filled(most) for each in mixtures], 0)
 
     def pooled(self, n_parts: int, log_weights: Array) -> Self:
-        """Sums of several mixtures of the same parts, which are stacked here.
-
-        Parameters
-        ----------
-        n_parts
-            of the sum; these are a multiple of it.
-        log_weights
-            nats for each of these.
-        """
+        """Sums of several mixtures of the same `n_parts`, which are stacked here, with a log weight each."""
 
         def side_by_side(values: NDArray[Any]) -> NDArray[Any]:
             """`(k * n_parts, n, ...)` as `(n_parts, k * n, ...)`."""
             each = values.reshape(-1, n_parts, *values.shape[1:]).swapaxes(0, 1)
             return each.reshape(n_parts, -1, *values.shape[2:])
 
-        return type(self)(
-            side_by_side(self.log_weights + log_weights[:, None]),
-            side_by_side(self.means),
-            side_by_side(self.covariances),
-            side_by_side(self.flat),
-            side_by_side(self.labels),
-        )
+        return replace(self, log_weights=self.log_weights + log_weights[:, None])._each(side_by_side)
 
     def proper(self, log_mass: float, means: Array, covariances: Array) -> Self:
         """Mixtures in which a Gaussian stands for every flat component.
 
-        Parameters
-        ----------
-        log_mass
-            by how much a Gaussian's log weight is more than that of its flat component: log of the area,
-            px^2, over which that one counts; one number for all parts.
-        means, covariances
-            `(n_parts, 2)` px and `(n_parts, 2, 2)` px^2 of these Gaussians.
+        `log_mass` is by how much its log weight is more: log of the area, px^2, over which the flat one
+        counts.
         """
         flat = self.flat[..., None]
-        return type(self)(
-            self.log_weights + np.where(self.flat, log_mass, 0.0),
-            np.where(flat, means[:, None], self.means),
-            np.where(flat[..., None], covariances[:, None], self.covariances),
-            np.zeros_like(self.flat),
-            self.labels,
+        return replace(
+            self,
+            log_weights=self.log_weights + np.where(self.flat, log_mass, 0.0),
+            means=np.where(flat, means[:, None], self.means),
+            covariances=np.where(flat[..., None], covariances[:, None], self.covariances),
+            flat=np.zeros_like(self.flat),
         )
 
     def blended(self, other: Self, share: float) -> Self:
         """Densities: this one, or with probability `share` the other one; both proper, each counted as 1."""
         own, more = (each.log_weights - each.log_masses[:, None] for each in (self, other))
-        return type(self)(
-            np.concatenate([own + np.log1p(-share), more + np.log(share)], axis=1),
-            np.concatenate([self.means, other.means], axis=1),
-            np.concatenate([self.covariances, other.covariances], axis=1),
-            np.concatenate([self.flat, other.flat], axis=1),
-            np.concatenate([self.labels, other.labels], axis=1),
-        )
+        one = replace(self, log_weights=own + np.log1p(-share))
+        return self._joined([one, replace(other, log_weights=more + np.log(share))], 1)
 
     @property
     def informative(self) -> NDArray[np.bool_]:
@@ -231,14 +187,9 @@ class GaussianMixtures:
         return values
 
     def log_joint_values(self, points: Array, log_hypotheses: Array) -> Array:
-        """`(n,)` logs of a sum over hypotheses of the product of its parts' functions.
+        """`(n,)` logs of a sum over hypotheses of the product of their functions at `points` `(n, k, 2)` px.
 
-        Parameters
-        ----------
-        points
-            `(n, k, 2)` px, of k parts.
-        log_hypotheses
-            `(h,)` log weights; these mixtures are those of the k parts of each, one after the other.
+        These mixtures are those of the k parts of each hypothesis, `(h,)` log weights, one after the other.
         """
         logs = np.empty(len(points))
         weights = np.maximum(log_hypotheses, NO_WEIGHT)
@@ -267,23 +218,14 @@ class GaussianMixtures:
         )
 
     def log_overlaps(self, means: Array, covariances: Array) -> Array:
-        """`(n_parts, n)` logs of the integrals of the functions times Gaussian densities.
-
-        Parameters
-        ----------
-        means, covariances
-            of n densities a part: `(n_parts, n, 2)` px and `(n_parts, n, 2, 2)` px^2.
-        """
+        """`(n_parts, n)` logs of the integrals of the functions times Gaussian densities, n a part."""
         step = means[:, :, None] - self.means[:, None]
         overlap = _log_density(step, covariances[:, :, None] + self.covariances[:, None])
         overlap = np.where(self.flat[:, None], 0.0, overlap)
         return log_sums(self.log_weights[:, None] + overlap)
 
     def moments(self, area: float, centre: ArrayLike) -> tuple[Array, Array]:
-        """Means `(n_parts, 2)` px and covariances `(n_parts, 2, 2)` px^2.
-
-        Flat components count over a square region of `area` px^2 about `centre`.
-        """
+        """Means `(n_parts, 2)` px and covariances `(n_parts, 2, 2)` px^2."""
         weights = self.log_weights + np.where(self.flat, np.log(area), 0.0)
         share = np.exp(weights - log_sums(weights)[:, None])
         means = np.where(self.flat[..., None], np.asarray(centre, np.float64), self.means)
@@ -293,18 +235,27 @@ class GaussianMixtures:
         scatter = spreads + apart[..., :, None] * apart[..., None, :]
         return mean, (share[..., None, None] * scatter).sum(axis=1)
 
+    def _each(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Self:
+        """With all arrays changed alike."""
+        return type(self)(*(change(getattr(self, field.name)) for field in fields(self)))
+
+    @classmethod
+    def _joined(cls, mixtures: "Sequence[GaussianMixtures]", axis: int) -> Self:
+        arrays = ([getattr(each, field.name) for each in mixtures] for field in fields(cls))
+        return cls(*(np.concatenate(each, axis=axis) for each in arrays))
+
     def _filled(self, most: int) -> Self:
         """With fillers up to `most` components a part."""
         missing = most - self.log_weights.shape[1]
-        return type(self)(
-            np.pad(self.log_weights, ((0, 0), (0, missing)), constant_values=-np.inf),
-            np.pad(self.means, ((0, 0), (0, missing), (0, 0))),
-            np.concatenate(
-                [self.covariances, np.broadcast_to(np.eye(2), (self.n_parts, missing, 2, 2))], axis=1
-            ),
-            np.pad(self.flat, ((0, 0), (0, missing))),
-            np.pad(self.labels, ((0, 0), (0, missing)), constant_values=NO_LABEL),
+        n_parts = self.n_parts
+        fillers = type(self)(
+            np.full((n_parts, missing), -np.inf),
+            np.zeros((n_parts, missing, 2)),
+            np.broadcast_to(np.eye(2), (n_parts, missing, 2, 2)),
+            np.zeros((n_parts, missing), np.bool_),
+            np.full((n_parts, missing), NO_LABEL, np.int64),
         )
+        return self._joined([self, fillers], 1)
 
     def _pruned(self) -> Self:
         """The heaviest components; flat ones stay, since their mass is without bound."""
@@ -312,12 +263,8 @@ class GaussianMixtures:
             return self
         rank = np.where(self.flat & np.isfinite(self.log_weights), np.inf, self.log_weights)
         kept = np.sort(np.argsort(-rank, axis=1, kind="stable")[:, :MOST_COMPONENTS], axis=1)
-        return type(self)(
-            np.take_along_axis(self.log_weights, kept, 1),
-            np.take_along_axis(self.means, kept[..., None], 1),
-            np.take_along_axis(self.covariances, kept[..., None, None], 1),
-            np.take_along_axis(self.flat, kept, 1),
-            np.take_along_axis(self.labels, kept, 1),
+        return self._each(
+            lambda values: np.take_along_axis(values, kept.reshape(*kept.shape, *(values.ndim - 2) * [1]), 1)
         )
 
 
@@ -328,3 +275,159 @@ def _log_density(steps: Array, covariances: Array) -> Array:
     x, y = steps[..., 0], steps[..., 1]
     quadratic = (d * x * x - 2 * b * x * y + a * y * y) / determinant
     return np.asarray(-LOG_TWO_PI - 0.5 * np.log(determinant) - 0.5 * quadratic)
+
+
+def log_sums(values: Array, axis: int = -1) -> Array:
+    """log sum exp of `values` along an axis; infinite where one is, minus infinity where all are.
+
+    scipy's `logsumexp`, which does more, takes ten times as long for a few hundred numbers.
+    """
+    peaks = values.max(axis=axis, keepdims=True, initial=-np.inf)
+    peaks[~np.isfinite(peaks)] = 0.0
+    with np.errstate(divide="ignore", over="ignore"):
+        sums = np.exp(values - peaks).sum(axis=axis)
+        return np.asarray(np.log(sums) + peaks.squeeze(axis))
+
+
+_BLOCK = 64
+"""Points that are looked at together."""
+
+
+@inlined
+def _falling(x):
+    """exp(x) for float64 x <= 0, error below 1e-13 (libm's is no vector code)."""
+    # to the 256th part, where a short series is enough, and back by squaring
+    small = max(x, -80.0) * (1 / 256)
+    power = 1 / 24 + small * (1 / 120 + small / 720)
+    power = 1.0 + small * (1.0 + small * (0.5 + small * (1 / 6 + small * power)))
+    power *= power
+    power *= power
+    power *= power
+    power *= power
+    power *= power
+    power *= power
+    power *= power
+    return power * power
+
+
+@compiled
+def sums_of_densities(points, heights, means, precisions, peaks, sums):
+    """Sums over components of exp(height) times an unnormalised Gaussian, by their largest term.
+
+    `points` are `(n, n_parts, 2)`, `heights` `(n_parts, m)` finite logs of the components' values in their
+    middles, `means` `(n_parts, 2, m)`, and `precisions` `(n_parts, 3, m)` xx, xy and yy of half the inverse
+    covariances, 0 of flat ones. `peaks` and `sums` `(n, n_parts)` get the log of the largest term, and all by
+    it.
+    """
+    n_parts, m = heights.shape
+    logs = np.empty(m)
+    for part in range(n_parts):
+        height = heights[part]
+        mx, my = means[part, 0], means[part, 1]
+        xx, xy, yy = precisions[part, 0], precisions[part, 1], precisions[part, 2]
+        for k in range(len(points)):
+            px, py = points[k, part, 0], points[k, part, 1]
+            best = -1e300
+            for j in range(m):
+                x, y = px - mx[j], py - my[j]
+                value = height[j] - (xx[j] * x + 2.0 * xy[j] * y) * x - yy[j] * y * y
+                logs[j] = value
+                best = max(best, value)
+            total = 0.0
+            for j in range(m):
+                total += _falling(logs[j] - best)
+            peaks[k, part], sums[k, part] = best, total
+
+
+@compiled
+def sums_over_hypotheses(points, log_weights, heights, means, precisions, logs):
+    """Log of a sum over hypotheses of the products of `sums_of_densities` of all parts, into `logs` `(n,)`.
+
+    Points `(n, n_parts, 2)` are taken in blocks, so that loops over them are vector code and all stays in the
+    nearest cache. `log_weights` `(h,)` are finite; the rest is as of `sums_of_densities`, for the `n_parts`
+    mixtures of each hypothesis, one after the other.
+    """
+    n_parts, m = points.shape[1], heights.shape[1]
+    places = np.zeros((n_parts, 2, _BLOCK))
+    values = np.empty((m, _BLOCK))
+    peak, product, high, total = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    best, sums = np.empty(_BLOCK), np.empty(_BLOCK)
+    for first in range(0, len(points), _BLOCK):
+        count = min(_BLOCK, len(points) - first)
+        for k in range(count):
+            for part in range(n_parts):
+                places[part, 0, k], places[part, 1, k] = (
+                    points[first + k, part, 0],
+                    points[first + k, part, 1],
+                )
+        best[:], sums[:] = -1e300, 0.0
+        for h in range(len(log_weights)):
+            peak[:], product[:] = log_weights[h], 1.0
+            for part in range(n_parts):
+                row = h * n_parts + part
+                px, py = places[part, 0], places[part, 1]
+                high[:], total[:] = -1e300, 0.0
+                for j in range(m):
+                    height, mx, my = heights[row, j], means[row, 0, j], means[row, 1, j]
+                    xx, xy, yy = precisions[row, 0, j], precisions[row, 1, j], precisions[row, 2, j]
+                    value = values[j]
+                    for k in range(_BLOCK):
+                        x, y = px[k] - mx, py[k] - my
+                        value[k] = height - (xx * x + 2.0 * xy * y) * x - yy * y * y
+                        high[k] = max(high[k], value[k])
+                for j in range(m):
+                    value = values[j]
+                    for k in range(_BLOCK):
+                        total[k] += _falling(value[k] - high[k])
+                for k in range(_BLOCK):
+                    peak[k] += high[k]
+                    product[k] *= total[k]
+            for k in range(_BLOCK):
+                higher = max(best[k], peak[k])
+                sums[k] = sums[k] * _falling(best[k] - higher) + product[k] * _falling(peak[k] - higher)
+                best[k] = higher
+        for k in range(count):
+            logs[first + k] = best[k] + np.log(sums[k])
+
+
+@compiled
+def products(a_means, a_covariances, a_flat, b_means, b_covariances, b_flat, means, covariances, overlaps):
+    """Products of each component of one mixture with each of another one.
+
+    Written: `means` `(n_parts, n * m, 2)` and `covariances`, those of the other factor if one is flat, of the
+    first if both are; `overlaps` `(n_parts, n * m)`, log of the integral of the product, 0 where a factor is
+    flat.
+    """
+    n_parts, n = a_flat.shape
+    m = b_flat.shape[1]
+    for part in range(n_parts):
+        for i in range(n):
+            ax, ay = a_means[part, i, 0], a_means[part, i, 1]
+            axx, ayy = a_covariances[part, i, 0, 0], a_covariances[part, i, 1, 1]
+            axy = a_covariances[part, i, 0, 1]
+            for j in range(m):
+                bx, by = b_means[part, j, 0], b_means[part, j, 1]
+                bxx, byy = b_covariances[part, j, 0, 0], b_covariances[part, j, 1, 1]
+                bxy = b_covariances[part, j, 0, 1]
+                overlap = 0.0
+                if b_flat[part, j]:
+                    x, y, xx, xy, yy = ax, ay, axx, axy, ayy
+                elif a_flat[part, i]:
+                    x, y, xx, xy, yy = bx, by, bxx, bxy, byy
+                else:
+                    cxx, cxy, cyy = axx + bxx, axy + bxy, ayy + byy
+                    determinant = cxx * cyy - cxy * cxy
+                    ixx, ixy, iyy = cyy / determinant, -cxy / determinant, cxx / determinant
+                    dx, dy = bx - ax, by - ay
+                    rx, ry = ixx * dx + ixy * dy, ixy * dx + iyy * dy
+                    x, y = ax + axx * rx + axy * ry, ay + axy * rx + ayy * ry
+                    # A (A + B)^-1 B as a sum of positive definite matrices, which rounding leaves so
+                    of_a = (bxx * byy - bxy * bxy) / determinant
+                    of_b = (axx * ayy - axy * axy) / determinant
+                    xx, xy, yy = of_a * axx + of_b * bxx, of_a * axy + of_b * bxy, of_a * ayy + of_b * byy
+                    overlap = -LOG_TWO_PI - 0.5 * np.log(determinant) - 0.5 * (rx * dx + ry * dy)
+                place = i * m + j
+                means[part, place, 0], means[part, place, 1] = x, y
+                covariances[part, place, 0, 0], covariances[part, place, 0, 1] = xx, xy
+                covariances[part, place, 1, 0], covariances[part, place, 1, 1] = xy, yy
+                overlaps[part, place] = overlap

@@ -3,11 +3,12 @@
 Arrays are shown by dtype and shape, collections by their length, parameters where they were set.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 Kind = TypeVar("Kind", bound=type)
 
@@ -93,6 +94,19 @@ def _flat(members: Collection[object]) -> bool:
 
 def _name(value: object) -> str:
     return brief(value) if isinstance(value, np.ndarray) else f"{type(value).__name__}(...)"
+
+
+class Rows:
+    """A dataclass of arrays, which have a row for each of the same things."""
+
+    def only(self, kept: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Self:
+        """Those of which `kept` is true, or at these places, in order."""
+        return type(self)(*(getattr(self, field.name)[kept] for field in fields(self)))  # type: ignore[arg-type]
+
+    def joined(self, others: Iterable[Self]) -> Self:
+        """These and some more."""
+        every, names = (self, *others), [field.name for field in fields(self)]  # type: ignore[arg-type]
+        return type(self)(*(np.concatenate([getattr(each, name) for each in every]) for name in names))
 
 
 class PickledByFields:

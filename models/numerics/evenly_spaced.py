@@ -18,18 +18,8 @@ def evenly_spread(count: int, most: int) -> list[int]:
 class EvenlySpaced(Generic[T]):
     """At most so many items: whenever there are more, every second one goes and the distance doubles.
 
-    Parameters
-    ----------
-    most
-        how many are kept, an even number.
-    kept
-        the items so far.
-    count
-        places in the row so far.
-    stride
-        places between items.
-    due
-        the next place of which an item is kept.
+    `kept` are the items so far, of `count` places in the row; they are `stride` places apart, and the next
+    place of which one is kept is `due`. `most` is an even number.
     """
 
     most: int

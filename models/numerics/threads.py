@@ -43,12 +43,7 @@ if hasattr(os, "register_at_fork"):
 def set_threads(count: int) -> None:
     """Use `count` threads in the kernels that work on bands of rows; results do not change.
 
-    With 1, all work stays in the caller's thread.
-
-    Raises
-    ------
-    ValueError
-        if `count` is below 1.
+    With 1, all work stays in the caller's thread; below, it is a `ValueError`.
     """
     if count < 1:
         raise ValueError(f"threads: got {count}, expected 1 or more")

@@ -22,15 +22,7 @@ BOX = 4
 @short_repr
 @dataclass(frozen=True)
 class Scores:
-    """Scores of true and of false boxes: Gaussians with one deviation, so that log odds are linear.
-
-    Parameters
-    ----------
-    true, false
-        mean score of boxes that show an object, and of those that do not.
-    deviation
-        of either about its mean.
-    """
+    """Mean scores of true and of false boxes: Gaussians with one deviation, so that log odds are linear."""
 
     true: float
     false: float
@@ -95,14 +87,9 @@ class BoxDetector:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class LogOdds:
-    """A product over objects k of exp(log_odds_k) where something is true of k, and 1 where it is not.
+    """A product over objects k of exp(values_k) where something is true of k, and 1 where it is not.
 
-    Parameters
-    ----------
-    identities
-        `(n,)` int64, increasing.
-    values
-        `(n,)` nats; of an object that is not mentioned they are 0.
+    `identities` `(n,)` int64 increase; of an object that is not mentioned the `values`, nats, are 0.
     """
 
     identities: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -132,18 +119,9 @@ class LogOdds:
 class Newcomers:
     """Density of the box of somebody who is not known yet, wherever in the picture the feet are.
 
-    Height is Gaussian about a line in the foot's row, width over height is Gaussian.
-
-    Parameters
-    ----------
-    size
-        `(height, width)` px of the picture.
-    line, line_covariance
-        `(2,)`, `(2, 2)`: px height with the foot in the middle row, and px it grows with each row.
-    variation
-        standard deviation of heights over what the line gives, as a share of that.
-    aspect, aspect_variance
-        of width over height.
+    Height is Gaussian about a `line` in the foot's row, px with the foot in the middle row of a picture of
+    `size` `(height, width)`, and px it grows with each row; heights deviate from it by a share of
+    `variation`. Width over height is Gaussian.
     """
 
     size: tuple[int, int]
@@ -180,32 +158,13 @@ class Newcomers:
 class Association:
     """What the boxes of a frame are, given the objects that are known.
 
-    Parameters
-    ----------
-    boxes
-        `(n_boxes, 4)` px that the detector has found: foot x, foot y, width, height.
-    noise
-        `(n_boxes, 4)` px^2: their variances.
-    scores
-        `(n_boxes,)` of the detector, all 1 where it gives none.
-    identities
-        `(n_objects,)` int64: who was expected.
-    pairs
-        `(n_objects, n_boxes)` probability that the object exists and this is its box.
-    expected
-        `(n_objects,)` probability with which the object, if it exists, would be found.
-    missed
-        `(n_objects,)` probability that the object exists and has no box.
-    visible
-        `(n_objects,)` share of each that is in sight.
-    new
-        `(n_boxes,)` probability that the box is of somebody not known before.
-    double
-        `(n_boxes,)` probability that the box is a second one of somebody who has another.
-    log_evidence
-        log density of all boxes together, given who was expected.
-    outlines
-        `(n_boxes, height, width)` bool over the picture, if the detector gives them.
+    `boxes` `(n_boxes, 4)` px are foot x, foot y, width, height, `noise` px^2 their variances, `scores`
+    `(n_boxes,)` the detector's, all 1 where it gives none, `outlines` `(n_boxes, height, width)` bool over
+    the picture, if it gives them. Probabilities: of each box, that it is of somebody `new`, or `double`, a
+    second one; of each object `(n_objects,)` that was expected, by `identities`, that it would be found if it
+    exists, `expected`, and that it exists and has no box, `missed`; `pairs` `(n_objects, n_boxes)`, that it
+    exists and this is its box. `visible` is the share of each object that is in sight, `log_evidence` the log
+    density of all boxes together.
     """
 
     boxes: Numbers
@@ -257,19 +216,14 @@ class BoxMessage:
 
     Parameters
     ----------
-    objects
-        boxes of objects that are seen or observed, by identity.
-    hidden
-        boxes of objects of which this frame's pixels show too little: as they are remembered. A detector may
-        find them; nobody learns from them.
-    existence
-        log odds, by identity, that an object is one of those that the detector is made to find.
-    noticed
-        log odds, by identity, that it is in a phase in which the detector finds it when it is in sight.
-    newcomers
-        where and how large somebody new is; at most one sender.
-    detector
-        how reliable the detector is; at most one sender.
+    objects, hidden
+        boxes of objects that are seen or observed, by identity, and of those of which this frame's pixels
+        show too little, as they are remembered: a detector may find them; nobody learns from them.
+    existence, noticed
+        log odds, by identity, that an object is one of those that the detector is made to find, and that it
+        is in a phase in which the detector finds it when it is in sight.
+    newcomers, detector
+        where and how large somebody new is, and how reliable the detector is; at most one sender each.
     association
         from the evidence: which detection belongs to whom; `None` where no detector has run.
     """

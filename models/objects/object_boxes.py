@@ -5,16 +5,206 @@ what a detector has found of them.
 """
 
 from dataclasses import dataclass, field
+from math import log
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.frame import Frame
+from ..core.frame import Frame, GivenBoxes
+from ..core.gaussian_message import GaussianMessage
 from ..core.pictures import FARTHEST, draw_region
 from ..core.short_repr import short_repr
-from .association import associate
-from .box_message import BoxDetector, BoxMessage
+from .box_message import BOX, HEIGHT, WIDTH, Association, BoxDetector, BoxMessage, LogOdds
+
+Numbers = NDArray[np.float64]
+
+MOST_ROUNDS = 50
+TOLERANCE = 1e-6
+"""Belief propagation for assignments ends when no message changes by more."""
+
+NOTICED, UNNOTICED = 0.98, 0.05
+"""Probability of finding an object in full sight: in phases in which it is noticed, and in others.
+
+Misses come in bursts: what a detector does not find in one frame it hardly finds in the next.
+"""
+
+DOUBLE = np.array([3.0, 3.0, 1.0, 1.0])
+"""So many times as far off as its first box may the second one of an object be, in place and size."""
+
+SURELY_NOT = 1e-4
+"""Probability of a pair below which nothing is learned from it."""
+
+SIZES = log(20) * log(40)
+"""Of log height and log aspect, the range over which false boxes are spread evenly."""
+
+
+def feet(xyxy: Numbers) -> Numbers:
+    """Boxes `(n, 4)` of left, top, right, bottom edge as foot x, foot y, width, height."""
+    left, top, right, bottom = xyxy.T
+    return np.stack([0.5 * (left + right), bottom, right - left, bottom - top], axis=1)
+
+
+def log_anywhere(boxes: Numbers, area: float) -> Numbers:
+    """`(n,)` nats, of 1/px^4: a box anywhere in a picture of `area` px, of any size and shape."""
+    spread: Numbers = -np.log(area * SIZES * boxes[:, WIDTH] * boxes[:, HEIGHT])
+    return spread
+
+
+class Marginals(NamedTuple):
+    """Probabilities of pairs.
+
+    `pairs` `(n_objects, n_boxes)`, `missed` `(n_objects,)`, `alone` `(n_boxes,)`; `open` `(n_objects,
+    n_boxes)` is how far a box is free for an object given all others (1: nobody else wants it), and
+    `log_sum` the log of the sum over all assignments, by Bethe's approximation.
+    """
+
+    pairs: Numbers
+    missed: Numbers
+    alone: Numbers
+    open: Numbers
+    log_sum: float
+
+
+def assignment_marginals(weights: Numbers, missed: Numbers) -> Marginals:
+    """Marginals of p(assignment) ~ product of the weights of its pairs and of what is missed.
+
+    J. Williams, R. Lau, *Approximate evaluation of marginal association probabilities with belief
+    propagation* (2014), eq. 29-33; exact where the pairs that are possible form no loop. `weights`
+    `(n_objects, n_boxes)` are of an object with a box, over the box alone, `missed` `(n_objects,)` of an
+    object without a box; 0 or more.
+    """
+    free = np.ones_like(weights)
+    claimed = np.zeros_like(weights)
+    for _ in range(MOST_ROUNDS):
+        wanted = weights * free
+        rest = missed[:, None] + wanted.sum(axis=1, keepdims=True) - wanted
+        claimed = weights / np.maximum(rest, 1e-300)
+        before, free = free, 1 / (1 + claimed.sum(axis=0) - claimed)
+        if np.abs(free - before).max(initial=0.0) < TOLERANCE:
+            break
+    wanted = weights * free
+    whole = missed + wanted.sum(axis=1)
+    asked = 1 + claimed.sum(axis=0)
+    log_sum = np.log(whole).sum() + np.log(asked).sum() - np.log1p(claimed * free).sum()
+    return Marginals(wanted / whole[:, None], missed / whole, 1 / asked, free, float(log_sum))
+
+
+def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMessage:
+    """What a frame's boxes say of each object that `prior` knows: its place and size, and that it exists.
+
+    Every box is one of an object that was expected, of somebody new, a second box of somebody, or false; no
+    object has two. Marginals over all such assignments (see `assignment_marginals`) weigh how much of which
+    box each object gets: the likelihood's logarithm is their mean, a Gaussian, so that an object between two
+    boxes is drawn to neither of them wholly, and one that was not found is told nothing of its place.
+    """
+    given = frame.boxes
+    assert given is not None
+    boxes = feet(given.xyxy)
+    noise = detector.noise(boxes)
+    tracked = prior.expected
+    tracked = tracked.only(np.isin(tracked.identities, prior.existence.identities))
+    identities, means, covariances = tracked.moments
+    from scipy.special import expit  # slow to import, and only detectors need it
+
+    exists, noticed = (expit(odds.of(identities)) for odds in (prior.existence, prior.noticed))
+    size = _picture(frame, prior, given)
+    visible = visible_share(means, exists, size)
+    phases = np.array([[NOTICED], [UNNOTICED]]) * visible
+    expected = noticed * phases[0] + (1 - noticed) * phases[1]
+    own = detector.noise(means)
+    densities = _log_densities(boxes, means, covariances, own)
+    further = _log_densities(boxes, means, covariances, DOUBLE**2 * own)
+
+    area = float(size[0] * size[1])
+    score = np.exp(np.clip(detector.log_score_ratio(given.confidence, len(boxes)), -20, 20))
+    anywhere = log_anywhere(boxes, area)
+    somebody = anywhere if prior.newcomers is None else prior.newcomers.log_density(boxes, noise)
+    new = detector.newcomers * detector.found * np.exp(somebody) * score
+    false = detector.clutter * area * np.exp(anywhere)
+    doubles = detector.doubles * (exists * expected) @ np.exp(further)
+    alone = np.maximum(new + false + doubles, 1e-300)
+
+    weights = expected[:, None] * np.exp(densities) * score / alone
+    found = assignment_marginals(exists[:, None] * weights, 1 - exists * expected)
+    support = (weights * found.open).sum(axis=1) / np.maximum(expected, 1e-12)
+    ratio = 1 - expected + expected * support
+    by_phase = np.log(np.maximum(1 - phases + phases * support, 1e-30))
+    poisson = detector.newcomers * detector.found + detector.clutter * area
+    poisson += float(detector.doubles * exists @ expected)
+    association = Association(
+        boxes=boxes,
+        noise=noise,
+        scores=np.ones(len(boxes)) if given.confidence is None else given.confidence,
+        identities=identities,
+        pairs=found.pairs,
+        expected=expected,
+        missed=exists * (1 - expected) / (1 - exists + exists * ratio),
+        visible=visible,
+        new=found.alone * new / alone,
+        double=found.alone * doubles / alone,
+        log_evidence=found.log_sum + float(np.log(alone).sum()) - poisson,
+        outlines=given.masks,
+    )
+    order = np.argsort(identities)
+    return BoxMessage(
+        _drawn(association, means, covariances),
+        existence=LogOdds(identities[order], np.log(np.maximum(ratio, 1e-30))[order]),
+        noticed=LogOdds(identities[order], (by_phase[0] - by_phase[1])[order]),
+        association=association,
+    )
+
+
+def visible_share(boxes: Numbers, exists: Numbers, size: tuple[int, int]) -> Numbers:
+    """`(n,)` share of each box `(n, 4)` that is in the picture and that nobody in front of it covers."""
+    x, y, width, height = boxes.T
+    left, right, top = x - 0.5 * width, x + 0.5 * width, y - height
+    in_x = np.minimum(right, size[1]) - np.maximum(left, 0.0)
+    in_y = np.minimum(y, size[0]) - np.maximum(top, 0.0)
+    whole = np.maximum(width * height, 1.0)
+    inside = np.maximum(in_x, 0.0) * np.maximum(in_y, 0.0) / whole
+    across = np.minimum(right[:, None], right) - np.maximum(left[:, None], left)
+    down = np.minimum(y[:, None], y) - np.maximum(top[:, None], top)
+    covered = np.maximum(across, 0.0) * np.maximum(down, 0.0) / whole[:, None]
+    in_front = (y > y[:, None]) * exists
+    share: Numbers = np.clip(inside, 0, 1) * np.prod(1 - np.minimum(covered, 1.0) * in_front, axis=1)
+    return share
+
+
+def _picture(frame: Frame, prior: BoxMessage, given: GivenBoxes) -> tuple[int, int]:
+    """`(height, width)` px; without an image or a plane, as far as the boxes reach."""
+    if frame.image is not None:
+        return frame.image.shape[0], frame.image.shape[1]
+    if prior.newcomers is not None:
+        return prior.newcomers.size
+    right, bottom = np.ceil(given.xyxy[:, 2:].max(axis=0, initial=1.0)).astype(int).tolist()
+    return bottom, right
+
+
+def _log_densities(boxes: Numbers, means: Numbers, covariances: Numbers, noise: Numbers) -> Numbers:
+    """`(n_objects, n_boxes)` nats: log N(box; mean, covariance + noise)."""
+    root = np.linalg.cholesky(covariances + noise[:, :, None] * np.eye(BOX))
+    off = np.linalg.solve(root, (boxes[None] - means[:, None]).swapaxes(1, 2))
+    scale = np.log(root.diagonal(axis1=1, axis2=2)).sum(axis=1) + 2 * np.log(2 * np.pi)
+    densities: Numbers = -0.5 * (off**2).sum(axis=1) - scale[:, None]
+    return densities
+
+
+def _drawn(association: Association, means: Numbers, covariances: Numbers) -> GaussianMessage:
+    """Where the boxes draw each object, of mass 1 with what was expected of it."""
+    precision, vector = association.drawn
+    told = np.flatnonzero(association.pairs.sum(axis=1) > SURELY_NOT)
+    order = told[np.argsort(association.identities[told])]
+    precision, vector, means, covariances = precision[order], vector[order], means[order], covariances[order]
+    information = precision[:, :, None] * np.eye(BOX)
+    places = vector / precision
+    root = np.linalg.cholesky(covariances + (1 / precision)[:, :, None] * np.eye(BOX))
+    off = np.linalg.solve(root, (places - means)[:, :, None])[:, :, 0]
+    grown = np.log(root.diagonal(axis1=1, axis2=2)).sum(axis=1) + 0.5 * np.log(precision).sum(axis=1)
+    log_scale = grown + 0.5 * (off**2).sum(axis=1) - 0.5 * (vector * places).sum(axis=1)
+    return GaussianMessage(association.identities[order], information, vector, log_scale)
+
 
 COLOUR = (255, 190, 40)
 """BGR, of boxes that are drawn."""

@@ -1,34 +1,66 @@
 """The background of pixels: what a message says where it is seen, and the empty scene of a whole film."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
-from .kernels import StoredPlanes
+from ..numerics.compiled import compiled, inlined
 
 Planes = NDArray[np.float32]
+
+ODDS_STEPS = 20.0
+"""Steps of the stored log odds per nat; they saturate at +-6 nats."""
+
+SPAN = 64
+"""Pixels that are looked at together for whether any of them needs more than most pixels do."""
+
+_SIGNS = np.uint64(0x8080808080808080)
+
+
+class StoredPlanes(NamedTuple):
+    """Colours of a whole picture as they are stored: `values` of so many grey levels (`step`) each."""
+
+    values: NDArray[np.int16] | Planes
+    step: np.float32
+
+    def grey_levels(self) -> Planes:
+        """`(channels, height, width)` float32."""
+        levels: Planes = self.values * self.step
+        return levels
+
+
+@inlined
+def _any_negative(words, first):
+    """Whether any of the 64 numbers in eight words is negative."""
+    signs = np.uint64(0)
+    for k in range(8):
+        signs |= words[first + k]
+    return signs & _SIGNS != np.uint64(0)
+
+
+@compiled
+def foreground_spans(log_odds, spans):
+    """Starts of the runs of `SPAN` pixels in which there is foreground; returns how many there are."""
+    words = log_odds[: log_odds.size // 8 * 8].view(np.uint64)
+    count = 0
+    for start in range(0, log_odds.size, SPAN):
+        if start + SPAN > log_odds.size or _any_negative(words, start // 8):
+            spans[count] = start
+            count += 1
+    return count
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class EmptyScene:
-    """A picture of the empty scene.
+    """A picture of the empty scene; `shape` is that of an image, `(height, width[, 3])` px.
 
-    Parameters
-    ----------
-    shape
-        of an image: `(height, width)` px, or `(height, width, 3)`.
-    mean
-        `(channels, n_pixels)` float32 in the planes of `models.pixels.colour`.
-    variance
-        `(n_pixels,)` float32, squared grey levels: of the mean.
-    noise
-        `(n_pixels,)` float32, squared grey levels: of a single observation.
-    light
-        `(block_rows, block_columns)` float32: that of the first image relative to that of the mean.
+    `mean` is `(channels, n_pixels)` float32 in the planes of `models.pixels.colour`, `variance` of the mean
+    and `noise` of a single observation `(n_pixels,)` float32 squared grey levels, `light` `(block_rows,
+    block_columns)` float32 that of the first image relative to that of the mean.
     """
 
     shape: tuple[int, ...]
@@ -43,12 +75,7 @@ class EmptyScene:
 class Subtraction:
     """What an image says of a predicted background, each `(n_pixels,)` int8 in steps of 1/20 nat.
 
-    Parameters
-    ----------
-    log_odds
-        log of P(B=1) N(I; ...) over P(B=0) U, within +-6 nats.
-    smoothed
-        the same with the neighbours' share (see `BackgroundPrediction`).
+    `log_odds`, of P(B=1) N(I; ...) over P(B=0) U, within +-6 nats; `smoothed`, with the neighbours' share.
     """
 
     log_odds: NDArray[np.int8]

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics.compiled import compiled
+from ..numerics.compiled import compiled, inlined
 
 _f4 = np.float32
 
@@ -23,29 +23,19 @@ VOLUME = {0: 1.0, 1: 1.0, 3: float(abs(np.linalg.det(FROM_BGR)))}
 """By number of channels: how much a volume of grey levels grows in the planes."""
 
 
-@compiled
-def _patch_of_colour(image, top, left, out):
-    for y in range(out.shape[1]):
-        row = image[top + y, left : left + out.shape[2]]
-        luma, red, blue = out[0, y], out[1, y], out[2, y]
-        for x in range(out.shape[2]):
-            b, g, r = _f4(row[x, 0]), _f4(row[x, 1]), _f4(row[x, 2])
-            grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
-            luma[x] = grey
-            red[x] = _f4(1.426) * (r - grey)
-            blue[x] = _f4(1.128) * (b - grey)
+@inlined
+def planes_of(blue, green, red):
+    """Luma, 2 Cr and 2 Cb, float32, of a pixel's channels."""
+    b, g, r = _f4(blue), _f4(green), _f4(red)
+    luma = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
+    return luma, _f4(1.426) * (r - luma), _f4(1.128) * (b - luma)
 
 
 @compiled
 def _planes_of_colour(pixels, out):
     for i in range(out.shape[1]):
-        b = _f4(pixels[3 * i])
-        g = _f4(pixels[3 * i + 1])
-        r = _f4(pixels[3 * i + 2])
-        y = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
-        out[0, i] = y
-        out[1, i] = _f4(1.426) * (r - y)
-        out[2, i] = _f4(1.128) * (b - y)
+        luma, red, blue = planes_of(pixels[3 * i], pixels[3 * i + 1], pixels[3 * i + 2])
+        out[0, i], out[1, i], out[2, i] = luma, red, blue
 
 
 @lru_cache
@@ -77,12 +67,3 @@ def to_image(planes: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.u
     if len(channels) == 1:
         return np.asarray(channels[0], np.uint8)
     return np.asarray(cv2.merge(list(channels)), np.uint8)
-
-
-def patch(image: NDArray[np.uint8], top: int, left: int, height: int, width: int) -> NDArray[np.float32]:
-    """Give the planes `(channels, height, width)` float32 of a box that lies inside the image."""
-    if image.ndim == 2:
-        return image[None, top : top + height, left : left + width].astype(np.float32)
-    out = np.empty((3, height, width), np.float32)
-    _patch_of_colour(image, top, left, out)
-    return out

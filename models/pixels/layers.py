@@ -2,14 +2,180 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Self, overload
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.short_repr import short_repr
+from ..numerics.compiled import compiled, exponential, inlined, logarithm
 from . import colour
-from .kernels import LAYER, Composition, Pools, apart, compose, shift_of
+
+Planes = NDArray[np.float32]
+
+_f4 = np.float32
+
+LEAST_CLEAR = 1e-3
+
+_LEAST = _f4(1e-30)  # of a product of many layers; the logarithm wants normal numbers
+
+
+LAYER = np.dtype(
+    [
+        *((name, np.int64) for name in ("top", "left", "rows", "columns", "start", "coloured", "ghost")),
+        *((name, np.float64) for name in ("spread", "log_ratio", "outliers", "strength")),
+    ]
+)
+"""A layer as loops over pixels need it: see `models.pixels.layers.Layer`.
+
+Its mask begins at `start` of those of all layers, its colours, if it is `coloured`, at `channels * start`;
+with `log_ratio` the density of its own colour is relative to the uniform one.
+"""
+
+
+class Pools(NamedTuple):
+    """Pixels of all layers, float32: `(n,)` of masks, and `(channels * n,)` of colours, plane by plane."""
+
+    masks: NDArray[np.float32]
+    colours: NDArray[np.float32]
+
+
+class Composition(NamedTuple):
+    """Layers, composed in regions that are apart; elsewhere they say nothing.
+
+    `boxes` `(n, 4)` are the regions' top, left, height, width px. Their pixels follow each other, from
+    `starts` `(n,)` on, in the flat maps of `Region`.
+    """
+
+    boxes: NDArray[np.int64]
+    starts: NDArray[np.int64]
+    clear: NDArray[np.float32]
+    explained: NDArray[np.float32]
+    shift: NDArray[np.float32]
+
+
+class Sprite(NamedTuple):
+    """An object's mask `(height, width)` and colours `(channels, height, width)`, all float32.
+
+    A pixel that it covers shows its colour with the density, relative to the uniform one, exp(log_ratio -
+    half_precision d^2) in a share 1 - outliers of all cases; without channels every colour is alike.
+    """
+
+    mask: NDArray[np.float32]
+    appearance: NDArray[np.float32]
+    half_precision: np.float32
+    log_ratio: np.float32
+    outliers: np.float32
+
+
+@compiled
+def apart(layers, size, frames, members):
+    """Boxes of layers that overlap, or whose common frame overlaps others, in one frame; frames are apart.
+
+    Writes the frames' top, left, bottom, right px inside of a picture of `size` into `frames` `(n, 4)`, and
+    into `members` `(n,)` in which frame each layer is, -1 where it is none in the picture. Gives how many
+    there are.
+    """
+    count = 0
+    for k in range(layers.size):
+        layer = layers[k]
+        top, left, bottom, right = layer.top, layer.left, layer.top + layer.rows, layer.left + layer.columns
+        members[k] = -1
+        if top >= size[0] or left >= size[1] or bottom <= 0 or right <= 0:
+            continue
+        own = count
+        members[k], count = own, count + 1
+        other = 0
+        while other < own:
+            its_top, its_left, its_bottom, its_right = frames[other]
+            if top < its_bottom and its_top < bottom and left < its_right and its_left < right:
+                top, left = min(top, its_top), min(left, its_left)
+                bottom, right = max(bottom, its_bottom), max(right, its_right)
+                # the last frame but this one takes the place of the one that was swallowed
+                frames[other] = frames[own - 1]
+                for j in range(k + 1):
+                    if members[j] == other or members[j] == own:
+                        members[j] = own - 1
+                    elif members[j] == own - 1:
+                        members[j] = other
+                own, count, other = own - 1, count - 1, 0
+            else:
+                other += 1
+        frames[own, 0], frames[own, 1], frames[own, 2], frames[own, 3] = top, left, bottom, right
+    for k in range(count):
+        frames[k, 0], frames[k, 1] = max(frames[k, 0], 0), max(frames[k, 1], 0)
+        frames[k, 2], frames[k, 3] = min(frames[k, 2], size[0]), min(frames[k, 3], size[1])
+    return count
+
+
+@inlined
+def _squared_distance(pixels, k, own, j, plane, channels):
+    """Of the colour of pixel `k` of a picture from colour `j` of an appearance, whose planes are apart."""
+    if channels == 1:
+        d0 = _f4(pixels[k]) - own[j]
+        return d0 * d0
+    one, two = np.uint64(1), np.uint64(2)
+    luma, red, blue = colour.planes_of(pixels[k], pixels[k + one], pixels[k + two])
+    d0, d1, d2 = luma - own[j], red - own[j + plane], blue - own[j + two * plane]
+    return d0 * d0 + d1 * d1 + d2 * d2
+
+
+@compiled
+def compose(layers, pools, members, image, boxes, starts, clear, explained, distance):
+    """Put layers behind each other in their regions, in their order.
+
+    `boxes` and `starts` are those of `Composition`, `members` says in which region each layer is. Without an
+    `image` `(height, width, channels)`, which has no pixels then, any colour is as likely: densities
+    integrate to 1. `distance` has room for the longest row of a layer.
+    """
+    _, width, channels = image.shape
+    pixels, masks, colours = image.reshape(-1), pools.masks, pools.colours
+    for k in range(layers.size):
+        if members[k] < 0:
+            continue
+        layer, start = layers[k], starts[members[k]]
+        top, left, rows, columns = boxes[members[k]]
+        compared = layer.coloured and channels > 0
+        half_precision = _f4(0.5 / layer.spread)
+        log_ratio = _f4(layer.log_ratio) if compared else _f4(0)
+        outliers, strength = _f4(layer.outliers), _f4(layer.strength)
+        inlying = _f4(1) - outliers
+        first, end = max(left - layer.left, 0), min(layer.columns, left + columns - layer.left)
+        count, plane = np.uint64(end - first), np.uint64(layer.rows * layer.columns)
+        away = distance[: end - first]
+        for row in range(max(top - layer.top, 0), min(layer.rows, top + rows - layer.top)):
+            here = layer.start + row * layer.columns + first
+            covers = masks[here : here + end - first]
+            there = start + (layer.top + row - top) * columns + layer.left + first - left
+            free, weight = clear[there : there + end - first], explained[there : there + end - first]
+            if layer.ghost:
+                for x in range(count):
+                    weight[x] *= _f4(1.0) - _f4(0.998) * covers[x] * free[x]
+                continue
+            if compared:
+                shown = np.uint64(channels * ((layer.top + row) * width + layer.left + first))
+                own = np.uint64(channels * layer.start + row * layer.columns + first)
+                if channels == 3:
+                    for x in range(count):
+                        seen = shown + np.uint64(3) * x
+                        away[x] = _squared_distance(pixels, seen, colours, own + x, plane, 3)
+                else:
+                    for x in range(count):
+                        away[x] = _squared_distance(pixels, shown + x, colours, own + x, plane, 1)
+            else:
+                away[:] = _f4(0)
+            for x in range(count):
+                density = inlying * exponential(log_ratio - half_precision * away[x]) + outliers
+                weight[x] += strength * free[x] * covers[x] * density
+                free[x] *= max(_f4(1.0) - covers[x], _f4(LEAST_CLEAR))
+
+
+@compiled
+def shift_of(clear, explained, shift):
+    """Log ratio of what layers say for background and for objects, `(n,)` each."""
+    for i in range(clear.size):
+        shift[i] = logarithm(max(clear[i], _LEAST)) - logarithm(max(explained[i], _LEAST))
+
 
 Map = NDArray[np.float32]
 PixelBox = tuple[int, int, int, int]
@@ -31,10 +197,9 @@ class Layer:
         `(height, width)` float32, probability that the object covers the pixel.
     appearance
         `(channels, height, width)` float32 in the planes of `colour`; `None` for any colour.
-    spread
-        squared grey levels: variance of the object's colour about its appearance.
-    outliers
-        share of pixels whose colour is not as remembered.
+    spread, outliers
+        squared grey levels, variance of the object's colour about its appearance; and share of pixels whose
+        colour is not as remembered.
     strength
         how much likelier this object is to be seen in front of the background than something nobody knows.
     ghost
@@ -85,16 +250,9 @@ def log_density_ratio(channels: int, spread: ArrayLike) -> NDArray[np.float64]:
 class Region:
     """Layers that overlap, composed: what they say together inside the box that holds them.
 
-    Parameters
-    ----------
-    top, left
-        px, inside the picture.
-    clear
-        `(height, width)` float32: weight of B=1, the chance that no layer covers the pixel.
-    explained
-        `(height, width)` float32: weight of B=0 with this pixel's colour, relative to "anything" alone.
-    shift
-        log of clear over explained.
+    `top` and `left` px are inside the picture. Maps `(height, width)` float32: `clear` is the weight of B=1,
+    the chance that no layer covers the pixel; `explained` that of B=0 with this pixel's colour, relative to
+    "anything" alone; `shift` the log of clear over explained.
     """
 
     top: int
@@ -115,20 +273,8 @@ class Region:
         return slice(self.top, self.top + height), slice(self.left, self.left + width)
 
 
-@short_repr
-@dataclass(frozen=True, eq=False)
-class LayerSheet(Sequence[Layer]):
-    """Layers of one chain, front to back, with all their pixels in one array.
-
-    Parameters
-    ----------
-    table
-        `(n,)` records of type `LAYER`.
-    pools
-        their masks and colours.
-    channels
-        of the colours.
-    """
+class LayerSheet(NamedTuple):
+    """Layers of one chain, front to back: `(n,)` records of type `LAYER`, and all their pixels."""
 
     table: NDArray[np.void]
     pools: Pools
@@ -145,47 +291,21 @@ class LayerSheet(Sequence[Layer]):
         """
         if not (isinstance(layers, Sequence) and all(isinstance(layer, Layer) for layer in layers)):
             raise TypeError(f"layers: got {layers!r}, expected a list of Layer(...)")
-        known = [0 if layer.appearance is None else len(layer.appearance) for layer in layers]
-        channels = max(known, default=0)
+        channels = max(
+            (0 if layer.appearance is None else len(layer.appearance) for layer in layers), default=0
+        )
         table = np.zeros(len(layers), LAYER)
-        sizes = [layer.mask.size for layer in layers]
-        starts = np.cumsum([0, *sizes])
-        masks = np.empty(starts[-1], np.float32)
-        colours = np.empty(channels * starts[-1], np.float32)
-        for layer, record, start, size in zip(layers, table, starts.tolist(), sizes, strict=False):
-            masks[start : start + size] = layer.mask.reshape(-1)
+        ends = np.cumsum([0, *(layer.mask.size for layer in layers)])
+        masks, colours = np.empty(ends[-1], np.float32), np.empty(channels * ends[-1], np.float32)
+        for layer, record, start, end in zip(layers, table, ends.tolist(), ends[1:].tolist(), strict=False):
+            masks[start:end] = layer.mask.reshape(-1)
             if layer.appearance is not None:
-                colours[channels * start : channels * (start + size)] = layer.appearance.reshape(-1)
+                colours[channels * start : channels * end] = layer.appearance.reshape(-1)
             for name in ("top", "left", "spread", "log_ratio", "outliers", "strength", "ghost"):
                 record[name] = getattr(layer, name)
             record["rows"], record["columns"] = layer.mask.shape
             record["start"], record["coloured"] = start, layer.appearance is not None
         return cls(table, Pools(masks, colours), channels)
-
-    def __len__(self) -> int:
-        return len(self.table)
-
-    @overload
-    def __getitem__(self, index: int, /) -> Layer: ...
-    @overload
-    def __getitem__(self, index: slice, /) -> Sequence[Layer]: ...
-    def __getitem__(self, index: int | slice, /) -> Layer | Sequence[Layer]:
-        if isinstance(index, slice):
-            return [self[k] for k in range(*index.indices(len(self)))]
-        record = self.table[index]
-        shape, start = (int(record["rows"]), int(record["columns"])), int(record["start"])
-        end = start + shape[0] * shape[1]
-        colours = self.pools.colours[self.channels * start : self.channels * end]
-        return Layer(
-            int(record["top"]),
-            int(record["left"]),
-            self.pools.masks[start:end].reshape(shape),
-            colours.reshape(self.channels, *shape) if record["coloured"] else None,
-            float(record["spread"]),
-            float(record["outliers"]),
-            float(record["strength"]),
-            bool(record["ghost"]),
-        )
 
 
 @short_repr
@@ -206,19 +326,14 @@ class LayerStack:
         if they are no sequences of layers.
     """
 
-    def __init__(self, *layers: Sequence[Layer]) -> None:
+    def __init__(self, *layers: Sequence[Layer] | LayerSheet) -> None:
         sheets = (factor if isinstance(factor, LayerSheet) else LayerSheet.of(factor) for factor in layers)
-        self.factors = tuple(sheet for sheet in sheets if len(sheet))
+        self.factors = tuple(sheet for sheet in sheets if len(sheet.table))
         self._composed: dict[tuple[int, tuple[int, int]], tuple[Any, Composition]] = {}
         self._regions: dict[tuple[int, tuple[int, int]], tuple[Region, ...]] = {}
 
-    @property
-    def layers(self) -> tuple[Layer, ...]:
-        """All layers, those of each chain front to back."""
-        return tuple(layer for factor in self.factors for layer in factor)
-
     def __len__(self) -> int:
-        return sum(map(len, self.factors))
+        return sum(len(sheet.table) for sheet in self.factors)
 
     def __mul__(self, other: "LayerStack") -> "LayerStack":
         if not self.factors or not other.factors:
@@ -251,21 +366,17 @@ class LayerStack:
         starts, total = ends - boxes[:, 2] * boxes[:, 3], int(ends[-1]) if len(ends) else 0
         maps = np.empty((3, total), np.float32)
         maps[:2] = 1
-        clear, explained, shift = maps
         pixels = np.zeros((0, 0, 0), np.uint8) if image is None else np.ascontiguousarray(image)
         pixels = pixels if pixels.ndim == 3 else pixels[:, :, None]
         row = np.empty(table["columns"].max(initial=0), np.float32)
         first = 0
         for sheet in self.factors:
-            its_members = members[first : first + len(sheet)]
-            into = (clear, explained) if first == 0 else np.ones((2, total), np.float32)
-            compose(sheet.table, sheet.pools, its_members, pixels, boxes, starts, *into, row)
-            if first > 0:
-                clear *= into[0]
-                explained *= into[1]
-            first += len(sheet)
-        shift_of(clear, explained, shift)
-        return Composition(boxes, starts, clear, explained, shift)
+            end, into = first + len(sheet.table), np.ones((2, total), np.float32)
+            compose(sheet.table, sheet.pools, members[first:end], pixels, boxes, starts, *into, row)
+            maps[:2] *= into
+            first = end
+        shift_of(*maps)
+        return Composition(boxes, starts, *maps)
 
 
 NO_LAYERS = LayerStack()

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from ..camera.moving_camera import View
 from ..core.frame import Frame
 from ..core.short_repr import short_repr
-from .background import BackgroundFactor, Subtraction
-from .kernels import ODDS_STEPS
+from .background import ODDS_STEPS, BackgroundFactor, Subtraction
 from .layers import NO_LAYERS, LayerStack, Region
 
 Map = NDArray[np.float32]
@@ -153,17 +152,9 @@ class PixelMessage:
     def log_likelihood_ratio(self, box: Box | None = None) -> Map:
         """Log of p(image | background is seen) over p(image | something of any colour is), pixel by pixel.
 
-        This is what the image says of labels, without anybody's prior and without layers.
-
-        Parameters
-        ----------
-        box
-            as of `log_odds`.
-
-        Returns
-        -------
-        log_ratio
-            `(height, width)` float32 nats; 0 where there is no image or no background to compare it with.
+        This is what the image says of labels, without anybody's prior and without layers: `(height, width)`
+        float32 nats; 0 where there is no image or no background to compare it with. `box` is as of
+        `log_odds`.
         """
         out = np.zeros(self.size if box is None else box[2:], np.float32)
         if self.subtraction is not None and self.background is not None:

@@ -5,14 +5,335 @@ contrast is free, and at a corner that is much like a motion. `align_patches` le
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
-from .kernels import alignment as alignment_kernels
-from .kernels.alignment import Expected, Light
+from ..numerics.compiled import compiled, inlined
+
+_f4 = np.float32
+
+UNKNOWNS = 8
+"""Offset, gain, rotation, scale and two stretches of a patch, and two by which it moves."""
+
+ROWS = UNKNOWNS + 1
+"""Of a system of equations: the unknowns', and the right side, below which sums of squares remain."""
+
+PIECE = 25
+"""Pixels of a patch over which sums are written out; larger patches are several, filled up with zeros."""
+
+LANES = 64
+"""Patches that are worked on side by side: in all loops over numbers they are the last axis."""
+
+STEPS = 8
+"""Gauss-Newton steps at most."""
+
+SMALL = 0.1
+"""px: a step after which there is no other, which would be about a tenth of it: much less than noise does."""
+
+FLAT = 0.02
+"""Squared grey values: the variance of what has no texture at all."""
+
+LONGEST = 0.5
+"""px of one coordinate in one step: gradients say nothing of what lies farther away."""
+
+
+class Expected(NamedTuple):
+    """What is known of the places of n patches.
+
+    `mean` is `(n, 2)` px, `precision` `(n, 2, 2)` 1/px^2, zeros where nothing is known.
+    """
+
+    mean: NDArray[np.float64]
+    precision: NDArray[np.float64]
+
+
+class Light(NamedTuple):
+    """How patches change from picture to picture, and the noise; see `align_all`."""
+
+    precisions: NDArray[np.float64]
+    smoothed: float
+    rounding: float
+
+
+@inlined
+def _cubic(f, k):
+    """Weight of the k-th of four neighbours at the fraction f between the middle two (Catmull and Rom)."""
+    return (
+        0.5 * f * (f * (2.0 - f) - 1.0)
+        if k == 0
+        else 0.5 * (f * f * (3.0 * f - 5.0) + 2.0)
+        if k == 1
+        else 0.5 * f * (f * (4.0 - 3.0 * f) + 1.0)
+        if k == 2
+        else 0.5 * f * f * (f - 1.0)
+    )
+
+
+@compiled
+def sample_all(grey, positions, which, patches):
+    """Grey values about those positions `(n, 2)` whose numbers are in `which`, into `patches`."""
+    side = patches.shape[1]
+    sampler = _sampler(side)
+    for first in range(0, which.size, LANES):
+        lanes = min(LANES, which.size - first)
+        for k in range(LANES):
+            n = which[first + min(k, lanes - 1)]
+            sampler.x[k], sampler.y[k] = positions[n, 0], positions[n, 1]
+        _sample(grey, side, sampler)
+        for k in range(lanes):
+            n = which[first + k]
+            for i in range(side):
+                for j in range(side):
+                    patches[n, i, j] = sampler.seen[i * side + j, k]
+
+
+class Sampler(NamedTuple):
+    """Places `(LANES,)`, what is `seen` there, `(side * side, LANES)`, and room for what leads to it."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    pixels: NDArray[np.uint8]
+    along: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    seen: NDArray[np.float32]
+
+
+@compiled
+def _sampler(side):
+    line = side + 3
+    return Sampler(
+        np.empty(LANES),
+        np.empty(LANES),
+        np.empty((line * line, LANES), np.uint8),
+        np.empty((line * side, LANES), _f4),
+        np.empty((8, LANES), _f4),
+        np.empty((side * side, LANES), _f4),
+    )
+
+
+@compiled
+def _sample(grey, side, sampler):
+    """Look at the places of a sampler: squares of `side` px about them."""
+    height, width = grey.shape
+    pixels, along, weights, line = sampler.pixels, sampler.along, sampler.weights, side + 3
+    for k in range(LANES):
+        x, y = sampler.x[k], sampler.y[k]
+        left, top = int(np.floor(x)), int(np.floor(y))
+        for m in range(4):
+            weights[m, k], weights[4 + m, k] = _cubic(x - left, m), _cubic(y - top, m)
+        left, top = left - side // 2 - 1, top - side // 2 - 1
+        if left >= 0 and top >= 0 and left + line <= width and top + line <= height:
+            for i in range(line):
+                for j in range(line):
+                    pixels[i * line + j, k] = grey[top + i, left + j]
+        else:
+            for i in range(line):
+                row = grey[min(max(top + i, 0), height - 1)]
+                for j in range(line):
+                    pixels[i * line + j, k] = row[min(max(left + j, 0), width - 1)]
+    p, q, r, s = weights[0], weights[1], weights[2], weights[3]
+    for n in range(line * side):
+        m = n // side * line + n % side
+        out, a, b, c, d = along[n], pixels[m], pixels[m + 1], pixels[m + 2], pixels[m + 3]
+        for k in range(LANES):
+            out[k] = p[k] * _f4(a[k]) + q[k] * _f4(b[k]) + r[k] * _f4(c[k]) + s[k] * _f4(d[k])
+    p, q, r, s = weights[4], weights[5], weights[6], weights[7]
+    for n in range(side * side):
+        out, e, f, g, h = sampler.seen[n], along[n], along[n + side], along[n + 2 * side], along[n + 3 * side]
+        for k in range(LANES):
+            out[k] = p[k] * e[k] + q[k] * f[k] + r[k] * g[k] + s[k] * h[k]
+
+
+@compiled
+def _changes(seen, patch, mean, side, change):
+    """What changes the pixels of a patch, `(ROWS, side * side, LANES)`, and what they are off by.
+
+    Offset (ones, which are there), gain, rotation, scale, stretch along the axes and along the diagonals,
+    then columns and rows by which it moves, and what is off. `seen` has a pixel more on all sides.
+    """
+    half, line = side // 2, side + 2
+    for n in range(side * side):
+        x, y = _f4(n % side - half), _f4(n // side - half)
+        m = (n // side + 1) * line + n % side + 1
+        gx, gy = change[6, n], change[7, n]
+        _mean_less(seen[m + 1], seen[m - 1], _f4(0.5), gx)
+        _mean_less(seen[m + line], seen[m - line], _f4(0.5), gy)
+        _mean_less(patch[n], mean, _f4(1), change[1, n])
+        _mean_less(seen[m], patch[n], _f4(1), change[8, n])
+        _turned(gy, gx, x, -y, change[2, n])
+        _turned(gx, gy, x, y, change[3, n])
+        _turned(gx, gy, x, -y, change[4, n])
+        _turned(gy, gx, x, y, change[5, n])
+
+
+@compiled
+def _mean_less(one, other, scale, out):
+    for k in range(LANES):
+        out[k] = scale * (one[k] - other[k])
+
+
+@compiled
+def _turned(one, other, x, y, out):
+    for k in range(LANES):
+        out[k] = x * one[k] + y * other[k]
+
+
+@compiled
+def _products(change, part, products):
+    """Sums over patches of products of what changes their pixels: upper triangles `(ROWS, ROWS, LANES)`."""
+    for piece in range(change.shape[1]):
+        for k in range(ROWS):
+            for m in range(k, ROWS):
+                one, other, out = change[k, piece], change[m, piece], products[k, m]
+                for lane in range(LANES):
+                    total = _f4(0)
+                    for n in range(PIECE):
+                        total += one[n, lane] * other[n, lane]
+                    part[lane] = total
+                for lane in range(LANES):
+                    out[lane] = part[lane] if piece == 0 else out[lane] + part[lane]
+
+
+@compiled
+def _eliminate(normal, first, last):
+    """Make zeros below diagonals in columns `first` to before `last` of systems `(ROWS, ROWS, LANES)`.
+
+    They are symmetric, and only upper triangles are read and written. What is then left at the lower right is
+    the system of the other unknowns alone, and what their sums of squares are without those that went.
+    """
+    share = np.empty(LANES)
+    for k in range(first, last):
+        for i in range(k + 1, ROWS):
+            one, other = normal[k, i], normal[k, k]
+            for lane in range(LANES):
+                share[lane] = one[lane] / other[lane]
+            for j in range(i, ROWS):
+                here, above = normal[i, j], normal[k, j]
+                for lane in range(LANES):
+                    here[lane] -= share[lane] * above[lane]
+
+
+@compiled
+def align_all(grey, patches, which, positions, expected, light, farthest, covariance, ncc):
+    """Move those `positions` `(m, 2)` whose numbers are in `which` to where the picture is like a patch.
+
+    Of `patches` `(n, side, side)` each has as many positions, one after the other. Picture = patch + offset +
+    gain (patch - its mean) + its change by a small linear map + noise; offset, gain and map have inverse
+    variances `light.precisions`, `(6,)`, in units of the noise's, whose variance is `light.smoothed` times
+    that of what is left, plus `light.rounding`. Patches have the prior `expected`.
+
+    Written: `covariance` `(m, 2, 2)` px^2 by the picture alone, with offset, gain and map integrated out; and
+    the normalised correlation, -1 where the way leads farther than `farthest` px or picture or patch are
+    flat.
+    """
+    side, each = patches.shape[1], positions.shape[0] // max(patches.shape[0], 1)
+    sampler = _sampler(side + 2)
+    patch, mean, part = np.empty((side * side, LANES), _f4), np.empty(LANES, _f4), np.empty(LANES, _f4)
+    change = np.zeros((ROWS, -(-side * side // PIECE), PIECE, LANES), _f4)
+    lines = change.reshape(ROWS, -1, LANES)
+    lines[0, : side * side] = 1
+    products, normal = np.empty((ROWS, ROWS, LANES), _f4), np.empty((ROWS, ROWS, LANES))
+    start, todo = positions.copy(), which.copy()
+    moving = todo.size
+    for _ in range(STEPS):
+        first = still = 0
+        while first < moving:
+            lanes = min(LANES, moving - first)
+            _take(todo[first : first + lanes], patches, each, positions, patch, mean, sampler)
+            _sample(grey, side + 2, sampler)
+            _changes(sampler.seen, patch, mean, side, lines)
+            _products(change, part, products)
+            _without_light(products, light, normal)
+            for lane in range(lanes):
+                n = todo[first + lane]
+                k, x, y = n // each, positions[n, 0], positions[n, 1]
+                off_x, off_y = x - expected.mean[k, 0], y - expected.mean[k, 1]
+                a, b, c = (
+                    expected.precision[k, 0, 0],
+                    expected.precision[k, 0, 1],
+                    expected.precision[k, 1, 1],
+                )
+                dx, dy, xx, xy, yy = _step(normal, lane, side, (off_x, off_y, a, b, c), light)
+                x -= min(max(dx, -LONGEST), LONGEST)
+                y -= min(max(dy, -LONGEST), LONGEST)
+                positions[n, 0], positions[n, 1] = x, y
+                covariance[n, 0, 0], covariance[n, 1, 1] = xx, yy
+                covariance[n, 0, 1] = covariance[n, 1, 0] = xy
+                near = abs(x - start[n, 0]) <= farthest and abs(y - start[n, 1]) <= farthest
+                ncc[n] = _correlation(products, lane, side) if near else -1.0
+                if near and max(abs(dx), abs(dy)) >= SMALL:
+                    todo[still] = n
+                    still += 1
+            first += lanes
+        moving = still
+
+
+@compiled
+def _take(which, patches, each, positions, patch, mean, sampler):
+    """Side by side: patches, their means, and places; the last one again in lanes that are left over."""
+    side = patches.shape[1]
+    for lane in range(LANES):
+        n = which[min(lane, which.size - 1)]
+        sampler.x[lane], sampler.y[lane] = positions[n, 0], positions[n, 1]
+        total = _f4(0)
+        for i in range(side):
+            for j in range(side):
+                patch[i * side + j, lane] = patches[n // each, i, j]
+                total += patches[n // each, i, j]
+        mean[lane] = total / _f4(side * side)
+
+
+@compiled
+def _without_light(products, light, normal):
+    """Equations of the two moves alone: what else changes a patch is eliminated."""
+    moves = UNKNOWNS - 2
+    for k in range(ROWS):
+        for m in range(k, ROWS):
+            one, out = products[k, m], normal[k, m]
+            for lane in range(LANES):
+                out[lane] = one[lane]
+    for k in range(moves):
+        precision, out = light.precisions[k], normal[k, k]
+        for lane in range(LANES):
+            out[lane] += precision
+    one, other = normal[moves, moves], normal[moves + 1, moves + 1]
+    for lane in range(LANES):
+        least = 1e-6 * (one[lane] + other[lane]) + 1e-12
+        one[lane] += least
+        other[lane] += least
+    _eliminate(normal, 0, moves)
+
+
+@compiled
+def _step(normal, lane, side, prior, light):
+    """How far a patch is off along both axes, and the covariance that the picture gives its place."""
+    k, m, end = UNKNOWNS - 2, UNKNOWNS - 1, UNKNOWNS
+    off_x, off_y, px, pxy, py = prior
+    xx, xy, yy = normal[k, k, lane], normal[k, m, lane], normal[m, m, lane]
+    noise = light.smoothed * max(normal[end, end, lane], 0.0) / (side * side - 4) + light.rounding
+    a, b, c = xx + noise * px, xy + noise * pxy, yy + noise * py
+    u = normal[k, end, lane] + noise * (px * off_x + pxy * off_y)
+    v = normal[m, end, lane] + noise * (pxy * off_x + py * off_y)
+    inverse = 1.0 / (a * c - b * b)
+    scale = noise / max(xx * yy - xy * xy, 1e-9 * (xx + yy) ** 2)  # rounding may take what an edge has left
+    return inverse * (c * u - b * v), inverse * (a * v - b * u), scale * yy, -scale * xy, scale * xx
+
+
+@compiled
+def _correlation(products, lane, side):
+    """Of a patch with the picture, from sums over it and what the picture is off by; -1 if one is flat."""
+    count = side * side
+    off, bright = UNKNOWNS, products[0, UNKNOWNS, lane]
+    own, cross = products[1, 1, lane], products[1, off, lane]
+    spread = products[off, off, lane] + 2.0 * cross + own - bright * bright / count
+    if spread <= FLAT * count or own <= FLAT * count:
+        return -1.0
+    return (cross + own) / np.sqrt(spread * own)
+
 
 Numbers = NDArray[np.float64]
 Pixels = NDArray[np.float32]
@@ -23,12 +344,8 @@ Pixels = NDArray[np.float32]
 class Patches:
     """What points look like.
 
-    Parameters
-    ----------
-    identities
-        `(n,)` int64, increasing.
-    pixels
-        `(n, side, side)` float32: grey values about each point, rows first.
+    `identities` `(n,)` int64 increase; `pixels` `(n, side, side)` float32 are grey values about each, rows
+    first.
     """
 
     identities: NDArray[np.int64]
@@ -81,19 +398,8 @@ LIGHT = Light((PIXEL_NOISE / np.array([LIGHTER, STRONGER, *[WARPED] * 4])) ** 2,
 """All of that, as the loops have it."""
 
 
-@dataclass(frozen=True, eq=False)
-class Aligned:
-    """Patches where they fit the picture best.
-
-    Parameters
-    ----------
-    position
-        `(n, 2)` px.
-    covariance
-        `(n, 2, 2)` px^2: of the errors that noise as large as the residuals makes.
-    ncc
-        `(n,)` normalised correlation there, -1 where nothing near fits.
-    """
+class Aligned(NamedTuple):
+    """Patches where they fit best: px, px^2 as noise makes it, and `ncc` `(n,)`, -1 if none fits."""
 
     position: Numbers
     covariance: Numbers
@@ -107,28 +413,17 @@ def align_patches(
     farthest: float,
     expected: Expected | None = None,
 ) -> Aligned:
-    """Move patches by Gauss-Newton steps to where the picture is like them.
+    """Move patches `(n, side, side)` by Gauss-Newton steps to where the picture is like them.
 
-    What is expected of their places holds those that an edge lets slide. It is no part of the covariances.
-
-    Parameters
-    ----------
-    grey
-        `(height, width)`.
-    patches
-        `(n, side, side)` grey values.
-    start
-        `(n, 2)` px, within a pixel of where they are.
-    farthest
-        px from there, along either axis, where they can be at most.
-    expected
-        of their places; nothing if not given.
+    They start within a pixel of where they are, `start` `(n, 2)` px, and can be `farthest` px from there at
+    most, along either axis. What is `expected` of their places holds those that an edge lets slide. It is no
+    part of the covariances.
     """
     position = np.array(start, np.float64)
     expected = expected or Expected(position.copy(), np.zeros((len(position), 2, 2)))
     covariance, ncc = np.empty((len(position), 2, 2)), np.empty(len(position))
     which = np.arange(len(position))
-    alignment_kernels.align_all(grey, patches, which, position, expected, LIGHT, farthest, covariance, ncc)
+    align_all(grey, patches, which, position, expected, LIGHT, farthest, covariance, ncc)
     return Aligned(position, covariance, ncc)
 
 
@@ -136,7 +431,7 @@ def sample_patches(grey: NDArray[np.uint8], positions: Numbers, side: int) -> ND
     """Grey values `(n, side, side)` about `positions`, `(n, 2)` px, by cubic interpolation."""
     patches = np.empty((len(positions), side, side), np.float32)
     places = np.ascontiguousarray(positions, np.float64)
-    alignment_kernels.sample_all(grey, places, np.arange(len(places)), patches)
+    sample_all(grey, places, np.arange(len(places)), patches)
     return patches
 
 
@@ -156,24 +451,10 @@ BORDER = 6
 def find_corners(
     grey: NDArray[np.uint8], most: int, away_from: Numbers, spacing: float, side: int
 ) -> Numbers:
-    """Corners, the best first.
+    """Corners `(m, 2)` px of a picture, the best `most` first; none in a picture of one colour.
 
-    Parameters
-    ----------
-    grey
-        `(height, width)`.
-    most
-        how many at most.
-    away_from
-        `(n, 2)` px, places that are taken.
-    spacing
-        px, least distance to these and to each other.
-    side
-        px, of the patches that must fix the place.
-
-    Returns
-    -------
-    `(m, 2)` px; none in a picture of one colour.
+    They are `spacing` px from each other and from places that are taken, `away_from` `(n, 2)`; patches of
+    `side` px must fix their place.
     """
     mask = np.zeros(grey.shape, np.uint8)
     mask[BORDER:-BORDER, BORDER:-BORDER] = 255

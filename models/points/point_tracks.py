@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.bounds import POSITIVE, SHARE, check_bounds
 from ..core.frame import Frame, GivenPoints
 from ..core.gaussian_message import GaussianMessage
 from ..core.pictures import draw_region, grey_of
@@ -27,14 +28,7 @@ FARTHEST = 1e7
 def check_points(name: str, points: NDArray[np.float64], *, half: bool = False) -> None:
     """Refuse points `(n_frames, n_points, 2)` px that are neither positions nor missing, which is NaN twice.
 
-    Parameters
-    ----------
-    name
-        of the points, for the message.
-    points
-        to be judged.
-    half
-        whether one coordinate alone will do.
+    Where `half` is true, one coordinate alone will do.
 
     Raises
     ------
@@ -65,20 +59,10 @@ NOWHERE = GivenPoints(np.zeros((0, PLANE)), np.zeros(0, np.int64))
 @short_repr
 @dataclass(frozen=True, eq=False)
 class View:
-    """A picture that has been searched, and what was found in it.
+    """A picture that has been searched at `time` s, and what was `found` in it, or given for it.
 
-    Parameters
-    ----------
-    time
-        s, of the frame.
-    found
-        points that were found, or were given.
-    grey
-        `(height, width)` uint8; `None` where points were given instead of a picture.
-    noise
-        px, standard deviation of each coordinate of points that were given.
-    patch
-        px, side of the patches that are cut from it.
+    `grey` `(height, width)` uint8 is `None` where points were given instead of a picture, with a standard
+    deviation `noise` px of each coordinate; `patch` px is the side of the patches that are cut from it.
     """
 
     time: float
@@ -143,10 +127,7 @@ class PointMessage:
     def __mul__(self, other: Self) -> Self:
         """Positions multiply; of two views the later one stays, two groupings keep the smaller numbers.
 
-        Raises
-        ------
-        ValueError
-            if both say what points look like: appearance is one tracker's.
+        A `ValueError`, if both say what points look like: appearance is one tracker's.
         """
         if self.patches is not None and other.patches is not None:
             raise ValueError("patches: got them from two chains at one feature, expected them from one")
@@ -204,11 +185,7 @@ class PointTracks:
     def __post_init__(self) -> None:
         if self.patch < 3 or self.patch % 2 == 0:
             raise ValueError(f"patch: got {self.patch} px, expected an odd number from 3")
-        if not 0 < self.false_alarms < 1:
-            raise ValueError(f"false_alarms: got {self.false_alarms}, expected a share between 0 and 1")
-        for name in ("farthest", "noise"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: got {getattr(self, name)} px, expected more than 0")
+        check_bounds(self, {"false_alarms": SHARE, "farthest": POSITIVE, "noise": POSITIVE})
 
     def uniform(self) -> PointMessage:
         """The message that mentions no point."""
@@ -218,10 +195,9 @@ class PointTracks:
         """Where the frame shows points of `prior`; or all points that are given with the frame.
 
         A given point is N(z; F, noise^2 I), whatever the prior; one of which one coordinate is known says
-        nothing of the other. Otherwise every point of which `prior` knows
-        the patch, and the place to a standard deviation of `farthest`, is searched for by normalised
-        correlation. One that is found is area * N(z; F, R), as against being anywhere in the picture; one
-        that is not found is no information.
+        nothing of the other. Otherwise every point of which `prior` knows the patch, and the place to a
+        standard deviation of `farthest`, is searched for by normalised correlation. One that is found is area
+        * N(z; F, R), as against being anywhere in the picture; one that is not found is no information.
         """
         if frame.points is not None:
             return self._given(frame.points, frame.time)
@@ -283,16 +259,10 @@ def _before(view: View | None, identities: NDArray[np.int64]) -> Before | None:
 def frames_of_tracks(
     tracks: NDArray[np.float64], numbers: range | None = None, rate: float = 25.0
 ) -> list[Frame]:
-    """Frames that hold the points of tracks; identities are the tracks' columns.
+    """Frames that hold the points of tracks `(n_frames, n_tracks, 2)` px, NaN where missing; one may be.
 
-    Parameters
-    ----------
-    tracks
-        `(n_frames, n_tracks, 2)` px, NaN where missing; one coordinate may be.
-    numbers
-        1-based number of each frame; default: 1, 2, ...
-    rate
-        frames per second.
+    Identities are the tracks' columns; `numbers` of frames are 1, 2, ... by default, `rate` is frames per
+    second.
     """
     frames = []
     for number, points in zip(numbers or range(1, len(tracks) + 1), tracks, strict=True):
@@ -306,12 +276,8 @@ def noise_of_tracks(frames: Iterable[Frame]) -> float:
 
     Estimated from third differences, which a motion that is smooth from frame to frame does not enter: their
     variance is 20 times that of independent noise. The median over all of them is not moved by tracks that
-    jump or slip. Frames are taken to be evenly spaced.
-
-    Returns
-    -------
-    noise
-        at least a millionth of the points' spread; a hundredth of it when no track lasts four frames.
+    jump or slip. Frames are taken to be evenly spaced. At least a millionth of the points' spread; a
+    hundredth of it when no track lasts four frames.
 
     Raises
     ------

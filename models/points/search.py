@@ -12,30 +12,384 @@ A patch of 5x5 pixels is easily found where it is not. Four things are asked of 
   was (the forward-backward check of Kalal, Mikolajczyk and Matas 2010).
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .kernels.alignment import Expected, align_all, sample_all
-from .kernels.search import (
-    DOUBT,
-    GRID,
-    LEAST_WEIGHT,
-    NEAR,
-    ODDS,
-    REACH,
-    WHOLE,
-    Candidates,
-    Places,
-    Windows,
-    best_places,
-    decide,
-)
-from .patches import LIGHT
+from ..numerics.compiled import compiled, logarithm
+from .patches import LIGHT, Expected, align_all, sample_all
 
 Numbers = NDArray[np.float64]
+Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+
+
+_f4 = np.float32
+
+_at = np.uint64  # a number that is no index from the end, which loops would have to ask of each
+
+PIXELS, SCORE, SQUARES, ACROSS, TOTAL, ENERGY = range(6)
+"""Rows of the room for a window."""
+
+USUAL = 5
+"""px, side of patches for which loops are written out."""
+
+REGISTER = 16
+"""Numbers of a vector register: of multiples of it none are left over, which would go one by one."""
+
+SHARPNESS, NCC_NOISE = 3.5, 0.02
+"""How -log(1 - correlation^2) grows into a log likelihood, and the noise that limits it."""
+
+LEAST_NCC = 0.5
+"""Normalised correlation from which on anything counts as like a patch."""
+
+LEAST_WEIGHT = -1e30
+"""Log weight of where a patch cannot be."""
+
+
+class Windows(NamedTuple):
+    """Where n patches are searched for.
+
+    `mean` `(n, 2)` px and `covariance` `(n, 2, 2)` px^2; `prior`, whether that says more than how large
+    windows are; `reach` standard deviations, and `farthest` px along either axis, beyond which nothing is
+    searched.
+    """
+
+    mean: Numbers
+    covariance: Numbers
+    prior: bool
+    reach: float
+    farthest: float
+
+
+class Candidates(NamedTuple):
+    """The two likeliest places of each of n patches, the likelier first.
+
+    `position` `(n, 2, 2)` px: patch, place, x and y, by parabolas through the correlation about the best
+    pixel; `ncc` `(n, 2)`, normalised correlation at that pixel, -1 where there is no such place; `weight`
+    `(n, 2)`, log of likelihood and prior, up to a constant, or `LEAST_WEIGHT`.
+    """
+
+    position: Numbers
+    ncc: Numbers
+    weight: Numbers
+
+
+@compiled
+def best_places(image, windows, patches, which, found):
+    """Fill in the two likeliest places of those patches of `(n, side, side)` whose numbers are in `which`.
+
+    A place's weight is `SHARPNESS` times -log(1 - correlation^2 + `NCC_NOISE`), plus the log prior. Only
+    places are taken of a correlation of `LEAST_NCC` or more, and that no neighbour is more like the patch
+    than.
+    """
+    mean, covariance, prior, reach, farthest = windows
+    height, width = image.shape
+    side = patches.shape[1]
+    half = side // 2
+    radii = np.empty(which.size, np.int64)
+    most = 0
+    for m in range(which.size):
+        k = which[m]
+        deviation = np.sqrt(max(covariance[k, 0, 0], covariance[k, 1, 1]))
+        radii[m] = np.int64(min(np.ceil(reach * deviation + 0.5), farthest))
+        most = max(most, radii[m])
+    line = 2 * most + 2 + side + REGISTER
+    rooms = np.zeros((6, line * line), _f4)
+    flags = np.zeros(-(-line * line // 8) * 8, np.uint8)
+    eight = flags.view(np.uint64)
+    template, places, weights = np.empty(side * side, _f4), np.empty((2, 3)), np.empty(2)
+    for m in range(which.size):
+        k, radius = which[m], radii[m]
+        x0, y0 = int(np.rint(mean[k, 0])), int(np.rint(mean[k, 1]))
+        # one more on all sides, to see where correlation falls off
+        left, top = max(x0 - radius - 1 - half, 0), max(y0 - radius - 1 - half, 0)
+        columns = min(x0 + radius + 1 + half, width - 1) - left + 2 - side
+        rows = min(y0 + radius + 1 + half, height - 1) - top + 2 - side
+        if columns < 3 or rows < 3:
+            continue
+        line = columns + side - 1
+        count = -(-rows * line // REGISTER) * REGISTER
+        _normalise(patches, k, template)
+        _lift(image, left, top, rows + side - 1, line, rooms)
+        correlate(rooms, line, count, template, side)
+        _flag_peaks(rooms, line, count, flags)
+        a, b, c = covariance[k, 0, 0], covariance[k, 0, 1], covariance[k, 1, 1]
+        scale = (1.0 if prior else 0.0) / (a * c - b * b)
+        known = scale * c, -2 * scale * b, scale * a, reach * reach
+        offset = left + half - mean[k, 0], top + half - mean[k, 1]
+        _keep_two(rooms[SCORE], line, rows, columns, offset, known, flags, eight, places, weights)
+        for place in range(2):
+            if weights[place] > LEAST_WEIGHT:
+                found.position[k, place, 0] = mean[k, 0] + places[place, 0]
+                found.position[k, place, 1] = mean[k, 1] + places[place, 1]
+                found.ncc[k, place], found.weight[k, place] = places[place, 2], weights[place]
+
+
+@compiled
+def _lift(image, left, top, rows, line, rooms):
+    """A window's pixels, less one of them: squares of small numbers are summed exactly enough."""
+    level = _f4(image[top + rows // 2, left + line // 2])
+    filled = min(-(-line // REGISTER) * REGISTER, image.shape[1] - left)
+    for y in range(rows):
+        for x in range(filled):
+            rooms[PIXELS, _at(y * line + x)] = _f4(image[_at(top + y), _at(left + x)]) - level
+
+
+@compiled
+def correlate(rooms, line, count, template, side):
+    """Correlation of a template of mean 0 and length 1 with a window's patches, in `rooms` `(6, enough)`."""
+    for i in range(count + side * line):
+        pixel = rooms[PIXELS, _at(i)]
+        rooms[SQUARES, _at(i)] = pixel * pixel
+    if side == USUAL:
+        for i in range(count):
+            upper = _five(rooms, i, template, 0) + _five(rooms, i + line, template, 5)
+            lower = _five(rooms, i + 3 * line, template, 15) + _five(rooms, i + 4 * line, template, 20)
+            rooms[SCORE, _at(i)] = upper + _five(rooms, i + 2 * line, template, 10) + lower
+    else:
+        rooms[SCORE, :count] = 0
+        for y in range(side):
+            for x in range(side):
+                weight = template[y * side + x]
+                for i in range(count):
+                    rooms[SCORE, _at(i)] += weight * rooms[PIXELS, _at(i + y * line + x)]
+    _box_sums(rooms, PIXELS, line, side, count, TOTAL)
+    _box_sums(rooms, SQUARES, line, side, count, ENERGY)
+    share, least = _f4(1 / (side * side)), _f4(0.25 * side * side)
+    for i in range(count):
+        total = rooms[TOTAL, _at(i)]
+        rooms[SCORE, _at(i)] /= np.sqrt(max(rooms[ENERGY, _at(i)] - share * total * total, least))
+
+
+@compiled
+def _five(rooms, i, weights, k):
+    a, b, c = rooms[PIXELS, _at(i)], rooms[PIXELS, _at(i + 1)], rooms[PIXELS, _at(i + 2)]
+    d, e = rooms[PIXELS, _at(i + 3)], rooms[PIXELS, _at(i + 4)]
+    return weights[k] * a + weights[k + 1] * b + weights[k + 2] * c + weights[k + 3] * d + weights[k + 4] * e
+
+
+@compiled
+def _box_sums(rooms, what, line, side, count, out):
+    """Sums over squares, each at its upper left pixel."""
+    size = count + (side - 1) * line
+    if side == USUAL:
+        for i in range(size):
+            left = rooms[what, _at(i)] + rooms[what, _at(i + 1)] + rooms[what, _at(i + 2)]
+            rooms[ACROSS, _at(i)] = left + rooms[what, _at(i + 3)] + rooms[what, _at(i + 4)]
+        for i in range(count):
+            upper = rooms[ACROSS, _at(i)] + rooms[ACROSS, _at(i + line)] + rooms[ACROSS, _at(i + 2 * line)]
+            rooms[out, _at(i)] = upper + rooms[ACROSS, _at(i + 3 * line)] + rooms[ACROSS, _at(i + 4 * line)]
+        return
+    rooms[ACROSS, :size], rooms[out, :count] = 0, 0
+    for x in range(side):
+        for i in range(size):
+            rooms[ACROSS, _at(i)] += rooms[what, _at(i + x)]
+    for y in range(side):
+        for i in range(count):
+            rooms[out, _at(i)] += rooms[ACROSS, _at(i + y * line)]
+
+
+@compiled
+def _flag_peaks(rooms, line, count, flags):
+    """Whether a place is like the patch, and none of its eight neighbours more so; not at the edge."""
+    for i in range(count):
+        here, after, further = rooms[SCORE, _at(i)], rooms[SCORE, _at(i + 1)], rooms[SCORE, _at(i + 2)]
+        rooms[ACROSS, _at(i)] = max(after, max(here, further))
+    # of three in a row the middle one is where the peak may be
+    for i in range(count):
+        above, here, below = (
+            rooms[ACROSS, _at(i)],
+            rooms[ACROSS, _at(i + line)],
+            rooms[ACROSS, _at(i + 2 * line)],
+        )
+        middle = rooms[SCORE, _at(i + line + 1)]
+        flags[_at(i + line + 1)] = middle >= max(here, max(above, below)) and middle >= LEAST_NCC
+
+
+@compiled
+def _keep_two(score, line, rows, columns, offset, prior, flags, eight, places, weights):
+    """Fill in the two likeliest of the flagged peaks: x, y and correlation `(2, 3)`, and weights `(2,)`."""
+    left, top = offset
+    xx, xy, yy, most = prior
+    weights[0] = weights[1] = LEAST_WEIGHT
+    for word in range(line // 8, (rows - 1) * line // 8 + 1):
+        if eight[word] == 0:
+            continue
+        for i in range(8 * word, 8 * word + 8):
+            y = i // line
+            x = i - y * line
+            if flags[i] == 0 or not (0 < x < columns - 1 and 0 < y < rows - 1):
+                continue
+            dx, dy = left + x, top + y
+            square = xx * dx * dx + xy * dx * dy + yy * dy * dy
+            if square > most:
+                continue
+            right, more_x = _parabola(score[i - 1], score[i], score[i + 1])
+            down, more_y = _parabola(score[i - line], score[i], score[i + line])
+            peak = min(score[i] + more_x + more_y, _f4(1))
+            weight = -SHARPNESS * logarithm(_f4(1 + NCC_NOISE) - peak * peak) - 0.5 * square
+            if weight <= weights[1]:
+                continue
+            place = 1
+            if weight > weights[0]:
+                place = 0
+                weights[1] = weights[0]
+                for m in range(3):
+                    places[1, m] = places[0, m]
+            weights[place] = weight
+            places[place, 0], places[place, 1], places[place, 2] = dx + right, dy + down, score[i]
+
+
+@compiled
+def _normalise(patches, k, template):
+    """The k-th patch with mean 0 and length 1, row after row."""
+    side = patches.shape[1]
+    total = squares = _f4(0)
+    for y in range(side):
+        for x in range(side):
+            total += patches[k, y, x]
+    mean = total / _f4(side * side)
+    for y in range(side):
+        for x in range(side):
+            template[y * side + x] = patches[k, y, x] - mean
+            squares += template[y * side + x] * template[y * side + x]
+    scale = _f4(1) / max(np.sqrt(squares), _f4(1e-6))
+    for i in range(template.size):
+        template[i] *= scale
+
+
+@compiled
+def _parabola(before, here, after):
+    """Where a parabola through three values has its peak, from the middle one, and how much higher it is."""
+    bent = before - _f4(2) * here + after
+    if bent >= _f4(-1e-6):
+        return _f4(0), _f4(0)
+    off = _f4(0.5) * (before - after) / bent
+    return off, _f4(-0.25) * (before - after) * off
+
+
+REACH = 3.0
+"""Standard deviations from where a point should be within which it is searched for."""
+
+GRID = 0.5
+"""px, standard deviation added to what is known of a position: places are compared pixel by pixel, and any
+hand that holds a camera soon moves it by half a pixel more than expected."""
+
+ODDS = 10.0
+"""By which a place must be likelier than its rival."""
+
+DOUBT = 1.0
+"""By which the log weight of a place may be off before it is known to fractions of a pixel."""
+
+NEAR = 1.0
+"""px: places that are nearer to each other are one. So far may fractions of a pixel lead, and the way
+back."""
+
+WHOLE = 0.5
+"""px by which a place is off that is sought pixel by pixel."""
+
+MOST_SPREAD = 0.7
+"""px, standard deviation of a found position from which on it is as good as not found. Of a lost point it is
+that given what is expected of it, too."""
+
+UNLIKE = 0.045
+"""Mean of 1 - correlation of a point that is seen again after it was hidden, with its patch of before. Of
+2900 in a real film the correlation was 0.91, 0.96 and 0.975 in the quartiles."""
+
+
+class Places(NamedTuple):
+    """Two places each for n patches, to fractions of a pixel."""
+
+    position: Numbers
+    covariance: Numbers
+    ncc: Numbers
+
+
+@compiled
+def decide(places, mean, around, precision, hidden, false_alarms, farthest, side, better, seen):
+    """Say of n points in `better`, `(n,)`, which of two places is the likelier one, and if `seen` there.
+
+    To fractions of a pixel that can be another one than pixel by pixel. `mean`, `around` and `precision` are
+    `(n, 2)` px, `(n, 2, 2)` px^2 and its inverse: where points should be. Those that may be `hidden` `(n,)`
+    have one more rival: what is there by chance. The rest is as of `find_points`.
+    """
+    position, covariance, nccs = places
+    log_odds = np.log(ODDS)
+    for k in range(seen.size):
+        a, b, c = around[k, 0, 0], around[k, 0, 1], around[k, 1, 1]
+        best, rival, best_square = LEAST_WEIGHT, LEAST_WEIGHT, 0.0
+        for place in range(2):
+            dx, dy = position[k, place, 0] - mean[k, 0], position[k, place, 1] - mean[k, 1]
+            xx, xy = a + covariance[k, place, 0, 0], b + covariance[k, place, 0, 1]
+            yy = c + covariance[k, place, 1, 1]
+            square = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy)
+            weight = LEAST_WEIGHT
+            if nccs[k, place] > 0 and square < REACH**2:
+                weight = -SHARPNESS * np.log(1 - min(nccs[k, place], 1.0) ** 2 + NCC_NOISE) - 0.5 * square
+            apart_x, apart_y = (
+                abs(position[k, 1, 0] - position[k, 0, 0]),
+                abs(position[k, 1, 1] - position[k, 0, 1]),
+            )
+            if place == 1 and max(apart_x, apart_y) < NEAR:
+                continue
+            if weight > best:
+                best, rival, best_square, better[k] = weight, best, square, place
+            else:
+                rival = weight
+        place = better[k]
+        ncc = nccs[k, place]
+        xx, xy, yy = covariance[k, place, 0, 0], covariance[k, place, 0, 1], covariance[k, place, 1, 1]
+        area = min(np.pi * REACH**2 * np.sqrt(a * c - b * b), (2 * farthest + 1) ** 2)
+        seen[k] = best - rival > log_odds and ncc >= least_ncc(false_alarms, area, side)
+        if not seen[k]:
+            continue
+        if not hidden[k]:
+            seen[k] = 0.5 * (xx + yy) <= MOST_SPREAD**2
+            continue
+        # where a hidden point is along an edge, only what is expected can say
+        scale = 1 / (xx * yy - xy * xy)
+        p, r = scale * yy + precision[k, 0, 0], scale * xx + precision[k, 1, 1]
+        q = precision[k, 0, 1] - scale * xy
+        determinant = (a + xx) * (c + yy) - (b + xy) ** 2
+        odds = odds_over_chance(ncc, best_square, determinant, area, side)
+        seen[k] = 0.5 * (p + r) / (p * r - q * q) <= MOST_SPREAD**2 and odds > log_odds
+
+
+@compiled
+def least_ncc(false_alarms, area, side):
+    """Normalised correlation that a share of `false_alarms` of windows without the point exceeds by chance.
+
+    The expected number of places that are at least so like a patch of `side` px in `area` px^2 is 0.24 (area
+    / 1089)^0.56 (5 / side)^2.5 ((1 - ncc) / 0.1)^2.5: a fit to counts for sides from 5 to 11, areas from 25
+    to 1089 and correlations from 0.8 to 0.95, right to a third. What else is asked of a place leaves a third
+    of these false alarms.
+    """
+    unlike = 0.1 * (-np.log(1 - false_alarms) / _at_ten_percent(area, side)) ** 0.4
+    return max(1 - unlike, LEAST_NCC)
+
+
+@compiled
+def odds_over_chance(ncc, square, determinant, area, side):
+    """Log odds that a place shows the point, as against another one that is as like it by chance.
+
+    Of the point, 1 - ncc is exponential with mean `UNLIKE`, and the place is normal about where it should be,
+    at a squared distance of `square` in units of the covariance, whose `determinant` is px^4. Of what is
+    there by chance 1 - ncc has the density of `least_ncc`'s count, and the place is any in the window of
+    `area` px^2.
+    """
+    unlike = min(max(1 - ncc, 1e-3), 1.0)
+    by_chance = 2.5 / unlike * _at_ten_percent(area, side) * (unlike / 0.1) ** 2.5
+    log_density = -0.5 * square - 0.5 * np.log(determinant) - np.log(2 * np.pi)
+    return -unlike / UNLIKE - np.log(UNLIKE * by_chance) + log_density + np.log(max(area, 1.0))
+
+
+@compiled
+def _at_ten_percent(area, side):
+    return 0.24 * (max(area, 1.0) / 1089) ** 0.56 * (5 / side) ** 2.5
+
+
 Grey = NDArray[np.uint8]
 Pixels = NDArray[np.float32]
 
@@ -43,36 +397,16 @@ LEAST_SPREAD = 0.05
 """px, standard deviation of a found position: the least there is."""
 
 
-@dataclass(frozen=True, eq=False)
-class Before:
-    """Where the picture before showed points that are searched for.
-
-    Parameters
-    ----------
-    grey
-        `(height, width)`.
-    shown
-        `(n,)` bool: which ones it showed.
-    position
-        `(n, 2)` px, of those.
-    """
+class Before(NamedTuple):
+    """Where the picture before showed points that are searched for: which, `(n,)`, and places of these."""
 
     grey: Grey
     shown: Mask
     position: Numbers
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Which of the points that were searched for were found, and where.
-
-    Parameters
-    ----------
-    seen
-        `(n,)` bool.
-    position, covariance
-        `(n, 2)` px and `(n, 2, 2)` px^2, of those that were seen.
-    """
+class Found(NamedTuple):
+    """Which of the points that were searched for were `seen` `(n,)`; of those alone, px and px^2."""
 
     seen: Mask
     position: Numbers
@@ -92,16 +426,12 @@ def find_points(
 
     Parameters
     ----------
-    grey
-        `(height, width)`.
-    patches
-        `(n, side, side)` grey values.
+    grey, patches
+        `(height, width)`, and `(n, side, side)` grey values.
     mean, covariance
-        `(n, 2)` px and `(n, 2, 2)` px^2: where they should be.
+        `(n, 2)` px and `(n, 2, 2)` px^2: where they should be, `farthest` px from there at most.
     false_alarms
         share of windows without the point in which something is as like it as is asked for.
-    farthest
-        px from the mean beyond which nothing is searched.
     before
         the picture before. A point that it showed has to lead back there, any other one may be hidden: what
         is there by chance is one more rival of it. Without it neither is asked.
@@ -125,11 +455,7 @@ def find_points(
 def leads_back(
     grey: Grey, position: Numbers, before: Grey, windows: Windows, which: NDArray[np.int64], side: int
 ) -> Mask:
-    """Whether what is at `position (n, 2)` px was in the middle of its window in the picture before.
-
-    It is searched for there in windows as wide as on the way forth, without a prior. Only those are asked
-    for, and answered, whose numbers are in `which`.
-    """
+    """`(m,)`: whether what is at `position` px was in the middle of its window in the picture before."""
     patches = np.empty((len(position), side, side), np.float32)
     sample_all(grey, position, which, patches)
     places = likeliest_places(before, patches, windows, which)

@@ -12,10 +12,10 @@ import pytest
 from numba import types
 from rsmcm.apps import first_use
 from rsmcm.apps.first_use import LIST, compile_loop, plain, type_of
-from rsmcm.chains.objects.kernels.blobs import RECORD
+from rsmcm.chains.objects.blob_records import RECORD
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from rsmcm.models.pixels.colour import _planes_of_colour as loop
-from rsmcm.models.pixels.kernels import LAYER
+from rsmcm.models.pixels.layers import LAYER
 
 
 class Process:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rsmcm.models.pixels.kernels import Sprite
+from rsmcm.models.pixels.layers import Sprite
 
 F4 = np.float32
 

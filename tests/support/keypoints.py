@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rsmcm.apps.scenes import SignerScene
 from rsmcm.models import GivenKeypoints
 from rsmcm.models.body.upper_body import UpperBody
-from rsmcm.models.core.keypoints import KEYPOINTS
+from rsmcm.models.core.frame import KEYPOINTS
 
 Array = NDArray[np.float64]
 

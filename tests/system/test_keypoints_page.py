@@ -11,7 +11,7 @@ from rsmcm.apps.io.files import PLAYABLE, SegmentedVideo
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.models import Frame
 from rsmcm.models.body.upper_body import JOINTS
-from rsmcm.models.core.keypoints import COCO, KEYPOINTS
+from rsmcm.models.core.frame import COCO, KEYPOINTS
 
 from ..conftest import summary_of
 from ..fuzz.networks import steady_person

@@ -21,10 +21,9 @@ from ....inference.sfm.factor_analysis.em import expectation_maximisation
 from ....inference.sfm.factor_analysis.factorisation import around_start, factorise
 from ....inference.sfm.factor_analysis.initialisation import mean_filled
 from ....inference.sfm.factor_analysis.observations import Observations
-from ....models.points.kernels.search import GRID, NEAR, REACH, WHOLE
 from ....models.points.patches import sample_patches
 from ....models.points.point_tracks import PointTracks
-from ....models.points.search import Before, find_points
+from ....models.points.search import GRID, NEAR, REACH, WHOLE, Before, find_points
 from ...io.point_files import frames_of_tracks
 from ...scenes import cylinder
 from ..experiment import Findings

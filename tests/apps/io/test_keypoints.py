@@ -9,7 +9,7 @@ import pytest
 from rsmcm.apps.io import Keypoints, read_keypoints, with_keypoints
 from rsmcm.apps.io.keypoints import digest_of
 from rsmcm.models import Frame
-from rsmcm.models.core.keypoints import COCO, KEYPOINTS, SKELETONS
+from rsmcm.models.core.frame import COCO, KEYPOINTS, SKELETONS
 
 NUMBERS = (1, 2, 5)
 """Frames in which there are two persons."""

@@ -12,7 +12,7 @@ from rsmcm.chains.body.samples import moments
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import BodyParts, Frame
 from rsmcm.models.body.upper_body import JOINTS
-from rsmcm.models.numerics.densities import squared_distances
+from rsmcm.models.core.gaussian_message import squared_distances
 
 from ...support.keypoints import found_in
 

@@ -255,14 +255,14 @@ def test_the_layer_is_what_experts_cover() -> None:
         [scene.poses, Poses(scene.poses.rotations, scene.poses.translations + 200, scene.poses.morphs)]
     )
     coverage = Coverage.of(scene.model, poses, np.array([0.75, 0.25]), (128, 192))
-    (layer,) = coverage.layers(None).layers
+    (sheet,) = coverage.layers(None).factors
+    (record,) = sheet.table
+    (top, left), shape = (record[["top", "left"]].tolist(), record[["rows", "columns"]].tolist())
     mask = np.zeros((128, 192))
-    mask[layer.top : layer.top + layer.mask.shape[0], layer.left : layer.left + layer.mask.shape[1]] = (
-        layer.mask
-    )
+    mask[top : top + shape[0], left : left + shape[1]] = sheet.pools.masks.reshape(shape)
     inside = scene.foreground(0)
     assert mask[inside].mean() == pytest.approx(0.75, abs=0.01)
-    assert layer.appearance is None
+    assert not record["coloured"]
     far = cv2.dilate(inside.astype(np.uint8), np.ones((9, 9))) == 0
     assert mask[far][:1].max() == 0
 
@@ -272,13 +272,13 @@ def test_a_tracker_that_knows_nothing_says_nothing() -> None:
     chain = GFlow(scene.model, scene.poses[0], experts=2, texels=300)
     state = chain.initial(scene.frame(0))
     nothing = chain.message(state, PIXELS, Incoming({PIXELS: PixelMessage()}))
-    assert nothing.layers.layers == ()
+    assert not nothing.layers
     assert nothing.image is None
     lost = replace(state, trust=replace(state.trust, doubt=9.0), frames_seen=5)
     others = Incoming({PIXELS: PixelMessage(image=scene.image(0))})
     message = chain.message(lost, PIXELS, others)
     assert lost.lost
-    assert message.layers.layers == ()
+    assert not message.layers
     assert message.background is None
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rsmcm.chains.objects.blobs import Blob, Blobs, BlobState, DetectedBox, Track, middle_covariance
+from rsmcm.chains.objects.blobs import Blob, Blobs, BlobState, Track, middle_covariance
 from rsmcm.models.camera.moving_camera import AffineMap
 
 
@@ -52,12 +52,12 @@ def known(**changes: object) -> Blob:
 def test_who_is_seen_and_who_is_only_predicted(
     unseen: float, unfound: float | None, elapsed: float, seen: bool
 ) -> None:
-    detected = None
+    blob = known(unseen=unseen)
     if unfound is not None:
-        detected = DetectedBox(np.array([10.0, 30, 20, 30]), np.array([1.0, 2, 3, 8]), unfound)
-    blob = known(unseen=unseen, detected=detected)
-    (track,) = BlobState(Blobs.of((blob,), 1), 1, (120, 160), elapsed, 0.35, detected is not None).tracks()
+        blob = blob.changed(detected=1, box_mean=(10, 30, 20, 30), box_variance=(1, 2, 3, 8), unfound=unfound)
+    state = BlobState(Blobs.of((blob,), 1), 1, (120, 160), elapsed, 0.35, unfound is not None)
+    (track,) = state.tracks()
     assert track.seen == seen
     assert track.position_covariance == (
-        ((4.0, 0.0), (0.0, 4.0)) if detected is None else ((5.0, 0.0), (0.0, 8.0))
+        ((4.0, 0.0), (0.0, 4.0)) if unfound is None else ((5.0, 0.0), (0.0, 8.0))
     )

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.chains import AdaptiveBackground, BlobTracker, DetectorRates, GroundPlane
 from rsmcm.chains.objects import detections
-from rsmcm.chains.objects.blobs import Blob, Blobs, DetectedBox
+from rsmcm.chains.objects.blobs import Blob, Blobs
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.engine.recursive_bp import Belief
 from rsmcm.models import Frame, GivenBoxes, ObjectBoxes, PixelLabels
@@ -56,9 +56,8 @@ def blob_at(x: float, y: float) -> Blob:
     blob = Blob.newborn(
         7, np.array([y, x]), np.full((30, 20), 0.9, np.float32), np.zeros((3, 30, 20), np.float32), 1.0, 300.0
     )
-    mean, variance = np.array([10.0, 30.0, 20.0, 30.0]), np.array([4.0, 4.0, 9.0, 16.0])
-    covariance = np.array([[5.0, 3.0], [3.0, 40.0]])
-    return blob.changed(covariance=covariance, detected=DetectedBox(mean, variance, detections.WHOLE))
+    box = {"box_mean": (10, 30, 20, 30), "box_variance": (4, 4, 9, 16), "unfound": detections.WHOLE}
+    return blob.changed(covariance=np.array([[5.0, 3.0], [3.0, 40.0]]), detected=1, **box)
 
 
 def told(box: NDArray[np.float64], noise: NDArray[np.float64]) -> BoxMessage:
@@ -76,7 +75,7 @@ def test_a_box_corrects_place_velocity_and_size_as_a_dense_filter_does() -> None
     blob, noise = blob_at(100.0, 50.0), np.array([6.0, 6.0, 10.0, 12.0])
     box = np.array([114.0, 83.0, 24.0, 33.0])
     (after,) = detections.corrected(Blobs.of([blob], 3), told(box, noise))
-    assert after.detected is not None
+    assert after.detected
     for axis, place in ((0, 1), (1, 0)):
         prior = np.zeros((3, 3))
         prior[:2, :2], prior[2, 2] = blob.covariance, 4.0
@@ -86,11 +85,11 @@ def test_a_box_corrects_place_velocity_and_size_as_a_dense_filter_does() -> None
         mean = mean + gain * (box[axis] - observed @ mean)
         assert after.position[place] == pytest.approx(mean[0])
         assert after.velocity[place] == pytest.approx(mean[1])
-        assert after.detected.mean[axis] == pytest.approx(mean[2])
+        assert after.box_mean[axis] == pytest.approx(mean[2])
         covariance = prior - np.outer(gain, observed @ prior)
         np.testing.assert_allclose(after.covariance, covariance[:2, :2])
-        assert after.detected.variance[axis] == pytest.approx(covariance[2, 2])
-    np.testing.assert_allclose(after.detected.mean[2:], [20 + 9 / 19 * 4, 30 + 16 / 28 * 3])
+        assert after.box_variance[axis] == pytest.approx(covariance[2, 2])
+    np.testing.assert_allclose(after.box_mean[2:], [20 + 9 / 19 * 4, 30 + 16 / 28 * 3])
     assert after.existence == 2.5
 
 
@@ -110,8 +109,7 @@ def test_somebody_new_has_the_outline_that_the_detector_gives() -> None:
 
 def test_boxes_that_follow_each_other_soon_are_worth_less() -> None:
     blob, noise = blob_at(100.0, 50.0), np.array([6.0, 6.0, 10.0, 12.0])
-    assert blob.detected is not None
-    soon = blob.changed(detected=replace(blob.detected, unfound=0.2 * detections.WHOLE))
+    soon = blob.changed(unfound=0.2 * detections.WHOLE)
     box = np.array([114.0, 83.0, 24.0, 33.0])
     (one,), (two,) = (detections.corrected(Blobs.of([each], 3), told(box, noise)) for each in (blob, soon))
     (five,) = detections.corrected(Blobs.of([blob], 3), told(box, 5 * noise))
@@ -125,12 +123,10 @@ def test_doubt_grows_with_time_alike_in_one_step_and_in_many() -> None:
     for _ in range(10):
         steps = detections.moved(steps, 0.04, 0.9, True)
     (many,) = steps
-    assert once.detected is not None
-    assert many.detected is not None
     assert many.existence == pytest.approx(once.existence)
     assert many.noticed == pytest.approx(once.noticed)
     np.testing.assert_allclose(many.covariance, once.covariance)
-    np.testing.assert_allclose(many.detected.variance, once.detected.variance)
+    np.testing.assert_allclose(many.box_variance, once.box_variance)
     assert once.existence < 4.0
     assert once.noticed < 3.0
 

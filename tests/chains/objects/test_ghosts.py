@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from rsmcm.chains.objects import blob_scene
+from rsmcm.chains.objects.blob_records import box_of, length_of
+from rsmcm.chains.objects.blob_scene import MOST_EVIDENCE, Learning, outline_evidence, weigh
 from rsmcm.chains.objects.blobs import Blob, Blobs
-from rsmcm.chains.objects.kernels.blobs import box_of, length_of
-from rsmcm.chains.objects.kernels.learning import MOST_EVIDENCE, Learning, outline_evidence, weigh
-from rsmcm.models.pixels.kernels import StoredPlanes
+from rsmcm.models.pixels.background import StoredPlanes
 
 F4 = np.float32
 SIZE = (60, 50)

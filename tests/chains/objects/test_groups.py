@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from rsmcm.chains.objects.blob_records import MARGIN
 from rsmcm.chains.objects.blobs import Blob, Blobs, BlobState
 from rsmcm.chains.objects.groups import (
     alone,
@@ -14,7 +15,6 @@ from rsmcm.chains.objects.groups import (
     thinnest_column,
     with_parts,
 )
-from rsmcm.chains.objects.kernels.blobs import MARGIN
 from rsmcm.models.objects.box_message import Newcomers
 
 F4 = np.float32
@@ -115,7 +115,7 @@ def test_edges_of_a_thing_that_sets_off_are_one_track_for_a_while():
     assert wholes(*parts) == [1, 1, 1]
     together = with_parts(Blobs.of(parts, 3), None)
     assert len(alone(together)) == 0
-    assert len(alone(Blobs.of(together[:2], 3))) == 2
+    assert len(alone(Blobs.of(list(together)[:2], 3))) == 2
     (track,) = BlobState(together, 3, (120, 160), 0.0, 0.35).tracks()
     assert track.box == pytest.approx((50, 50, 52, 14))
     assert track.velocity == (25, 0)

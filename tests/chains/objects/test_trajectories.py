@@ -136,7 +136,7 @@ def test_a_mask_of_boxes_leaves_room() -> None:
     mask = box.mask((40, 50), 0.1)
     assert mask.sum() == 24 * 12
     assert mask[8:32, 14:26].all()
-    assert not box[np.zeros(1, bool)].mask((40, 50), 0.1).any()
+    assert not box.only(np.zeros(1, bool)).mask((40, 50), 0.1).any()
     outside = Boxes(box.frames, box.identities, np.array([[-30.0, 30, 10, 20]]), box.variances)
     assert not outside.mask((40, 50), 0.1).any()
 

@@ -4,18 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rsmcm.chains.pixels.background_prediction import (
-    BackgroundPrediction,
-    LightField,
-    fixed_point,
-    stored_planes,
-)
-from rsmcm.chains.pixels.kernels import gaussian as kernels
-from rsmcm.chains.pixels.kernels import second_colours as seconds
-from rsmcm.chains.pixels.kernels.sway import Sway
+from rsmcm.chains.pixels import gaussians as kernels
+from rsmcm.chains.pixels import second_colours as seconds
+from rsmcm.chains.pixels.background_prediction import BackgroundPrediction, fixed_point, stored_planes
+from rsmcm.chains.pixels.light import LightField
+from rsmcm.chains.pixels.sway import Sway
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from rsmcm.models.pixels import colour
-from rsmcm.models.pixels.kernels import foreground_spans
+from rsmcm.models.pixels.background import foreground_spans
 from scipy.integrate import quad
 from scipy.stats import norm
 

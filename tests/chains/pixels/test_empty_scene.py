@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.pixels.background_prediction import LightField
 from rsmcm.chains.pixels.empty_scene import PRIOR_FRAMES, empty_scene
+from rsmcm.chains.pixels.light import LightField
 from rsmcm.models.pixels import colour
 
 SIZE = (17, 23)

@@ -3,14 +3,15 @@
 import cv2
 import numpy as np
 import pytest
-from rsmcm.chains.pixels.background_prediction import (
+from rsmcm.chains.pixels.background_prediction import fixed_point
+from rsmcm.chains.pixels.light import (
+    LUMA_NOISE,
     LightField,
-    fixed_point,
     followed,
     light_grid,
+    light_ratios,
     share_of_blocks,
 )
-from rsmcm.chains.pixels.kernels.light import LUMA_NOISE, light_ratios
 from rsmcm.models.pixels import colour
 from scipy.stats import norm
 

@@ -7,12 +7,11 @@ import pytest
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.chains import AdaptiveBackground, BlobTracker, MixtureBackground
 from rsmcm.chains.pixels.background_prediction import colour
-from rsmcm.chains.pixels.kernels.gaussian import HIGHEST_NOISE, LOWEST_NOISE
-from rsmcm.chains.pixels.kernels.mixture import Mixture
-from rsmcm.chains.pixels.mixture_background import REACH, MixturePrediction
+from rsmcm.chains.pixels.gaussians import HIGHEST_NOISE, LOWEST_NOISE
+from rsmcm.chains.pixels.mixture_background import REACH, Mixture, MixturePrediction
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.models import Frame, PixelLabels
-from rsmcm.models.pixels.kernels import ODDS_STEPS
+from rsmcm.models.pixels.background import ODDS_STEPS
 from rsmcm.models.pixels.layers import Layer, LayerStack
 from rsmcm.models.pixels.pixel_labels import PixelMessage
 from scipy.stats import norm

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.chains import AdaptiveBackground, BlobTracker
-from rsmcm.chains.pixels.adaptive_background import learned_rates, sway_reach
-from rsmcm.chains.pixels.background_prediction import LightField, fixed_point, log_prior_odds, stored_planes
-from rsmcm.chains.pixels.kernels.gaussian import PixelModel
-from rsmcm.chains.pixels.kernels.sway import LEAST_RATE, Sway, recall_moved
+from rsmcm.chains.pixels.background_prediction import fixed_point, log_prior_odds, stored_planes
+from rsmcm.chains.pixels.gaussians import PixelModel
+from rsmcm.chains.pixels.light import LightField
+from rsmcm.chains.pixels.sway import LEAST_RATE, Sway, learned_rates, recall_moved, sway_reach
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import PixelLabels
 from rsmcm.models.pixels import colour

@@ -5,8 +5,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.chains.points.point_tracker import coincident_tracks, duplicates, merged_groups, without_duplicates
-from rsmcm.chains.points.tracker import KnownPoints
+from rsmcm.chains.points.point_tracker import (
+    KnownPoints,
+    coincident_tracks,
+    duplicates,
+    merged_groups,
+    without_duplicates,
+)
 from rsmcm.chains.points.trajectory import Appearances, PointTrajectory
 from rsmcm.inference.kalman import PointStates
 from rsmcm.models.core.gaussian_message import GaussianMessage
@@ -72,12 +77,13 @@ def known(identities: list[int], alive: list[bool], unseen: list[float]) -> Know
     n = len(identities)
     states = PointStates.at_rest(np.arange(2.0 * n).reshape(n, 2), 1.0, 1.0)
     return KnownPoints(
-        np.array(identities), states, np.array(alive), np.array(unseen), PIXELS[:n], PIXELS[:n]
-    )
+        np.array(identities), states.mean, states.covariance, np.array(alive), np.array(unseen), PIXELS[:n],
+        PIXELS[:n],
+    )  # fmt: skip
 
 
 def test_points_are_joined_in_order() -> None:
-    both = known([2, 9], [True, False], [0.0, 1.0]).joined(known([1, 5], [True, True], [0.0, 0.2]))
+    both = known([2, 9], [True, False], [0.0, 1.0]).with_more(known([1, 5], [True, True], [0.0, 0.2]))
     np.testing.assert_array_equal(both.identities, [1, 2, 5, 9])
     np.testing.assert_array_equal(both.alive, [True, True, True, False])
     np.testing.assert_array_equal(both.states.mean[:, 0], [0, 0, 2, 2])

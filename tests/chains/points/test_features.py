@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.scenes.random_fields import mottle
-from rsmcm.chains.points.features import (
+from rsmcm.chains.points.feature_matcher import (
     LARGEST,
     LEAST_LIKENESS,
     LOCALISATION,

@@ -1,8 +1,13 @@
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import turntable
-from rsmcm.chains.points.features import LEAST_LENGTH, Features, FilmMatches, find_features
-from rsmcm.chains.points.kernels import join_matches
+from rsmcm.chains.points.feature_matcher import (
+    LEAST_LENGTH,
+    Features,
+    FilmMatches,
+    find_features,
+    join_matches,
+)
 
 from ...support.scenes import transferred
 

@@ -20,8 +20,7 @@ from rsmcm.inference import (
 )
 from rsmcm.models import Frame, PointTracks
 from rsmcm.models.core.frame import GivenPoints
-from rsmcm.models.core.gaussian_message import GaussianMessage
-from rsmcm.models.numerics.densities import squared_distances
+from rsmcm.models.core.gaussian_message import GaussianMessage, squared_distances
 from rsmcm.models.points.point_tracks import PointMessage, noise_of_tracks
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, film, hidden_by_a_bar, sliding, turning
@@ -417,7 +416,7 @@ def test_of_two_points_on_one_spot_the_younger_ends() -> None:
     known = state.states["tracker"].known
     mean, pixels = known.states.mean.copy(), known.patches.copy()
     mean[7], pixels[7] = mean[3], pixels[3]
-    moved = replace(known, states=replace(known.states, mean=mean), patches=pixels, first=pixels)
+    moved = replace(known, mean=mean, patches=pixels, first=pixels)
     view = state.states["tracker"].view
     found = view.found.positions.copy()
     found[7] = found[3]

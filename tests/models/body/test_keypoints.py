@@ -19,7 +19,7 @@ from rsmcm.models.body.keypoints import (
     head_places,
     joints_of,
 )
-from rsmcm.models.core.keypoints import KEYPOINTS
+from rsmcm.models.core.frame import KEYPOINTS
 
 from ...support.keypoints import ELBOWS, HANDS, MIRRORED, WRISTS, points_of
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.models import GivenKeypoints
 from rsmcm.models.body.upper_body import JOINTS
-from rsmcm.models.core.keypoints import BODY_25, COCO, KEYPOINTS, MEDIAPIPE, POINTS, SKELETONS
+from rsmcm.models.core.frame import BODY_25, COCO, KEYPOINTS, MEDIAPIPE, POINTS, SKELETONS
 
 Array = NDArray[np.float64]
 

@@ -8,12 +8,12 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from rsmcm.models.numerics.code_cache import digest_of
+from rsmcm.models.numerics.compiled import digest_of
 
 PROGRAM = """
 from numba.core import event
 import numpy as np
-from rsmcm.models.core.kernels import invert
+from rsmcm.models.core.gaussian_message import invert
 
 class Compiled(event.Listener):
     names = []

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models import Frame, GivenBoxes, ObjectBoxes
 from rsmcm.models.core.gaussian_message import GaussianMessage
-from rsmcm.models.objects.association import (
+from rsmcm.models.objects.box_message import BoxDetector, BoxMessage, LogOdds, Newcomers, Scores
+from rsmcm.models.objects.object_boxes import (
     DOUBLE,
     NOTICED,
     UNNOTICED,
@@ -19,7 +20,6 @@ from rsmcm.models.objects.association import (
     log_anywhere,
     visible_share,
 )
-from rsmcm.models.objects.box_message import BoxDetector, BoxMessage, LogOdds, Newcomers, Scores
 from scipy.special import expit
 from scipy.stats import multivariate_normal, norm
 

@@ -36,20 +36,6 @@ def test_planes_and_back(seed, height, width):
     np.testing.assert_array_equal(colour.to_image(colour.to_planes(image), (height, width)), image)
 
 
-@pytest.mark.parametrize("shape", [(20, 30), (20, 30, 3)])
-def test_a_patch_is_a_window_of_the_planes(shape):
-    image = image_of(2, shape)
-    planes = colour.to_planes(image).reshape(-1, 20, 30)
-    np.testing.assert_array_equal(colour.patch(image, 3, 4, 10, 17), planes[:, 3:13, 4:21])
-
-
-def test_a_patch_of_a_view():
-    image = image_of(3, (20, 40, 3))[:, ::2]
-    np.testing.assert_array_equal(
-        colour.patch(image, 2, 3, 5, 6), colour.patch(np.ascontiguousarray(image), 2, 3, 5, 6)
-    )
-
-
 def test_volume_is_how_the_planes_stretch_space():
     rng = np.random.default_rng(4)
     corner, edges = rng.random(3), rng.random((3, 3))

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.chains.objects.blobs import Blobs
-from rsmcm.chains.pixels.background_prediction import BackgroundPrediction, LightField, colour, fixed_point
-from rsmcm.chains.pixels.kernels.gaussian import Gaussians
-from rsmcm.chains.pixels.kernels.second_colours import KNOWN, REVEALED, SecondColours, update_behind
-from rsmcm.chains.pixels.kernels.sway import Sway
+from rsmcm.chains.pixels.background_prediction import BackgroundPrediction, colour, fixed_point
+from rsmcm.chains.pixels.gaussians import Gaussians
+from rsmcm.chains.pixels.light import LightField
+from rsmcm.chains.pixels.second_colours import KNOWN, REVEALED, SecondColours, update_behind
+from rsmcm.chains.pixels.sway import Sway
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.numerics.threads import set_threads, thread_count

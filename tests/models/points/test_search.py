@@ -9,19 +9,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.numerics.densities import squared_distances
-from rsmcm.models.points.kernels.search import (
+from rsmcm.models.core.gaussian_message import squared_distances
+from rsmcm.models.points.patches import align_patches, find_corners, sample_patches
+from rsmcm.models.points.search import (
     GRID,
     LEAST_NCC,
     REACH,
     UNLIKE,
+    Before,
     Candidates,
     Windows,
+    find_points,
+    leads_back,
     least_ncc,
+    likeliest_places,
     odds_over_chance,
 )
-from rsmcm.models.points.patches import align_patches, find_corners, sample_patches
-from rsmcm.models.points.search import Before, find_points, leads_back, likeliest_places
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, film
 

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.numerics.compiled import compiled, exponential, inlined, logarithm, sigmoid
-from ....models.pixels.kernels import ODDS_STEPS
+from ...models.numerics.compiled import compiled, exponential, inlined, logarithm, sigmoid
+from ...models.pixels.background import ODDS_STEPS
+from ...models.pixels.colour import planes_of
 
 Planes = NDArray[np.float32]
 
@@ -92,10 +93,9 @@ class PixelModel(NamedTuple):
     """Numbers of the model that all pixels share, float32.
 
     `log_prior_odds` of background before the image, in the units of the planes, and `label_odds`, the same
-    where the background may have any colour; `drift`, the variance that is
-    added to a mean's since the last observation; `noise_share`, by which the noise follows what is seen;
-    `first_variance` of a value that was seen once; `unknown_variance`, of one that may be that of an object
-    which was there from the first frame on, 0 if there can be none any more.
+    where the background may have any colour; `drift`, added to a mean's variance since the last observation;
+    `noise_share`, by which the noise follows what is seen; `first_variance` of a value that was seen once;
+    `unknown_variance`, of one that may be that of an object which was there from the first frame on, or 0.
     """
 
     log_prior_odds: np.float32
@@ -141,10 +141,7 @@ def whole_steps(value, rounding):
 
 @inlined
 def mean_steps(value, rounding):
-    """A mean to be stored; `rounding` is `ROUNDING` and a number from 0 to 1.
-
-    Where that is drawn evenly no step is too small to be learned: it is taken as often as it is large.
-    """
+    """A mean to be stored; `rounding` is `ROUNDING` and a number from 0 to 1."""
     return whole_steps(value * _f4(MEAN_STEPS), rounding)
 
 
@@ -196,10 +193,7 @@ def posterior(distance, light, variance, noise, model, channels):
 
 @compiled
 def smooth_log_odds(first, end, height, width, log_odds, prior, share, smoothed):
-    """Rows `first` to `end`: own log odds and `share` of what the 5 x 5 around show, saturated as int8.
-
-    What a pixel shows is its log odds without the `prior` (int16, in the same steps), clipped to 4 nats.
-    """
+    """Rows `first` to `end`: own log odds and `share` of what the 5 x 5 around show, saturated as int8."""
     column = np.zeros(width + 4, np.int16)
     bound = np.int16(4 * ODDS_STEPS)
     sums = column[2 : width + 2]
@@ -225,10 +219,7 @@ def smooth_log_odds(first, end, height, width, log_odds, prior, share, smoothed)
 
 @compiled
 def log_evidence(pixels, before, light_field, model, shift):
-    """Sum over pixels of log(exp(log odds + shift) + 1), the log odds neither rounded nor saturated.
-
-    `shift` has one entry a pixel, or a single one for all.
-    """
+    """Sum over pixels of log(exp(log odds + shift) + 1), the log odds neither rounded nor saturated."""
     mean = before.mean
     channels, (height, width) = mean.shape[0], (light_field.positions.size, light_field.rows.shape[1])
     distance, light = np.empty(width, np.float32), np.empty(width, np.float32)
@@ -243,11 +234,10 @@ def log_evidence(pixels, before, light_field, model, shift):
         if channels == 3:
             red, blue = mean[1, row], mean[2, row]
             for x in range(width):
-                b, g, r = _f4(shown[3 * x]), _f4(shown[3 * x + 1]), _f4(shown[3 * x + 2])
-                grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
-                d0 = grey - light[x] * mean_of(luma[x])
-                d1 = _f4(1.426) * (r - grey) - light[x] * mean_of(red[x])
-                d2 = _f4(1.128) * (b - grey) - light[x] * mean_of(blue[x])
+                c0, c1, c2 = planes_of(shown[3 * x], shown[3 * x + 1], shown[3 * x + 2])
+                d0 = c0 - light[x] * mean_of(luma[x])
+                d1 = c1 - light[x] * mean_of(red[x])
+                d2 = c2 - light[x] * mean_of(blue[x])
                 distance[x] = d0 * d0 + d1 * d1 + d2 * d2
         else:
             for x in range(width):

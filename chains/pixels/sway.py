@@ -1,13 +1,14 @@
 """Loops over pixels of a scene that moves to and fro: leaves, water, a flag."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.numerics.compiled import compiled, inlined, logarithm
-from ....models.pixels.kernels import ODDS_STEPS, SPAN, foreground_spans
-from .gaussian import MOST_RECALLED, SURE, light_beside, mean_of, noise_of, variance_of
+from ...models.numerics.compiled import compiled, inlined, logarithm
+from ...models.pixels.background import ODDS_STEPS, SPAN, foreground_spans
+from .gaussians import MOST_RECALLED, SURE, Gaussians, Light, light_beside, mean_of, noise_of, variance_of
 
 _f4 = np.float32
 
@@ -253,3 +254,43 @@ def _least_gap(shown, mean, y, x, reach, light, size):
         for k in range(there.shape[1]):
             least = min(least, _squared_gap(shown, there, k, light))
     return least
+
+
+SWAY_REACH = 0.01
+"""Share of the picture's longer side within which leaves sway."""
+
+SWAY_TIME = 10.0
+"""s for which it is remembered that something swayed: a lull is longer than somebody's passing."""
+
+CALM_TIME = 1.0
+"""s for which it is taken for granted in the beginning that nothing sways."""
+
+LEAST_SEEN = 4
+"""Pixels of a block that tell how much of it sways."""
+
+
+def sway_reach(size: tuple[int, int]) -> int:
+    """px within which the scene of `size` `(height, width)` sways."""
+    return max(math.ceil(SWAY_REACH * max(size)), 3)
+
+
+def learned_rates(
+    sway: Sway,
+    pixels: NDArray[np.uint8],
+    before: Gaussians,
+    light: Light,
+    log_odds: NDArray[np.int8],
+    covered: NDArray[np.uint8],
+    age: float,
+    elapsed: float,
+) -> NDArray[np.float32]:
+    """Rates after a frame `elapsed` s after the last; what is `covered` `(n_pixels,)` tells nothing of them.
+
+    `log_odds` `(n_pixels,)` int8 are of each pixel by itself; the scene has been seen for `age` s.
+    """
+    counts = np.empty((*sway.rates.shape, 4), np.float32)
+    count_moved(pixels, before, light, log_odds, covered, sway.reach, counts)
+    share = 1 - math.exp(-elapsed / (min(age, SWAY_TIME) + CALM_TIME))
+    rates: NDArray[np.float32] = np.empty_like(sway.rates)
+    learn_rates(counts, sway.rates, np.float32(share), LEAST_SEEN, rates)
+    return rates

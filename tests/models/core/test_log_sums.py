@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.models.numerics.densities import log_sums
+from rsmcm.models.core.gaussian_mixtures import log_sums
 from scipy.special import logsumexp
 
 

@@ -10,8 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.numerics.compiled import compiled
-from ....models.pixels.kernels import ODDS_STEPS, Pools, foreground_spans
+from ...models.numerics.compiled import compiled
+from ...models.pixels.background import ODDS_STEPS, foreground_spans
+from ...models.pixels.colour import planes_of
+from ...models.pixels.layers import Pools
 
 _PLACES = (
     "top", "left", "bottom", "right", "faint_top", "faint_left", "faint_bottom", "faint_right", "waist",
@@ -44,9 +46,52 @@ RECORD = np.dtype(
         ("waist_depth", np.float64),
     ]
 )
-"""All that is known of a blob but its pixels, in words of 8 bytes; `Blob` says what it means.
+"""All that is known of a blob but its pixels, in words of 8 bytes.
 
-`detected` and `coloured` are 0 or 1. From `mass` on it is measured of the mask (see `MaskShape`).
+identity
+    from 1.
+position, velocity
+    px and px/s, (down, right), of the patch's top left corner.
+covariance
+    of position and velocity along either axis.
+spread
+    squared grey levels: variance of its colours about the remembered ones.
+seen, unseen, still
+    s for which it was seen, since it was last seen, and for which it has not moved.
+confidence
+    share of its visible part that was seen in the last frame.
+view, past_views
+    nats, log ratio of being a ghost and being real by its outline as it is now, and by how it was before.
+fragment_time
+    s for which it has been much smaller than anybody where it stands.
+whole
+    identity of the object that it is a part of; its own if it is one itself.
+origin
+    x, y, width, height px of where it appeared.
+parting
+    s for which it has seemed to be two beside each other.
+size
+    px, its usual height and width.
+existence, noticed
+    log odds that it is one of those that the detector is made to find, if there is one, and that the detector
+    finds it at present, if it is in sight.
+detected
+    1 if the detector has found it: then `box_mean` px and `box_variance` px^2 are of foot x and y from the
+    patch's top left corner, width and height, and `unfound` s since a box was last found that may be its.
+coloured
+    1 if an image has shown its colours.
+start, rows, columns
+    where its pixels are, and how large its patch is, px.
+mass
+    of the mask, its sum; what follows is measured of it as well. Rows and columns count within the patch,
+    ends are exclusive, and 0 of what is empty.
+top, left, bottom, right
+    of the pixels that it likely covers, at least two in a row or column.
+faint_top, faint_left, faint_bottom, faint_right
+    of all that it may cover.
+waist, waist_depth
+    the column where it is narrowest between two upright parts, and its height there as a share of theirs (1:
+    there is none).
 """
 
 FRESH = 0.5
@@ -59,9 +104,6 @@ _f4 = np.float32
 
 LIKELY = 0.45
 """Probability of cover from which on a pixel counts as part of an object's box."""
-
-COVERED, CRUMB = 0.3, 0.1
-"""Probability of cover from which on pixels make a spot, and share of the largest that crumbs have not."""
 
 FAINT = 0.25
 """Probability of cover from which on a mask's patch must leave room around a pixel."""
@@ -139,31 +181,9 @@ def overlap(box, other):
     return x < left + columns and left < x + width and y < top + rows and top < y + height
 
 
-class MaskShape(NamedTuple):
-    """What is known of a mask at a glance; rows and columns count within its patch, ends are exclusive.
-
-    `mass` is its sum. The box holds the pixels that it likely covers (at least two in a row or column), the
-    faint box all that it may cover; without any, they are empty (ends at 0). The waist is the column where it
-    is narrowest between two upright parts, `waist_depth` its height there as a share of theirs (1: there is
-    none).
-    """
-
-    mass: float
-    top: int
-    left: int
-    bottom: int
-    right: int
-    faint_top: int
-    faint_left: int
-    faint_bottom: int
-    faint_right: int
-    waist: int
-    waist_depth: float
-
-
 @compiled
 def measure(blob, mask, scratch):
-    """Write a mask's shape (see `MaskShape`) into a blob's record; `scratch` has room for five rows of it."""
+    """Write a mask's shape into a blob's record; `scratch` has room for five rows of it."""
     rows, columns = mask.shape
     sums = scratch[: 5 * columns].reshape(5, columns)
     sums[:] = _f4(0)
@@ -220,64 +240,19 @@ def measure_all(blobs, pools, scratch):
         measure(blobs[k], mask_of(blobs[k], pools), scratch)
 
 
-def shape_of(mask: NDArray[np.float32]) -> MaskShape:
-    """Measure a mask `(height, width)` float32."""
-    record, nothing = np.zeros(1, RECORD), np.zeros(0, np.float32)
-    record["rows"], record["columns"] = mask.shape
+def measured(mask: NDArray[np.float32], record: np.void | None = None) -> np.void:
+    """A new record, or a copy of one, with the shape of a mask `(height, width)` float32."""
+    table, nothing = np.zeros(1, RECORD) if record is None else np.array([record]), np.zeros(0, np.float32)
+    table["start"], table["rows"], table["columns"] = 0, *mask.shape
     flat = np.ascontiguousarray(mask).reshape(-1)
-    measure_all(record, Pools(flat, nothing), np.empty(5 * mask.shape[1], np.float32))
-    return MaskShape(*(record[name].item() for name in MaskShape._fields))
-
-
-@compiled
-def without_crumbs(mask, memory):
-    """Take spots away, in place, that are apart from a mask's main part and less than a tenth of its largest.
-
-    `memory` int64 has room for three numbers a pixel. Gives whether there were any.
-    """
-    rows, columns = mask.shape
-    spots, waiting, areas = memory[: mask.size], memory[mask.size : 2 * mask.size], memory[2 * mask.size :]
-    spots[:] = 0
-    flat, found, largest = mask.reshape(-1), 0, 0
-    for first in range(mask.size):
-        if spots[first] or flat[first] <= _f4(COVERED):
-            continue
-        found += 1
-        spots[first], waiting[0], count, area = found, first, 1, 0
-        while count:
-            count, area = count - 1, area + 1
-            y = waiting[count] // columns
-            x = waiting[count] - y * columns
-            for j in range(max(y - 1, 0), min(y + 2, rows)):
-                for i in range(max(x - 1, 0), min(x + 2, columns)):
-                    k = j * columns + i
-                    if spots[k] == 0 and flat[k] > _f4(COVERED):
-                        spots[k], waiting[count], count = found, k, count + 1
-        areas[found - 1], largest = area, max(largest, area)
-    changed = False
-    for k in range(mask.size):
-        if spots[k] and areas[spots[k] - 1] < CRUMB * largest:
-            flat[k], changed = _f4(0), True
-    return changed
-
-
-@compiled
-def sweep(blobs, pools, due, memory, scratch):
-    """Free the masks of those blobs that are `due` `(n,)` of crumbs, and measure them again.
-
-    `memory` int64 has room for three numbers a pixel of the largest mask, `scratch` as for `measure`.
-    """
-    for k in range(blobs.size):
-        if due[k] and without_crumbs(mask_of(blobs[k], pools), memory):
-            measure(blobs[k], mask_of(blobs[k], pools), scratch)
+    measure_all(table, Pools(flat, nothing), np.empty(5 * mask.shape[1], np.float32))
+    measured: np.void = table[0]
+    return measured
 
 
 @compiled
 def fade_beyond(mask, height, width, kept, scratch):
-    """Scale a mask by `kept`, in place, further from its median than half of `height`, `width` px and 2.
-
-    `scratch` has room for a row and a column of it.
-    """
+    """Scale a mask by `kept`, in place, further from its median than half of `height`, `width` px and 2."""
     rows, columns = mask.shape
     per_row, per_column = scratch[:rows], scratch[rows : rows + columns]
     scratch[: rows + columns] = _f4(0)
@@ -310,8 +285,7 @@ def _median(masses):
 class Patch(NamedTuple):
     """A box cut out of the picture, all float32.
 
-    `(channels, height, width)` planes, and `(height, width)` each: log odds of background in nats, and what
-    nothing else covers (0 outside the picture).
+    Planes, log odds of background in nats, and what nothing else covers (0 outside the picture).
     """
 
     planes: NDArray[np.float32]
@@ -359,11 +333,8 @@ def gather(image, log_odds, top, left, patch):
             red, blue = planes[1, row, first:end], planes[2, row, first:end]
             for x in range(count):
                 k = np.uint64(3) * (start + x)
-                b, g, r = _f4(pixels[k]), _f4(pixels[k + np.uint64(1)]), _f4(pixels[k + np.uint64(2)])
-                grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
-                luma[x] = grey
-                red[x] = _f4(1.426) * (r - grey)
-                blue[x] = _f4(1.128) * (b - grey)
+                one, two = np.uint64(1), np.uint64(2)
+                luma[x], red[x], blue[x] = planes_of(pixels[k], pixels[k + one], pixels[k + two])
         else:
             for x in range(count):
                 luma[x] = _f4(pixels[start + x])
@@ -404,11 +375,8 @@ def colour_newborn(blob, pools, image):
             likely = mask[row, x] > _f4(0.2)
             k = channels * ((top + row) * width + left + x)
             if inside and likely and channels == 3:
-                b, g, r = _f4(pixels[k]), _f4(pixels[k + 1]), _f4(pixels[k + 2])
-                grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
-                colours[0, row, x] = grey
-                colours[1, row, x] = _f4(1.426) * (r - grey)
-                colours[2, row, x] = _f4(1.128) * (b - grey)
+                luma, red, blue = planes_of(pixels[k], pixels[k + 1], pixels[k + 2])
+                colours[0, row, x], colours[1, row, x], colours[2, row, x] = luma, red, blue
             else:
                 shown = _f4(pixels[k]) if inside else _f4(0)
                 colours[:, row, x] = shown if likely else _f4(UNKNOWN_COLOUR)
@@ -474,10 +442,7 @@ def next_piece(blobs, first):
 
 @compiled
 def count_foreground(log_odds, width, scale, counts, memory):
-    """Number of foreground pixels (negative log odds) in every block of `scale` x `scale` px.
-
-    `memory` is room for a number for every 64 pixels, one more, and one for every column.
-    """
+    """Number of foreground pixels (negative log odds) in every block of `scale` x `scale` px."""
     counts[:] = 0
     columns, spans = memory[:width], memory[width:]
     for x in range(width):
@@ -495,10 +460,7 @@ def count_foreground(log_odds, width, scale, counts, memory):
 
 @compiled
 def clear_blocks(counts, top, left, mask, scale, most):
-    """Set blocks of `scale` px to 0 that a mask placed at `(top, left)` touches, and those beside them.
-
-    `most` has room for a row of the mask.
-    """
+    """Set blocks of `scale` px to 0 that a mask placed at `(top, left)` touches, and those beside them."""
     block_rows, block_columns = counts.shape
     rows, columns = mask.shape
     first, end = max(left // scale, 0), min((left + columns - 1) // scale + 1, block_columns)
@@ -520,10 +482,7 @@ def clear_blocks(counts, top, left, mask, scale, most):
 
 @compiled
 def _take_spot(counts, row, column, least, waiting):
-    """Follow a spot of blocks, which are set to 0: its first and end row and column, and how many pixels.
-
-    Blocks touch along sides and at corners, and have `least` pixels each. `waiting` has room for all blocks.
-    """
+    """Follow a spot of blocks, which are set to 0: its first and end row and column, and how many pixels."""
     rows, columns = counts.shape
     top, left, bottom, right, area = row, column, row + 1, column + 1, counts[row, column]
     counts[row, column] = 0
@@ -546,27 +505,10 @@ def _take_spot(counts, row, column, least, waiting):
 def find_spots(log_odds, size, scale, blobs, pools, smallest, thinnest, counts, memory, found):
     """Spots of blocks a quarter of which or more is foreground, and none of a blob's or beside it.
 
-    Parameters
-    ----------
-    log_odds
-        `(n_pixels,)` int8, of background, of a picture of this `size`.
-    scale
-        px, side of a block.
-    blobs, pools
-        records, and pixels.
-    smallest, thinnest
-        least area, px, and least share of the squared length.
-    counts
-        `(block_rows, block_columns)` int32, to be filled.
-    memory
-        int64, room for one number for every 64 pixels, for every column, and for every block.
-    found
-        `(n, 5)` int64, to be filled: top, left, bottom, right, area px.
-
-    Returns
-    -------
-    count
-        of the rows of `found` that were filled.
+    `log_odds` `(n_pixels,)` int8 are of a picture of this `size`; `scale` px is the side of a block; spots
+    have an area px of `smallest` and a share `thinnest` of the squared length at least. `counts` int32 has a
+    number for every block, `memory` int64 room for one for every 64 pixels, for every column, and for every
+    block. Gives how many rows of `found` `(n, 5)` were filled: top, left, bottom, right, area px.
     """
     count_foreground(log_odds, size[1], scale, counts, memory)
     widest = 0

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from rsmcm.chains.objects.kernels import blobs as kernels
+from rsmcm.chains.objects import blob_records as kernels
 
 F4 = np.float32
 

@@ -1,12 +1,26 @@
 """Finding blobs again: the place in the picture where mask and colours of each fit best, front to back."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from ....models.numerics.compiled import compiled, exponential, inlined, logarithm, put
-from ....models.pixels.kernels import Sprite
-from .blobs import FRESH, colours_of, corner_of, cover_by, gather, length_of, mask_of, patch_in
+from ...models.numerics.compiled import compiled, exponential, inlined, logarithm, put
+from ...models.numerics.threads import side_by_side, thread_count
+from ...models.pixels.layers import Sprite, log_uniform
+from ...models.pixels.pixel_labels import PixelMessage
+from .blob_records import (
+    FRESH,
+    Picture,
+    colours_of,
+    corner_of,
+    cover_by,
+    gather,
+    length_of,
+    mask_of,
+    patch_in,
+)
+from .blobs import Blobs
 
 _f4 = np.float32
 
@@ -36,11 +50,7 @@ class Expected(NamedTuple):
 
 
 class Matching(NamedTuple):
-    """How blobs and pixels are compared.
-
-    `log_uniform` makes densities relative to the uniform one, `outliers` is the share of a blob's pixels that
-    look otherwise, `temper` how many independent observations a pixel is worth, `elapsed` s have passed.
-    """
+    """How blobs and pixels are compared, as of `registered`."""
 
     log_uniform: float
     outliers: float
@@ -75,9 +85,12 @@ def set_rivals(patch, prior, rivals):
 
 
 @inlined
-def _factor(d0, d1, d2, covers, other, free, terms):
-    """[M f + (1 - M) b] / b of a pixel, by how far it is from the blob's colour in planes; 1 if not free."""
+def _factor(seen, own, i, j, planes, covers, other, free, terms):
+    """[M f + (1 - M) b] / b of pixel `i`, by its distance from the blob's colour `j` in all planes."""
+    red, blue, own_red, own_blue = planes
     chroma, half_precision, log_ratio, inlying, outliers = terms
+    d0, d1 = seen[i] - own[j], seen[i + red] - own[j + own_red]
+    d2 = seen[i + blue] - own[j + own_blue]
     distance = d0 * d0 + chroma * (d1 * d1 + d2 * d2)
     density = inlying * exponential(log_ratio - half_precision * distance) + outliers
     return _f4(1) + covers * (density * other - free)
@@ -96,11 +109,10 @@ def _agreement(start, step, every, patch, rivals, whole, sprite):
     channels, rows, columns = sprite.appearance.shape
     seen, own, covers = patch.planes.reshape(-1), sprite.appearance.reshape(-1), sprite.mask.reshape(-1)
     other, free = rivals.reshape(-1), patch.free.reshape(-1)
-    chroma = (
-        _f4(1) if channels == 3 else _f4(0)
-    )  # no branch within a loop, which would be no vector code then
+    # no branch within a loop, which would be no vector code then
+    chroma = _f4(1) if channels == 3 else _f4(0)
     red, own_red = np.uint64(rivals.size * (channels // 3)), np.uint64(covers.size * (channels // 3))
-    blue, own_blue = np.uint64(2) * red, np.uint64(2) * own_red
+    planes = red, np.uint64(2) * red, own_red, np.uint64(2) * own_red
     terms = (chroma, sprite.half_precision, sprite.log_ratio, _f4(1) - sprite.outliers, sprite.outliers)
     down, own_down = np.uint64(every * step * rivals.shape[1]), np.uint64(every * columns)
     total = _f4(0)
@@ -112,33 +124,18 @@ def _agreement(start, step, every, patch, rivals, whole, sprite):
             if whole:
                 for k in range(np.uint64(_VECTOR)):
                     i, j = there + k, here + k
-                    one = _factor(
-                        seen[i] - own[j], seen[i + red] - own[j + own_red],
-                        seen[i + blue] - own[j + own_blue], covers[j], other[i], free[i], terms,
-                    )  # fmt: skip
+                    one = _factor(seen, own, i, j, planes, covers[j], other[i], free[i], terms)
                     i, j = i + down, j + own_down
-                    two = _factor(
-                        seen[i] - own[j], seen[i + red] - own[j + own_red],
-                        seen[i + blue] - own[j + own_blue], covers[j], other[i], free[i], terms,
-                    )  # fmt: skip
+                    two = _factor(seen, own, i, j, planes, covers[j], other[i], free[i], terms)
                     i, j = i + down, j + own_down
-                    three = _factor(
-                        seen[i] - own[j], seen[i + red] - own[j + own_red],
-                        seen[i + blue] - own[j + own_blue], covers[j], other[i], free[i], terms,
-                    )  # fmt: skip
+                    three = _factor(seen, own, i, j, planes, covers[j], other[i], free[i], terms)
                     i, j = i + down, j + own_down
-                    four = _factor(
-                        seen[i] - own[j], seen[i + red] - own[j + own_red],
-                        seen[i + blue] - own[j + own_blue], covers[j], other[i], free[i], terms,
-                    )  # fmt: skip
+                    four = _factor(seen, own, i, j, planes, covers[j], other[i], free[i], terms)
                     part += logarithm((one * two) * (three * four))
             else:
                 for k in range(np.uint64(_VECTOR)):
                     i, j = there + k, here + k
-                    one = _factor(
-                        seen[i] - own[j], seen[i + red] - own[j + own_red],
-                        seen[i + blue] - own[j + own_blue], covers[j], other[i], _f4(1), terms,
-                    )  # fmt: skip
+                    one = _factor(seen, own, i, j, planes, covers[j], other[i], _f4(1), terms)
                     part += free[i] * logarithm(one)
             total += part
     return total * _f4(every * step)
@@ -146,10 +143,7 @@ def _agreement(start, step, every, patch, rivals, whole, sprite):
 
 @compiled
 def packed(sprite, within, step, scratch):
-    """Every `step`-th row of a part of a sprite, with zeros to the right and below; the rest of `scratch`.
-
-    `within` are top, left, bottom and right of the part.
-    """
+    """Every `step`-th row of a part of a sprite, with zeros to the right and below; the rest of `scratch`."""
     channels = sprite.appearance.shape[0]
     top, left, bottom, right = within
     kept, columns = -(-(bottom - top) // step), right - left
@@ -175,15 +169,9 @@ def search(reach, expected, temper, step, patch, rivals, whole, sprite, scratch)
 
     The prior is a Gaussian about the place that is `expected`; the sum over the sprite's rows, `step` px
     apart in the patch, is tempered, for neighbouring pixels are not independent; until the place is known to
-    two pixels, every other row is enough. `rivals` is what pixels are without the blob, and `whole` whether
-    they are free or not (see `set_rivals`).
-
-    Returns
-    -------
-    y, x
-        px, sub-pixel, from the middle of the patch.
-    variance_y, variance_x
-        px^2, from the curvature of the pixels' part at the best place.
+    two pixels, every other row is enough. `rivals` and `whole` are as of `set_rivals`. Gives y and x,
+    sub-pixel, from the middle of the patch, and their variances px^2 from the curvature of the pixels' part
+    at the best place.
     """
     best = _NOT_YET
     best_y = best_x = 0
@@ -295,10 +283,9 @@ def patch_bounds(blob):
 
 @compiled
 def deal(blobs, count, lots):
-    """Deal blobs, front to back, out to `count` lots `(n,)`, so that none may meet one of another lot.
+    """Deal blobs, front to back, out to `count` lots `(n,)`, about as many pixels each.
 
     None is compared with pixels that one of another lot covers, however far that one moves.
-    Each lot gets about as many pixels as the others.
     """
     for k in range(blobs.size):
         lots[k] = k
@@ -367,3 +354,35 @@ def register(blobs, pools, picture, terms, lots, lot, scratch):
         blob.covariance[0, 0] = (1 - gain) * place
         blob.covariance[0, 1] = blob.covariance[1, 0] = (1 - gain) * both
         blob.covariance[1, 1] = speed - speed_gain * both
+
+
+def picture_of(pixels: PixelMessage) -> Picture:
+    """A frame, with an image and a background, as loops over blobs need it."""
+    assert pixels.image is not None
+    assert pixels.background is not None
+    assert pixels.subtraction is not None
+    image = np.ascontiguousarray(pixels.image)
+    image = image if image.ndim == 3 else image[:, :, None]
+    odds = pixels.subtraction.smoothed.reshape(image.shape[:2])
+    return Picture(image, odds, np.float32(pixels.background.prior))
+
+
+def registered(blobs: Blobs, pixels: PixelMessage, outliers: float, temper: float, elapsed: float) -> Blobs:
+    """Blobs, front to back, with place and velocity updated by the pixels that nothing in front covers.
+
+    `pixels` have an image and a background; `outliers` is the share of a blob's pixels that look otherwise,
+    `temper` how many independent observations one pixel is worth, `elapsed` s since the last frame.
+    """
+    if not len(blobs):
+        return blobs
+    table, terms = blobs.table.copy(), Matching(log_uniform(blobs.channels), outliers, temper, elapsed)
+    picture, room = picture_of(pixels), scratch_for_search(table, blobs.channels)
+    lots, count = np.zeros(len(table), np.int64), min(thread_count(), len(table))
+    if count > 1:
+        deal(table, count, lots)
+
+    def work(lot: int) -> None:
+        register(table, blobs.pools, picture, terms, lots, lot, np.empty(room, np.float32))
+
+    side_by_side([partial(work, lot) for lot in range(count)])
+    return blobs.with_table(table)

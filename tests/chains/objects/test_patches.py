@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rsmcm.chains.objects.kernels import blobs as kernels
+from rsmcm.chains.objects import blob_records as kernels
 from rsmcm.chains.pixels.background_prediction import colour
 
 F4 = np.float32

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from rsmcm.chains.objects.kernels import learning as kernels
-from rsmcm.chains.objects.kernels.blobs import UNKNOWN_COLOUR, Patch
+from rsmcm.chains.objects import blob_scene as kernels
+from rsmcm.chains.objects.blob_records import UNKNOWN_COLOUR, Patch
 
-from ....support.blob_patches import F4, density_of, sprite, textured
+from ...support.blob_patches import F4, density_of, sprite, textured
 
 
 @pytest.mark.parametrize("channels", [1, 3])

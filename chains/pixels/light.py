@@ -1,21 +1,57 @@
 """Loops over a picture for its light: the field between blocks, and how bright every block is seen."""
 
-from typing import NamedTuple
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ....models.numerics.compiled import compiled, logarithm, put
-from .gaussian import mean_of
+from ...models.core.short_repr import short_repr
+from ...models.numerics.compiled import compiled, logarithm, put
+from ...models.numerics.threads import over_bands
+from .gaussians import Light, mean_of
+
+Planes = NDArray[np.float32]
 
 _f4 = np.float32
 _UNUSABLE = _f4(1e30)
+
+FASTEST_LIGHT = 1.25
+"""Log of the most that light changes in a second; a lamp that is switched takes a few frames."""
+
+STEADY_LIGHT, LIGHT_TIME = 0.02, 0.2
+"""Log of a change below which it may be noise, and s, the time constant with which it is followed then."""
+
+UNSEEN = 1e-5
+"""Probability at most that a block all behind objects shows the empty scene, before its texture is looked at.
+
+What it leaks must be small against `OWN_WEIGHT`, for an object may stay for as long as it likes."""
+
+DARKEST, BRIGHTEST = 0.1, 10.0
+"""Light relative to that of the remembered picture; beyond there is nothing to be seen."""
+
+LEAST_AGREEMENT = 0.3
+"""Share of a block's samples that must change by one factor; else something stands there that is new."""
+
+SAME_LIGHT = 0.05
+"""Log of a ratio within which a block agrees with the light that its neighbourhood has."""
+
+HIDDEN_TIME = 1.0
+"""s in which the light of a block that is not seen, or disagrees, becomes that of the blocks around it."""
+
+SAMPLED = 4
+"""px between those of which the covered share of a block is counted."""
+
+WINDOW_WEIGHT, OWN_WEIGHT = 1.0, 0.05
+"""In blocks: what the next wider window counts in a window, and what all of them count in a block itself."""
 
 LUMA_NOISE = 20.0
 """Squared grey levels: what luma differs by in any case, so that two flat surfaces are alike."""
 
 
 @compiled
-def interpolate(blocks, left, share, darkest, brightest, rows):
+def interpolate(blocks, left, share, rows):
     """The field along x at the blocks' centres, between the block `left` of every pixel and the next.
 
     There is one more block on every side, as the slope of the logarithm goes on; all are within bounds.
@@ -25,7 +61,7 @@ def interpolate(blocks, left, share, darkest, brightest, rows):
         out = rows[row]
         values = np.empty(around.shape[1], np.float32)
         for column in range(values.size):
-            values[column] = min(max(np.exp(around[row, column]), darkest), brightest)
+            values[column] = min(max(np.exp(around[row, column]), DARKEST), BRIGHTEST)
         for x in range(out.size):
             out[x] = values[left[x]] + share[x] * (values[left[x] + 1] - values[left[x]])
 
@@ -46,59 +82,43 @@ def beyond(blocks):
     return out
 
 
-class Following(NamedTuple):
-    """How light may move within a frame; numbers are those of `followed`, for its time.
-
-    `fastest` is the log of the most that it changes; below a `steady` one only the share `slowly` is
-    followed, and the share `hidden` is what a block that is not seen takes from those around it.
-    """
-
-    fastest: float
-    steady: float
-    slowly: float
-    hidden: float
-    same: float
-    least_agreement: float
-    unseen: float
-    window_weight: float
-    own_weight: float
-    darkest: float
-    brightest: float
-
-
 @compiled
-def follow(blocks, ratios, agreement, texture, covered, rule, after):
-    """Blocks of light `after` a frame, of what is measured in it (see `light_ratios`)."""
+def follow(blocks, ratios, agreement, texture, covered, fastest, slowly, hidden, after):
+    """Blocks of light `after` a frame, of what is measured in it (see `light_ratios`).
+
+    `fastest` is the log of the most that it changes; of a slight change only the share `slowly` is followed,
+    and the share `hidden` is what a block that is not seen takes from those around it.
+    """
     rows, columns = blocks.shape
     change, weight = np.log(ratios).astype(np.float64), np.empty((rows, columns), np.float64)
     for row in range(rows):
         for column in range(columns):
             # by what is known to be there (the median is that of the larger half), and by its texture
             clear = min(max(1 - 2 * np.float64(covered[row, column]), 0.0), 1.0) ** 2
-            clear = min(max(clear, rule.unseen), 1 - rule.unseen)
+            clear = min(max(clear, UNSEEN), 1 - UNSEEN)
             odds = np.log(clear) - np.log1p(-clear) + texture[row, column]
             seen = 1 / (1 + np.exp(-min(max(odds, -30.0), 30.0)))
             agreed = np.float64(agreement[row, column])
-            weight[row, column] = seen * agreed if agreed > rule.least_agreement else 0.0
-    smooth = _smoothed(beyond(_medians(beyond(_filled(change, weight, rule)))))
+            weight[row, column] = seen * agreed if agreed > LEAST_AGREEMENT else 0.0
+    smooth = _smoothed(beyond(_medians(beyond(_filled(change, weight)))))
     moved = np.empty((rows, columns), np.float64)
     for row in range(rows):
         for column in range(columns):
             step = smooth[row, column]
-            if abs(change[row, column] - step) >= rule.same:
+            if abs(change[row, column] - step) >= SAME_LIGHT:
                 weight[row, column] = 0.0
-            step *= 1.0 if abs(step) > rule.steady else rule.slowly
-            moved[row, column] = np.log(blocks[row, column]) + min(max(step, -rule.fastest), rule.fastest)
-    around = _filled(moved, weight, rule)
+            step *= 1.0 if abs(step) > STEADY_LIGHT else slowly
+            moved[row, column] = np.log(blocks[row, column]) + min(max(step, -fastest), fastest)
+    around = _filled(moved, weight)
     for row in range(rows):
         for column in range(columns):
-            share = (1 - weight[row, column]) * rule.hidden
+            share = (1 - weight[row, column]) * hidden
             value = moved[row, column] + share * (around[row, column] - moved[row, column])
-            after[row, column] = min(max(np.exp(value), rule.darkest), rule.brightest)
+            after[row, column] = min(max(np.exp(value), DARKEST), BRIGHTEST)
 
 
 @compiled
-def _filled(values, weight, rule):
+def _filled(values, weight):
     """Normalised convolution over narrowing windows: where the weight is small, what is around counts."""
     rows, columns = weight.shape
     sums = np.zeros((2, rows + 1, columns + 1))  # of all that is above and left
@@ -113,7 +133,7 @@ def _filled(values, weight, rule):
     while 2 * reach < max(rows, columns):
         reach *= 2
     while True:
-        wider = rule.window_weight if reach > 0 else rule.own_weight
+        wider = WINDOW_WEIGHT if reach > 0 else OWN_WEIGHT
         for row in range(rows):
             top, bottom = max(row - reach, 0), min(row + reach + 1, rows)
             for column in range(columns):
@@ -161,28 +181,6 @@ def _smoothed(blocks):
                 value += weight * blocks[row + k // 3, column + k % 3]
             out[row, column] = value / 16
     return out
-
-
-@compiled
-def share_covered(covered, sampled, shares):
-    """Share of every block of `covered` `(height, width)`, of one in `sampled` pixels along either axis."""
-    height, width = covered.shape
-    rows, columns = shares.shape
-    per_row, per_column = np.zeros(rows, np.int32), np.zeros(columns, np.int32)
-    column_of = np.empty(width, np.int64)
-    for x in range(0, width, sampled):
-        column_of[x] = x * columns // width
-        per_column[column_of[x]] += 1
-    shares[:] = 0
-    for y in range(0, height, sampled):
-        row = y * rows // height
-        per_row[row] += 1
-        for x in range(0, width, sampled):
-            if covered[y, x] == 255:
-                shares[row, column_of[x]] += 1
-    for row in range(rows):
-        for column in range(columns):
-            shares[row, column] /= max(per_row[row] * per_column[column], 1)
 
 
 @compiled
@@ -264,7 +262,7 @@ def _agreed(values, below):
     """Median of the usable ones of 36 values, and the share of them within 5 % of it; 1 and 0 if under 12.
 
     `values` has 48, the last of them unusable: a whole number of vectors. The median is the largest value
-    that has no more than half of the others below it: counting them is vector code, which sorting is not.
+    that has no more than half of the others below it: counting is vector code, which sorting is not.
     """
     count = _f4(0)
     for k in range(48):
@@ -303,3 +301,88 @@ def _texture(values, predicted, ratio):
     flat = max(squares / count - (mean / count) ** 2, _f4(0))
     noise = _f4(LUMA_NOISE)
     return _f4(0.5) * count * (logarithm(flat + noise) - logarithm(residual / count + noise))
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class LightField:
+    """How bright the scene is lit now, relative to the picture that is remembered, on a grid of blocks."""
+
+    blocks: Planes
+    size: tuple[int, int]
+
+    @cached_property
+    def along_rows(self) -> Light:
+        """The field along x at the blocks' centres, and where between them each row lies."""
+        left, share = _neighbours(self.size[1], self.blocks.shape[1])
+        rows: Planes = np.empty((len(self.blocks) + 2, self.size[1]), np.float32)
+        interpolate(self.blocks, left, share, rows)
+        return Light(rows, _positions(self.size[0], self.blocks.shape[0]))
+
+
+@lru_cache(maxsize=16)
+def _positions(n_pixels: int, n_blocks: int) -> Planes:
+    """Where the centres of pixels lie between those of blocks, `(n_pixels,)`; block 0 is before the first."""
+    return ((np.arange(n_pixels) + 0.5) * n_blocks / n_pixels + 0.5).astype(np.float32)
+
+
+@lru_cache(maxsize=16)
+def _neighbours(n_pixels: int, n_blocks: int) -> tuple[NDArray[np.intp], Planes]:
+    """The block left of every pixel, and the share of the one right of it."""
+    position = _positions(n_pixels, n_blocks)
+    left = position.astype(np.intp)
+    return left, (position - left).astype(np.float32)
+
+
+def followed(
+    before: LightField, image: NDArray[np.uint8], mean: NDArray[np.int16], covered: Planes, elapsed: float
+) -> LightField:
+    """Light of a frame: smooth, and moved only by what most of a neighbourhood agrees on.
+
+    Objects change the ratio of seen to predicted brightness too. A block behind known ones speaks only if it
+    shows the scene's texture nevertheless; else it takes the change of those around it, over windows as wide
+    as it needs, and nothing from itself. A new object would have to fill most of three by three blocks with
+    one and the same factor.
+
+    Parameters
+    ----------
+    before
+        of the frame before, `elapsed` s ago.
+    image
+        uint8 `(height, width[, 3])`.
+    mean
+        `(channels, n_pixels)` int16, the empty scene (see `Gaussians`).
+    covered
+        `(block_rows, block_columns)` share of the block behind known objects.
+    """
+    ratios, agreement, texture = (np.empty_like(before.blocks) for _ in range(3))
+    flat = np.ascontiguousarray(image).reshape(-1)
+    light = before.along_rows  # made before the threads ask for it
+
+    def work(first: int, end: int) -> None:
+        light_ratios(first, end, flat, mean, light, ratios, agreement, texture)
+
+    over_bands(work, len(before.blocks))
+    slowly, hidden = (-math.expm1(-elapsed / time) for time in (LIGHT_TIME, HIDDEN_TIME))
+    blocks: Planes = np.empty_like(before.blocks)
+    follow(
+        before.blocks, ratios, agreement, texture, covered, FASTEST_LIGHT * elapsed, slowly, hidden, blocks
+    )
+    return LightField(blocks, before.size)
+
+
+def light_grid(height: int, width: int) -> tuple[int, int]:
+    """Blocks of light over a picture: 24 along its longer side, at least two each way."""
+    block = max(height, width) / 24
+    return max(round(height / block), 2), max(round(width / block), 2)
+
+
+def share_of_blocks(covered: NDArray[np.uint8], grid: tuple[int, ...]) -> Planes:
+    """Share of every block of light that is covered: `(height, width)` uint8, 255 where it is."""
+    every = min(SAMPLED, *(max(n // m, 1) for n, m in zip(covered.shape, grid, strict=True)))
+    rows, columns = (
+        (np.arange(m)[:, None] == np.arange(0, n, every) * m // n).astype(np.float64)
+        for n, m in zip(covered.shape, grid, strict=True)
+    )
+    counts = rows @ (covered[::every, ::every] == 255) @ columns.T
+    return (counts / np.outer(rows.sum(axis=1), columns.sum(axis=1)).clip(1)).astype(np.float32)

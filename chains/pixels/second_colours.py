@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.numerics.compiled import compiled, exponential, inlined, logarithm
-from ....models.pixels.kernels import ODDS_STEPS, SPAN, foreground_spans
-from .gaussian import (
+from ...models.numerics.compiled import compiled, exponential, inlined, logarithm
+from ...models.pixels.background import ODDS_STEPS, SPAN, foreground_spans
+from ...models.pixels.colour import planes_of
+from .gaussians import (
     HIGHEST_NOISE,
     HIGHEST_VARIANCE,
     LOWEST_NOISE,
@@ -75,10 +76,8 @@ def colour_gap(pixels, candidate, i, channels):
     b = _f4(pixels[k]) - _f4(candidate[k])
     g = _f4(pixels[k + 1]) - _f4(candidate[k + 1])
     r = _f4(pixels[k + 2]) - _f4(candidate[k + 2])
-    grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
-    d1 = _f4(1.426) * (r - grey)
-    d2 = _f4(1.128) * (b - grey)
-    return grey * grey + d1 * d1 + d2 * d2
+    d0, d1, d2 = planes_of(b, g, r)
+    return d0 * d0 + d1 * d1 + d2 * d2
 
 
 @compiled
@@ -166,15 +165,13 @@ def update_behind(
 
     Pixels are weighted by their log odds and what is said of them. Where others are sure of background that
     the prediction contradicts, the picture is taken as it is, and what was there before stays the second
-    colour: it is known at once, so that it is background again at once if the verdict was wrong, and it wears
-    off as any second colour does once something else lasts there. Where they are sure of an object, in the
-    beginning, and it looks as the prediction does, that was learned from the object: the background is
-    unknown there.
+    colour: it is background again at once if the verdict was wrong, and it wears off once something else
+    lasts there. Where they are sure of an object, in the beginning, and it looks as the prediction does, that
+    was learned from the object: the background is unknown there.
 
     Of each region `boxes` `(n, 4)` have top, left, height and width px, and `shifts` in one row after the
-    other the log ratio of what layers say for background and for objects. Gaussians and second colours are
-    changed to those after the frame; what is `covered` becomes 255 where an object is predicted, and
-    `REVEALED` where the picture was taken as it is.
+    other the log ratio of what layers say for background and for objects. What is `covered` becomes 255 where
+    an object is predicted, and `REVEALED` where the picture was taken as it is.
     """
     width = light_field.rows.shape[1]
     start = 0
@@ -217,11 +214,7 @@ def _differences(pixels, mean, first, upper, lower, below_share, work):
     if channels == 3:
         luma, red, blue = work[3], work[4], work[5]
         for x in range(columns):
-            b, g, r = _f4(shown[3 * x]), _f4(shown[3 * x + 1]), _f4(shown[3 * x + 2])
-            grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
-            luma[x] = grey
-            red[x] = _f4(1.426) * (r - grey)
-            blue[x] = _f4(1.128) * (b - grey)
+            luma[x], red[x], blue[x] = planes_of(shown[3 * x], shown[3 * x + 1], shown[3 * x + 2])
     else:
         luma = work[3]
         for x in range(columns):

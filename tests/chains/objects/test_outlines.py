@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from rsmcm.chains.objects.kernels import learning as kernels
-from rsmcm.models.pixels.kernels import StoredPlanes
+from rsmcm.chains.objects import blob_scene as kernels
+from rsmcm.models.pixels.background import StoredPlanes
 
 F4 = np.float32
 
