@@ -94,22 +94,14 @@ waist, waist_depth
     there is none).
 """
 
-FRESH = 0.5
-"""s for which a blob was seen, below which it may still be a part of another."""
-
-MARGIN = 6
-"""px of empty border in a blob's patch, into which its mask can grow."""
+FRESH = 0.5  # s for which a blob was seen, below which it may still be a part of another
+MARGIN = 6  # px of empty border in a blob's patch, into which its mask can grow
 
 _f4 = np.float32
 
-LIKELY = 0.45
-"""Probability of cover from which on a pixel counts as part of an object's box."""
-
-FAINT = 0.25
-"""Probability of cover from which on a mask's patch must leave room around a pixel."""
-
-UNKNOWN_COLOUR = -1e4
-"""In an appearance: no colour is known of this pixel."""
+LIKELY = 0.45  # Probability of cover from which on a pixel counts as part of an object's box
+FAINT = 0.25  # Probability of cover from which on a mask's patch must leave room around a pixel
+UNKNOWN_COLOUR = -1e4  # In an appearance: no colour is known of this pixel
 
 
 class Picture(NamedTuple):

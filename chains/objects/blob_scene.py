@@ -53,21 +53,15 @@ from .registration import picture_of, sprite_of
 
 _f4 = np.float32
 
-REACH = 2
-"""px to either side of an outline, which is as exact as that."""
-
-LEAST_OUTLINE = 8
-"""px of an outline, from which on it tells something."""
+REACH = 2  # px to either side of an outline, which is as exact as that
+LEAST_OUTLINE = 8  # px of an outline, from which on it tells something
 
 _TOGETHER = 8  # ratios of contrasts that are multiplied before their logarithm is taken
 
 _BLOCK = 256  # px, of which a sum is one of float32
 
-HIGHEST_COVER = 0.97
-"""Masks stay below certainty, so that evidence can always win them back."""
-
-GROWTH = 1.3
-"""How far beyond its usual size a mask may reach."""
+HIGHEST_COVER = 0.97  # Masks stay below certainty, so that evidence can always win them back
+GROWTH = 1.3  # How far beyond its usual size a mask may reach
 
 BENEFIT_OF_DOUBT = 0.6
 """What the mask of a still blob keeps of pixels that fit its colours as well as the background's."""
@@ -75,14 +69,9 @@ BENEFIT_OF_DOUBT = 0.6
 THINNEST = 0.08
 """Area over squared length below which a spot is a line (a rope, an edge that shakes) and no object."""
 
-LEAST_MASK = 0.1
-"""Of a mask's mass, which must be in the picture."""
-
-TRAVELLED = -5.0
-"""nats, log ratio of ghost and real for each own length that something travels."""
-
-MOST_EVIDENCE = 20.0
-"""nats, that all views together are worth, either way."""
+LEAST_MASK = 0.1  # Of a mask's mass, which must be in the picture
+TRAVELLED = -5.0  # nats, log ratio of ghost and real for each own length that something travels
+MOST_EVIDENCE = 20.0  # nats, that all views together are worth, either way
 
 
 @compiled
@@ -570,14 +559,9 @@ def learn_all(which, before, old, blobs, pools, picture, scene, rule, alive, scr
 Spot = list[int]
 """Top, left, bottom, right px."""
 
-BLOCKS = 192
-"""Along the longer side of a picture, in which spots are looked for."""
-
-MOST_SPOTS = 256
-"""In one frame."""
-
-VIEW_TIME = 0.4
-"""s over which a view is averaged: masks err for a while in the same way."""
+BLOCKS = 192  # Along the longer side of a picture, in which spots are looked for
+MOST_SPOTS = 256  # In one frame
+VIEW_TIME = 0.4  # s over which a view is averaged: masks err for a while in the same way
 
 
 class BlobScene:

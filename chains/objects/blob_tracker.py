@@ -39,11 +39,8 @@ MORE_THAN_0 = (
 )  # fmt: skip
 """Parameters of `BlobTracker` that must be more than 0."""
 
-SWEEP = 0.8
-"""s after which a mask is freed of crumbs again."""
-
-FADING = 0.06
-"""s, time constant with which a mask fades where it reaches too far."""
+SWEEP = 0.8  # s after which a mask is freed of crumbs again
+FADING = 0.06  # s, time constant with which a mask fades where it reaches too far
 
 
 @short_repr

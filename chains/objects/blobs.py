@@ -31,8 +31,7 @@ HALF_OVERLAP = 0.37
 Two boxes of one size that are off by a and b of their sides share (1 - a) (1 - b) / (2 - (1 - a) (1 - b)).
 """
 
-OWN_WAY = 3.0
-"""s after which what still moves, as small as it is, is somebody by itself."""
+OWN_WAY = 3.0  # s after which what still moves, as small as it is, is somebody by itself
 
 COVERED, CRUMB = 0.3, 0.1
 """Probability of cover from which on pixels make a spot, and share of the largest that crumbs have not."""

@@ -24,17 +24,13 @@ from .blobs import Blobs
 
 _f4 = np.float32
 
-WIDEST_REACH = 24
-"""px, by which a blob is looked for off its expected place at most."""
+WIDEST_REACH = 24  # px, by which a blob is looked for off its expected place at most
 
 TRACE = 0.05
 """Probability of cover from which on pixels are compared with the picture: what grows is faint at first."""
 
-FINEST_ROWS = 1500
-"""px of a patch, for each of which one row more is left out."""
-
-ASTRAY, ASTRAY_TIME = 0.05, 0.1
-"""Lengths, and s for which, a mask is off the object that a detector finds."""
+FINEST_ROWS = 1500  # px of a patch, for each of which one row more is left out
+ASTRAY, ASTRAY_TIME = 0.05, 0.1  # Lengths, and s for which, a mask is off the object that a detector finds
 
 _NOT_YET = _f4(-1e30)
 _VECTOR = 16

@@ -47,17 +47,13 @@ FIRST_TIME = 0.5
 BOOTSTRAP_TIME = 3.0
 """s after which nothing that was there from the first is taken for the scene by mistake any more."""
 
-LEAST_TIME = 0.2
-"""s for which a second colour must have been seen in any case."""
+LEAST_TIME = 0.2  # s for which a second colour must have been seen in any case
 
 LIGHT_ROUNDS = 2
 """How often empty scene and light are found in turn; from then on the scene's noise changes by 1 %."""
 
-LONG = 60.0
-"""s, in which any light can come about."""
-
-MOST_NOISE_SHARE = 0.1
-"""Of a single observation in a pixel's noise, however long ago the one before was."""
+LONG = 60.0  # s, in which any light can come about
+MOST_NOISE_SHARE = 0.1  # Of a single observation in a pixel's noise, however long ago the one before was
 
 
 @short_repr

@@ -29,8 +29,7 @@ PICTURE_TIME = 10.0
 """s in which the scene's picture follows what is seen of the background: long, since each frame is put where
 the picture is, so that what errors of many frames have in common would move it."""
 
-FIRST_VARIANCE = 1e-6
-"""px^2: the first frame is the scene's picture, by definition."""
+FIRST_VARIANCE = 1e-6  # px^2: the first frame is the scene's picture, by definition
 
 
 @short_repr

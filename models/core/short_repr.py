@@ -12,14 +12,9 @@ from numpy.typing import NDArray
 
 Kind = TypeVar("Kind", bound=type)
 
-WHOLE = 200
-"""Characters of a `repr` from which no further field is shown."""
-
-FIELD = 60
-"""Characters that a field may have."""
-
-SMALL = 4
-"""Numbers in an array that are shown."""
+WHOLE = 200  # Characters of a `repr` from which no further field is shown
+FIELD = 60  # Characters that a field may have
+SMALL = 4  # Numbers in an array that are shown
 
 
 def short_repr(kind: Kind) -> Kind:

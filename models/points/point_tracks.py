@@ -21,8 +21,7 @@ from .search import Before, find_points
 
 Numbers = NDArray[np.float64]
 
-FARTHEST = 1e7
-"""px: coordinates beyond are taken for damage; their squares would drown everything else."""
+FARTHEST = 1e7  # px: coordinates beyond are taken for damage; their squares would drown everything else
 
 
 def check_points(name: str, points: NDArray[np.float64], *, half: bool = False) -> None:
@@ -49,11 +48,8 @@ def check_points(name: str, points: NDArray[np.float64], *, half: bool = False) 
 
 PLANE = 2
 
-COLOUR = (60, 220, 60)
-"""BGR, of points that are drawn."""
-
-NOWHERE = GivenPoints(np.zeros((0, PLANE)), np.zeros(0, np.int64))
-"""No points."""
+COLOUR = (60, 220, 60)  # BGR, of points that are drawn
+NOWHERE = GivenPoints(np.zeros((0, PLANE)), np.zeros(0, np.int64))  # No points
 
 
 @short_repr
