@@ -192,17 +192,13 @@ def outline_evidence(planes, top, left, picture, free, mask, within, scratch):
 
 
 class Scene(NamedTuple):
-    """What is known of a frame beside the picture.
+    """What is known of a frame beside the picture."""
 
-    `background` is the picture of the empty scene; `boxes` `(n, 4)` and `starts` `(n,)` say where regions are
-    (see `Composition`) whose pixels are `explained`; `sizes` `(n, 2)` px are heights and widths as they are
-    usual for blobs, and expected by others.
-    """
-
-    background: StoredPlanes
-    boxes: NDArray[np.int64]
-    starts: NDArray[np.int64]
-    explained: NDArray[np.float32]
+    background: StoredPlanes  # picture of the empty scene
+    boxes: NDArray[np.int64]  # (n, 4), where regions are; see `Composition`
+    starts: NDArray[np.int64]  # (n,)
+    explained: NDArray[np.float32]  # of their pixels
+    # (n, 2) px, heights and widths as they are usual for blobs, and expected by others
     sizes: NDArray[np.float64]
 
 

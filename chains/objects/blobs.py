@@ -336,18 +336,14 @@ def union(boxes: Pair) -> Pair:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BlobState:
-    """All objects of a scene, and how many have been `born`, in a picture of `size` `(height, width)` px.
-
-    `elapsed` s have passed since the last frame with an image; an object is reported that has been seen for
-    `confirmed_time` s, or when a detector is `detecting`, that this has found and that likely exists.
-    """
+    """All objects of a scene."""
 
     blobs: Blobs
-    born: int
-    size: tuple[int, int]
-    elapsed: float
-    confirmed_time: float
-    detecting: bool = False
+    born: int  # how many there have been
+    size: tuple[int, int]  # (height, width) px of the picture
+    elapsed: float  # s since the last frame with an image
+    confirmed_time: float  # s for which an object must have been seen before it is reported
+    detecting: bool = False  # whether a detector has run, which decides what is reported
 
     def tracks(self) -> list[Track]:
         """Objects that are sure enough to be reported, by identity."""

@@ -79,19 +79,14 @@ class ScoreMoments:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class DetectorState:
-    """What is known of a detector, on a picture of `area` px, `elapsed` s after it has run.
+    """What is known of a detector."""
 
-    `counts` and `exposures` `(4,)` are of objects found of those in sight, false boxes of frames, second
-    boxes of found objects, newcomers of seconds; `scores` are of true and false boxes; `undetected`, people
-    in the picture who were not found yet.
-    """
-
-    counts: Numbers
-    exposures: Numbers
+    counts: Numbers  # (4,): objects found, false boxes, second boxes, newcomers
+    exposures: Numbers  # (4,): of objects in sight, frames, found objects, seconds
     scores: ScoreMoments
-    undetected: float
-    area: float
-    elapsed: float
+    undetected: float  # people in the picture who were not found yet
+    area: float  # px of the picture
+    elapsed: float  # s since the detector has run
 
 
 @short_repr

@@ -55,29 +55,23 @@ class GroundState:
     """Perspective of the scene and the objects in it.
 
     With its foot in row y, object k is scene[0] + scene[1] (y - middle) + scene[2 + k] heights[k] high: what
-    the plane makes of everybody, and how much taller or shorter this one is. `scene` `(2 + n_objects,)` is px
-    height in the middle row of a picture of `size` `(height, width)` px, px it grows with each row, and each
-    object's share; heights deviate from that by a share of `variation`.
-
-    `everybody` `(3,)` is weight, mean and variance of the width over height of all who were seen. Of objects,
-    with increasing `identities`: `feet` `(n_objects, 2, 2)`, along x and y, position px and velocity px/s,
-    and their covariances; `heights` px, the scale on which they move and vary; `aspects`, width over height;
-    `trust`, log odds that they stand on the plane; `unseen`, s since they were last heard of.
+    the plane makes of everybody, and how much taller or shorter this one is.
     """
 
-    size: tuple[int, int]
-    variation: float
+    size: tuple[int, int]  # (height, width) px of the picture; `middle` is its middle row
+    variation: float  # standard deviation of heights over what the plane predicts, a share of that
+    # (2 + n,): px height in the middle row, px it grows with each row, and each object's share
     scene: Numbers
-    scene_covariance: Numbers
-    everybody: Numbers
-    identities: NDArray[np.int64]
-    feet: Numbers
-    feet_covariance: Numbers
-    heights: Numbers
-    aspects: Numbers
+    scene_covariance: Numbers  # (2 + n, 2 + n)
+    everybody: Numbers  # (3,): weight, mean and variance of the width over height of all who were seen
+    identities: NDArray[np.int64]  # (n,) of the objects, increasing
+    feet: Numbers  # (n, 2, 2): along x and y, position px and velocity px/s
+    feet_covariance: Numbers  # (n, 2, 2, 2)
+    heights: Numbers  # (n,) px, the scale on which an object moves and varies
+    aspects: Numbers  # (n,) width over height
     aspect_variances: Numbers
-    trust: Numbers
-    unseen: Numbers
+    trust: Numbers  # (n,) log odds that the object stands on the plane
+    unseen: Numbers  # (n,) s since it was last heard of
 
     @property
     def middle(self) -> float:

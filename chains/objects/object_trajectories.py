@@ -111,32 +111,23 @@ def messages_of(boxes: Boxes, n_frames: int) -> list[BoxMessage]:
 
 
 class Motion(NamedTuple):
-    """How objects move and change, in units of their own height.
+    """How objects move and change, in units of their own height."""
 
-    `acceleration` and `growth`, heights^2/s^3, are spectral densities of what moves feet out of their
-    straight way, and of what changes the growth of width and height; `first_speed`, heights/s, is the
-    deviation of a velocity.
-    """
-
-    acceleration: float
-    growth: float
-    first_speed: float
+    acceleration: float  # heights^2/s^3, spectral density of what moves feet out of their straight way
+    growth: float  # heights^2/s^3, of what changes the growth of their width and height
+    first_speed: float  # heights/s, standard deviation of a velocity
 
 
 @dataclass(frozen=True, eq=False)
 class Smooth:
-    """One object's trajectory in all frames from the one with index `first` to the last.
+    """One object's trajectory in all frames from first to last."""
 
-    Its usual `height` px, where it was `seen` `(n_frames,)`, and states of one point each: its `feet`, and
-    its `sizes`, width and height.
-    """
-
-    first: int
+    first: int  # index of the first frame
     identity: int
-    height: float
-    seen: NDArray[np.bool_]
-    feet: PointStates
-    sizes: PointStates
+    height: float  # px, its usual one
+    seen: NDArray[np.bool_]  # (n_frames,), whether it was seen there
+    feet: PointStates  # in every frame, of one point
+    sizes: PointStates  # width and height in every frame
 
     @property
     def last(self) -> int:
@@ -183,15 +174,11 @@ def smoothed(track: Boxes, times: Numbers, motion: Motion) -> Smooth:
 
 @dataclass(frozen=True)
 class Comings:
-    """How objects come and go.
+    """How objects come and go."""
 
-    In a picture of `size` `(height, width)` px new ones come at a `rate` 1/s, and one may be out of sight for
-    `patience` s and still be known.
-    """
-
-    size: tuple[int, int]
-    rate: float
-    patience: float
+    size: tuple[int, int]  # (height, width) px of the picture
+    rate: float  # 1/s, at which new ones come
+    patience: float  # s, the longest time for which one may be out of sight and still be known
 
     def at_edge(self, track: Smooth, place: int) -> bool:
         """Whether the picture's edge cuts off a track's box, or nearly so, in its frame `place`."""
@@ -272,14 +259,11 @@ def joined(boxes: Boxes, tracks: Sequence[Smooth], next_of: dict[int, int]) -> B
 @short_repr
 @dataclass(frozen=True, eq=False)
 class ObjectsOverTime:
-    """Who was where, in every frame.
+    """Who was where, in every frame."""
 
-    Boxes have one identity for each object; `velocities` `(n, 2)` px/s are of their feet, to the right and
-    down, and `seen` `(n,)` says which a frame shows: in gaps they are known from before and after.
-    """
-
-    boxes: Boxes
-    velocities: NDArray[np.float64]
+    boxes: Boxes  # n in all, with one identity for each object
+    velocities: NDArray[np.float64]  # (n, 2) px/s of their feet, to the right and down
+    # (n,): whether the frame shows them; in gaps they are known from before and after
     seen: NDArray[np.bool_]
 
     @classmethod

@@ -59,37 +59,22 @@ MOST_NOISE_SHARE = 0.1  # Of a single observation in a pixel's noise, however lo
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BackgroundState:
-    """What is known of the empty scene, `size` `(height, width)` px, pixel by pixel in numbers of 16 bits.
+    """What is known of the empty scene, pixel by pixel in fixed-point numbers of 16 bits."""
 
-    Parameters
-    ----------
-    mean
-        `(channels, n_pixels)` int16, in steps of 1/32 grey level: under the first frame's light, in the
-        planes of `models.pixels.colour` (`planes` has them as float32).
-    variance, noise
-        `(n_pixels,)` uint16, of the mean and of a single observation (see `Gaussians` for their steps).
-    light, covered, sway
-        `(block_rows, block_columns)` float32: today's light relative to that of `mean`, the share behind
-        known objects, and how often pixels show what is beside them.
-    candidate, seen
-        second hypothesis: `(n_pixels * channels,)` uint8 colour that is neither background nor an object,
-        and `(n_pixels,)` uint16 how much of the settling time it has lasted (see `SecondColours`).
-    elapsed, age, frames
-        s since the last frame with an image, s for which the scene has been seen, and in how many frames.
-    """
-
-    size: tuple[int, int]
+    size: tuple[int, int]  # (height, width) px
+    # (channels, n_pixels), steps of 1/32 grey level under the first frame's light; see `planes`
     mean: NDArray[np.int16]
-    variance: NDArray[np.uint16]
-    noise: NDArray[np.uint16]
-    light: Planes
-    covered: Planes
-    sway: Planes
-    candidate: NDArray[np.uint8]
+    variance: NDArray[np.uint16]  # (n_pixels,), of the mean; see `Gaussians` for its steps
+    noise: NDArray[np.uint16]  # (n_pixels,), of a single observation
+    light: Planes  # (block_rows, block_columns): today's light relative to that of `mean`
+    covered: Planes  # share of each block behind known objects
+    sway: Planes  # how often its pixels show what is beside them, as leaves do
+    candidate: NDArray[np.uint8]  # (n_pixels * channels,) colours that are neither background nor an object
+    # (n_pixels,): how much of the settling time they have lasted; see `SecondColours`
     seen: NDArray[np.uint16]
-    elapsed: float
-    age: float
-    frames: int
+    elapsed: float  # s since the last frame with an image
+    age: float  # s for which the scene has been seen
+    frames: int  # with an image, since the first
 
     @property
     def pixels(self) -> Gaussians:

@@ -314,30 +314,25 @@ CHORDS = (LOWEST_NOISE, 100.0, 1000.0)
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BackgroundPrediction:
-    """Prediction of every pixel's background value: N(L; light * mean, light^2 * (variance + drift) + noise).
+    """Prediction of every pixel's background value.
 
-    `pixels` are known from so many `frames` before this one; `light` is this frame's; `drift`, squared grey
-    levels, was added to the variance since, and the noise follows what is seen by `noise_share`. A value seen
-    once has `first_variance`, one that others take for an object's `unknown_variance` (see `update_behind`),
-    0 for none. `pooling` is the weight of what the 5 x 5 pixels around a pixel show in its own log odds:
-    neighbours mostly share their label, but are not independent observations. Once a `second` colour is
-    known, what is within `tolerance` of it (squared grey levels, four times the variance of all channels) is
-    background too; `sway` says how often pixels show what is beside them.
+    That is N(L; light * mean, light^2 * (variance + drift) + noise).
     """
 
-    size: tuple[int, int]
-    pixels: Gaussians
-    frames: int
-    light: LightField
-    prior: float
-    drift: float
-    noise_share: float
-    first_variance: float
-    unknown_variance: float
+    size: tuple[int, int]  # (height, width) px
+    pixels: Gaussians  # before this frame; the mean in the planes of `colour`
+    frames: int  # seen before this one
+    light: LightField  # of this frame
+    prior: float  # P(B=1), that a pixel shows background
+    drift: float  # squared grey levels added to the variance since the last observation
+    noise_share: float  # share by which the noise follows what is seen, 0 to keep it fixed
+    first_variance: float  # squared grey levels, of a value seen once
+    unknown_variance: float  # of one that others take for an object's (see `update_behind`); 0 for none
+    # weight of what the 5 x 5 pixels around show: most have one label, but they are not independent
     pooling: float
-    second: SecondColours
-    tolerance: float
-    sway: Sway
+    second: SecondColours  # once known, what is within `tolerance` of it is background too
+    tolerance: float  # squared grey levels, four times the variance of all channels
+    sway: Sway  # how often pixels show what is beside them
     _compared: dict[int, tuple[NDArray[np.uint8], Subtraction, Gaussians | None]] = field(
         default_factory=dict
     )

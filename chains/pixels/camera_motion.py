@@ -35,17 +35,13 @@ FIRST_VARIANCE = 1e-6  # px^2: the first frame is the scene's picture, by defini
 @short_repr
 @dataclass(frozen=True, eq=False)
 class CameraState:
-    """Where the camera looks, and at what.
+    """Where the camera looks, and at what."""
 
-    `mean` `(6,)` px and `covariance` px^2 are of the parameters of the map from scene to frame, `picture`
-    `(height, width[, 3])` float32 is the scene under today's light, in the first frame's places; `elapsed` s
-    since the last frame with an image.
-    """
-
-    mean: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    mean: NDArray[np.float64]  # (6,) px: parameters of the map from scene to frame
+    covariance: NDArray[np.float64]  # (6, 6) px^2
+    # (height, width[, 3]): the scene under today's light, in the first frame's places
     picture: NDArray[np.float32]
-    elapsed: float
+    elapsed: float  # s since the last frame with an image
 
 
 @short_repr

@@ -85,20 +85,14 @@ class Certain(NamedTuple):
 
 
 class PixelModel(NamedTuple):
-    """Numbers of the model that all pixels share, float32.
+    """Numbers of the model that all pixels share."""
 
-    `log_prior_odds` of background before the image, in the units of the planes, and `label_odds`, the same
-    where the background may have any colour; `drift`, added to a mean's variance since the last observation;
-    `noise_share`, by which the noise follows what is seen; `first_variance` of a value that was seen once;
-    `unknown_variance`, of one that may be that of an object which was there from the first frame on, or 0.
-    """
-
-    log_prior_odds: np.float32
-    label_odds: np.float32
-    drift: np.float32
-    noise_share: np.float32
-    first_variance: np.float32
-    unknown_variance: np.float32
+    log_prior_odds: np.float32  # of background before the image, in the units of the planes
+    label_odds: np.float32  # the same where the background may have any colour
+    drift: np.float32  # variance that is added to a mean's since the last observation
+    noise_share: np.float32  # by which the noise follows what is seen
+    first_variance: np.float32  # of a value that was seen once
+    unknown_variance: np.float32  # of one that may be that of an object which was there from the first, or 0
 
 
 @inlined

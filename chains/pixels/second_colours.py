@@ -50,18 +50,13 @@ class SecondColours(NamedTuple):
 
 
 class Settling(NamedTuple):
-    """When a second colour takes the mean's place.
+    """When a second colour takes the mean's place."""
 
-    It is the same colour within `tolerance` (squared grey levels); `step` is what one observation adds to the
-    time for which it was seen, `least` the least time. It has `variance` then; a mean of more than
-    `unsure_variance` gives way earlier.
-    """
-
-    tolerance: np.float32
-    step: int
-    least: int
-    variance: np.float32
-    unsure_variance: np.float32
+    tolerance: np.float32  # squared grey levels, within which it is the same colour
+    step: int  # what one observation adds to the time for which it was seen
+    least: int  # the least time
+    variance: np.float32  # that it has then
+    unsure_variance: np.float32  # a mean of more gives way earlier
 
 
 @inlined

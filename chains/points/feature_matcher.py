@@ -121,15 +121,11 @@ UNIT = 255.0  # Length of a descriptor that is stored
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Features of a picture.
+    """Features of a picture."""
 
-    `positions` `(n, 2)` px, each coordinate with a standard deviation `(n,)` px, and `descriptors` `(n, 128)`
-    uint8, square roots, of length `UNIT` but for rounding.
-    """
-
-    positions: Numbers
-    deviations: Numbers
-    descriptors: NDArray[np.uint8]
+    positions: Numbers  # (n, 2) px
+    deviations: Numbers  # (n,) px, standard deviation of each coordinate
+    descriptors: NDArray[np.uint8]  # (n, 128), square roots, of length `UNIT` but for rounding
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -236,16 +232,12 @@ LEAST_LENGTH = 3  # Pictures that have to show a point, so that one confirms the
 
 @dataclass(frozen=True, eq=False)
 class FilmMatches:
-    """Matches between the pictures of a film.
+    """Matches between the pictures of a film."""
 
-    `frame` `(n,)` int64 is the picture of each feature, those of all pictures one after the other; `pairs`
-    `(m, 2)` int64 are numbers of features that look alike and obey one epipolar geometry, as a third picture
-    confirms, and `doubt` `(m,)` is as of `match_features`.
-    """
-
-    frame: Indices
+    frame: Indices  # (n,): the picture of each feature, those of all pictures one after the other
+    # (m, 2): features that look alike and obey one epipolar geometry, as a third picture confirms
     pairs: Indices
-    doubt: Numbers
+    doubt: Numbers  # (m,): of each pair; see `match_features`
 
     @classmethod
     def of(cls, pictures: Sequence[Features]) -> "FilmMatches":
@@ -383,20 +375,14 @@ class Sightings(Rows):
 @short_repr
 @dataclass(frozen=True, eq=False)
 class FeatureTracks:
-    """Points with increasing `identities`, and where pictures show them.
+    """Points, and where pictures show them."""
 
-    `matched` are features that were matched, whatever others say of them, and `patches` `(k, side, side)`
-    float32 what they look like; `together` `(n_frames, n_frames)` says which pictures were compared; `areas`
-    `(n_frames,)` px^2 are 1 where there is none. What counts is `seen`: matches that others do not
-    contradict, and what was found where others expect points.
-    """
-
-    identities: Indices
-    matched: Sightings
-    patches: NDArray[np.float32]
-    together: Mask
-    areas: Numbers
-    seen: Sightings
+    identities: Indices  # (n,), increasing
+    matched: Sightings  # features that were matched, whatever others say of them
+    patches: NDArray[np.float32]  # (k, side, side): what the picture shows about each of these
+    together: Mask  # (n_frames, n_frames): pictures of which features were matched
+    areas: Numbers  # (n_frames,) px^2 of the pictures, 1 where there is none
+    seen: Sightings  # matches that others do not contradict, and what was found where others expect points
 
     @classmethod
     def of(

@@ -48,20 +48,15 @@ Pixels = NDArray[np.float32]
 @short_repr
 @dataclass(frozen=True, eq=False)
 class KnownPoints(Rows):
-    """Points by identity.
+    """Points by identity."""
 
-    Of each: `mean` `(n, 4)` and `covariance` of its state, meaningless where it is not `alive`, followed; s
-    `unseen` since a frame showed it; and `(n, side, side)` float32 grey values, what it looked like at
-    `first`, and what it is taken to look like now, `patches`, 0 where points come without pictures.
-    """
-
-    identities: Identities
-    mean: Numbers
-    covariance: Numbers
-    alive: Mask
-    unseen: Numbers
-    first: Pixels
-    patches: Pixels
+    identities: Identities  # (n,), increasing
+    mean: Numbers  # (n, 4), of their states; meaningless of those that are not alive
+    covariance: Numbers  # (n, 4, 4)
+    alive: Mask  # (n,): which ones are followed
+    unseen: Numbers  # (n,) s since a frame showed the point
+    first: Pixels  # (n, side, side): what it looked like at first; 0 where points come without pictures
+    patches: Pixels  # (n, side, side): what it is taken to look like now
 
     @classmethod
     def none(cls) -> "KnownPoints":
@@ -151,19 +146,14 @@ from which on there is nothing to learn."""
 @short_repr
 @dataclass(frozen=True, eq=False)
 class TrackerState:
-    """Points that are followed or were lost lately, and the `view` that they were found in last.
+    """Points, and the picture that they were found in last."""
 
-    `next_identity` is that of the next new point: none is used twice; `acceleration`, px^2/s^3, the spectral
-    density of the white acceleration along each coordinate; `limit`, px, the standard deviation of a position
-    from which a point is lost; `rested`, s since corners were sought.
-    """
-
-    known: KnownPoints
-    next_identity: int
-    acceleration: float
-    limit: float
-    rested: float
-    view: View | None
+    known: KnownPoints  # points that are followed, or were lost lately
+    next_identity: int  # number of the next new point: none is used twice
+    acceleration: float  # px^2/s^3, spectral density of the white acceleration along each coordinate
+    limit: float  # px, standard deviation of a position from which a point is lost
+    rested: float  # s since corners were sought
+    view: View | None  # the last picture, or points given for it, and what was found there
 
 
 def message_of(state: TrackerState) -> PointMessage:

@@ -35,15 +35,11 @@ EVERY_SPEED = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Measured positions of points in all frames, at `times` `(n_frames,)` s, in information form.
+    """Measured positions of points in all frames, in information form."""
 
-    `information` `(n_frames, n_points, 2, 2)` 1/px^2 is 0 where a point was not seen; `vector` 1/px is that
-    times the position.
-    """
-
-    times: Numbers
-    information: Numbers
-    vector: Numbers
+    times: Numbers  # (n_frames,) s, increasing
+    information: Numbers  # (n_frames, n_points, 2, 2) 1/px^2, zeros where a point was not seen
+    vector: Numbers  # (n_frames, n_points, 2) 1/px, information times position
 
     @property
     def seen(self) -> Mask:
@@ -170,25 +166,20 @@ class Appearances:
 class PointTrajectory:
     """Where points are in all frames, and what a tracker says of that.
 
-    `position` `(n_frames, n, 2)` px and `covariance` px^2 are given all that is known, and mean nothing where
-    a point is not `alive` `(n_frames, n)`: known well enough, and inside the picture; `observed` where the
-    frame itself shows it. `information` 1/px^2 and `vector` 1/px are what the other frames' evidence says of
-    the position, 0 where it is too little; never what other chains said. `appearances` are also of points
-    that no frame shows, `None` where there are no pictures; `absorbed` `(m, 2)` int64 are identities that
-    turned out to be another point, and of which one. `log_prior` is the log probability of what was found
-    under the motion of points, one after the other, less what beliefs over the features say of it already:
-    with them it makes the log evidence of all tracks.
+    `log_prior` is the log probability of what was found under the motion of points, one after the other, less
+    what beliefs over the features say of it already: with them it makes the log evidence of all tracks.
     """
 
-    identities: Identities
-    position: Numbers
-    covariance: Numbers
-    observed: Mask
-    alive: Mask
+    identities: Identities  # (n,), increasing
+    position: Numbers  # (n_frames, n, 2) px given all that is known; meaningless where a point is not alive
+    covariance: Numbers  # (n_frames, n, 2, 2) px^2
+    observed: Mask  # (n_frames, n): the frame itself shows the point
+    alive: Mask  # (n_frames, n): its position is known well enough, and inside the picture
+    # (n_frames, n, 2, 2) 1/px^2: what the other frames' evidence says, 0 where it is too little
     information: Numbers
-    vector: Numbers
-    appearances: Appearances | None
-    absorbed: NDArray[np.int64]
+    vector: Numbers  # (n_frames, n, 2) 1/px; never what other chains said
+    appearances: Appearances | None  # also of points that no frame shows; None without pictures
+    absorbed: NDArray[np.int64]  # (m, 2): identities that turned out to be another point, and of which one
     log_prior: float
 
     def messages(self) -> Iterator[GaussianMessage]:

@@ -119,16 +119,14 @@ class LogOdds:
 class Newcomers:
     """Density of the box of somebody who is not known yet, wherever in the picture the feet are.
 
-    Height is Gaussian about a `line` in the foot's row, px with the foot in the middle row of a picture of
-    `size` `(height, width)`, and px it grows with each row; heights deviate from it by a share of
-    `variation`. Width over height is Gaussian.
+    Height is Gaussian about a line in the foot's row, width over height is Gaussian.
     """
 
-    size: tuple[int, int]
-    line: Numbers
-    line_covariance: Numbers
-    variation: float
-    aspect: float
+    size: tuple[int, int]  # (height, width) px of the picture
+    line: Numbers  # (2,): px height with the foot in the middle row, and px it grows with each row
+    line_covariance: Numbers  # (2, 2)
+    variation: float  # standard deviation of heights over what the line gives, as a share of that
+    aspect: float  # width over height
     aspect_variance: float
 
     def height(self, foot_y: ArrayLike) -> tuple[Numbers, Numbers]:
@@ -156,29 +154,20 @@ class Newcomers:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Association:
-    """What the boxes of a frame are, given the objects that are known.
+    """What the boxes of a frame are, given the objects that are known."""
 
-    `boxes` `(n_boxes, 4)` px are foot x, foot y, width, height, `noise` px^2 their variances, `scores`
-    `(n_boxes,)` the detector's, all 1 where it gives none, `outlines` `(n_boxes, height, width)` bool over
-    the picture, if it gives them. Probabilities: of each box, that it is of somebody `new`, or `double`, a
-    second one; of each object `(n_objects,)` that was expected, by `identities`, that it would be found if it
-    exists, `expected`, and that it exists and has no box, `missed`; `pairs` `(n_objects, n_boxes)`, that it
-    exists and this is its box. `visible` is the share of each object that is in sight, `log_evidence` the log
-    density of all boxes together.
-    """
-
-    boxes: Numbers
-    noise: Numbers
-    scores: Numbers
-    identities: NDArray[np.int64]
-    pairs: Numbers
-    expected: Numbers
-    missed: Numbers
-    visible: Numbers
-    new: Numbers
-    double: Numbers
-    log_evidence: float
-    outlines: NDArray[np.bool_] | None = None
+    boxes: Numbers  # (n_boxes, 4) px that the detector has found: foot x, foot y, width, height
+    noise: Numbers  # (n_boxes, 4) px^2, their variances
+    scores: Numbers  # (n_boxes,) of the detector, all 1 where it gives none
+    identities: NDArray[np.int64]  # (n_objects,): who was expected
+    pairs: Numbers  # (n_objects, n_boxes) probability that the object exists and this is its box
+    expected: Numbers  # (n_objects,) probability that the object, if it exists, would be found
+    missed: Numbers  # (n_objects,) probability that the object exists and has no box
+    visible: Numbers  # (n_objects,) share of each that is in sight
+    new: Numbers  # (n_boxes,) probability that the box is of somebody not known before
+    double: Numbers  # (n_boxes,) probability that it is a second one of somebody who has another
+    log_evidence: float  # log density of all boxes together, given who was expected
+    outlines: NDArray[np.bool_] | None = None  # (n_boxes, height, width), if the detector gives them
 
     def __len__(self) -> int:
         return len(self.boxes)
@@ -212,28 +201,16 @@ EVEN = LogOdds()
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BoxMessage:
-    """A product of factors over the boxes of all objects.
+    """A product of factors over the boxes of all objects."""
 
-    Parameters
-    ----------
-    objects, hidden
-        boxes of objects that are seen or observed, by identity, and of those of which this frame's pixels
-        show too little, as they are remembered: a detector may find them; nobody learns from them.
-    existence, noticed
-        log odds, by identity, that an object is one of those that the detector is made to find, and that it
-        is in a phase in which the detector finds it when it is in sight.
-    newcomers, detector
-        where and how large somebody new is, and how reliable the detector is; at most one sender each.
-    association
-        from the evidence: which detection belongs to whom; `None` where no detector has run.
-    """
-
-    objects: GaussianMessage = NO_BOXES
+    objects: GaussianMessage = NO_BOXES  # that are seen or observed
+    # of which this frame's pixels show too little: a detector may find them; nobody learns from them
     hidden: GaussianMessage = NO_BOXES
-    existence: LogOdds = EVEN
-    noticed: LogOdds = EVEN
-    newcomers: Newcomers | None = None
-    detector: BoxDetector | None = None
+    existence: LogOdds = EVEN  # that an object is one of those that the detector is made to find
+    noticed: LogOdds = EVEN  # that it is in a phase in which the detector finds it when it is in sight
+    newcomers: Newcomers | None = None  # where and how large somebody new is; at most one sender
+    detector: BoxDetector | None = None  # how reliable the detector is; at most one sender
+    # from the evidence: which detection belongs to whom; None if no detector has run
     association: Association | None = None
 
     def __mul__(self, other: Self) -> Self:

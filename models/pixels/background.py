@@ -53,18 +53,13 @@ def foreground_spans(log_odds, spans):
 @short_repr
 @dataclass(frozen=True, eq=False)
 class EmptyScene:
-    """A picture of the empty scene; `shape` is that of an image, `(height, width[, 3])` px.
+    """A picture of the empty scene."""
 
-    `mean` is `(channels, n_pixels)` float32 in the planes of `models.pixels.colour`, `variance` of the mean
-    and `noise` of a single observation `(n_pixels,)` float32 squared grey levels, `light` `(block_rows,
-    block_columns)` float32 that of the first image relative to that of the mean.
-    """
-
-    shape: tuple[int, ...]
-    mean: Planes
-    variance: Planes
-    noise: Planes
-    light: Planes
+    shape: tuple[int, ...]  # of an image: (height, width) px, or (height, width, 3)
+    mean: Planes  # (channels, n_pixels) in the planes of `models.pixels.colour`
+    variance: Planes  # (n_pixels,), squared grey levels: of the mean
+    noise: Planes  # (n_pixels,), squared grey levels: of a single observation
+    light: Planes  # (block_rows, block_columns): that of the first image relative to that of the mean
 
 
 @short_repr

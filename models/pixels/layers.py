@@ -247,18 +247,13 @@ def log_density_ratio(channels: int, spread: ArrayLike) -> NDArray[np.float64]:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Layers that overlap, composed: what they say together inside the box that holds them.
+    """Layers that overlap, composed: what they say together inside the box that holds them."""
 
-    `top` and `left` px are inside the picture. Maps `(height, width)` float32: `clear` is the weight of B=1,
-    the chance that no layer covers the pixel; `explained` that of B=0 with this pixel's colour, relative to
-    "anything" alone; `shift` the log of clear over explained.
-    """
-
-    top: int
+    top: int  # px, inside the picture
     left: int
-    clear: Map
-    explained: Map
-    shift: Map
+    clear: Map  # (height, width): weight of B=1, the chance that no layer covers the pixel
+    explained: Map  # weight of B=0 with this pixel's colour, relative to "anything" alone
+    shift: Map  # log of clear over explained
 
     @property
     def box(self) -> PixelBox:

@@ -388,11 +388,11 @@ LIGHT = Light((PIXEL_NOISE / np.array([LIGHTER, STRONGER, *[WARPED] * 4])) ** 2,
 
 
 class Aligned(NamedTuple):
-    """Patches where they fit best: px, px^2 as noise makes it, and `ncc` `(n,)`, -1 if none fits."""
+    """Patches where they fit the picture best."""
 
-    position: Numbers
-    covariance: Numbers
-    ncc: Numbers
+    position: Numbers  # (n, 2) px
+    covariance: Numbers  # (n, 2, 2) px^2: of the errors that noise as large as the residuals makes
+    ncc: Numbers  # (n,) normalised correlation there, -1 where nothing near fits
 
 
 def align_patches(

@@ -55,17 +55,13 @@ NOWHERE = GivenPoints(np.zeros((0, PLANE)), np.zeros(0, np.int64))  # No points
 @short_repr
 @dataclass(frozen=True, eq=False)
 class View:
-    """A picture that has been searched at `time` s, and what was `found` in it, or given for it.
+    """A picture that has been searched, and what was found in it."""
 
-    `grey` `(height, width)` uint8 is `None` where points were given instead of a picture, with a standard
-    deviation `noise` px of each coordinate; `patch` px is the side of the patches that are cut from it.
-    """
-
-    time: float
-    found: GivenPoints
-    grey: NDArray[np.uint8] | None
-    noise: float
-    patch: int
+    time: float  # s, of the frame
+    found: GivenPoints  # points that were found, or were given
+    grey: NDArray[np.uint8] | None  # (height, width); None where points were given instead of a picture
+    noise: float  # px, standard deviation of each coordinate of points that were given
+    patch: int  # px, side of the patches that are cut from it
 
     def with_found(self, identities: NDArray[np.int64], positions: Numbers) -> "View":
         """As it is, but with more points found in it, of larger identities."""

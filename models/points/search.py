@@ -43,31 +43,21 @@ LEAST_WEIGHT = -1e30  # Log weight of where a patch cannot be
 
 
 class Windows(NamedTuple):
-    """Where n patches are searched for.
+    """Where n patches are searched for."""
 
-    `mean` `(n, 2)` px and `covariance` `(n, 2, 2)` px^2; `prior`, whether that says more than how large
-    windows are; `reach` standard deviations, and `farthest` px along either axis, beyond which nothing is
-    searched.
-    """
-
-    mean: Numbers
-    covariance: Numbers
-    prior: bool
-    reach: float
-    farthest: float
+    mean: Numbers  # (n, 2) px
+    covariance: Numbers  # (n, 2, 2) px^2 about it
+    prior: bool  # whether that says more than how large windows are
+    reach: float  # standard deviations beyond which nothing is searched
+    farthest: float  # px along either axis, likewise
 
 
 class Candidates(NamedTuple):
-    """The two likeliest places of each of n patches, the likelier first.
+    """The two likeliest places of each of n patches, the likelier first."""
 
-    `position` `(n, 2, 2)` px: patch, place, x and y, by parabolas through the correlation about the best
-    pixel; `ncc` `(n, 2)`, normalised correlation at that pixel, -1 where there is no such place; `weight`
-    `(n, 2)`, log of likelihood and prior, up to a constant, or `LEAST_WEIGHT`.
-    """
-
-    position: Numbers
-    ncc: Numbers
-    weight: Numbers
+    position: Numbers  # (n, 2, 2) px: patch, place, x and y, by parabolas about the best pixel
+    ncc: Numbers  # (n, 2) normalised correlation at that pixel; -1 where there is no such place
+    weight: Numbers  # (n, 2) log of likelihood and prior, up to a constant, or `LEAST_WEIGHT`
 
 
 @compiled
