@@ -15,84 +15,45 @@ from ...models.pixels.background import ODDS_STEPS, foreground_spans
 from ...models.pixels.colour import planes_of
 from ...models.pixels.layers import Pools
 
-_PLACES = (
-    "top", "left", "bottom", "right", "faint_top", "faint_left", "faint_bottom", "faint_right", "waist",
-)  # fmt: skip
-
 RECORD = np.dtype(
     [
-        ("identity", np.int64),
-        ("position", np.float64, (2,)),
-        ("velocity", np.float64, (2,)),
-        ("covariance", np.float64, (2, 2)),
-        *((name, np.float64) for name in ("spread", "seen", "unseen", "still", "confidence", "view")),
-        *((name, np.float64) for name in ("past_views", "fragment_time")),
-        ("whole", np.int64),
-        ("origin", np.float64, (4,)),
-        ("parting", np.float64),
-        ("size", np.float64, (2,)),
-        ("existence", np.float64),
-        ("noticed", np.float64),
-        ("detected", np.int64),
-        ("box_mean", np.float64, (4,)),
-        ("box_variance", np.float64, (4,)),
-        ("unfound", np.float64),
-        ("coloured", np.int64),
-        ("start", np.int64),
-        ("rows", np.int64),
+        ("identity", np.int64),  # from 1
+        ("position", np.float64, (2,)),  # px, (down, right), of the patch's top left corner
+        ("velocity", np.float64, (2,)),  # px/s
+        ("covariance", np.float64, (2, 2)),  # of position and velocity along either axis
+        ("spread", np.float64),  # squared grey levels: variance of its colours about the remembered ones
+        ("seen", np.float64),  # s for which it was seen
+        ("unseen", np.float64),  # s since it was last seen
+        ("still", np.float64),  # s for which it has not moved
+        ("confidence", np.float64),  # share of its visible part that was seen in the last frame
+        ("view", np.float64),  # nats, log ratio of being a ghost and being real by its outline as it is now
+        ("past_views", np.float64),  # the same by how it was before
+        ("fragment_time", np.float64),  # s for which it has been much smaller than anybody where it stands
+        ("whole", np.int64),  # identity of the object that it is a part of; its own if it is one itself
+        ("origin", np.float64, (4,)),  # x, y, width, height px of where it appeared
+        ("parting", np.float64),  # s for which it has seemed to be two beside each other
+        ("size", np.float64, (2,)),  # px, its usual height and width
+        ("existence", np.float64),  # log odds that it is one of those that the detector is made to find
+        ("noticed", np.float64),  # log odds that the detector finds it at present, if it is in sight
+        ("detected", np.int64),  # 1 if the detector has found it; else the next three mean nothing
+        ("box_mean", np.float64, (4,)),  # px: foot x and y from the patch's corner, width, height
+        ("box_variance", np.float64, (4,)),  # px^2
+        ("unfound", np.float64),  # s since a box was last found that may be its
+        ("coloured", np.int64),  # 1 if an image has shown its colours
+        ("start", np.int64),  # of its pixels
+        ("rows", np.int64),  # px, of its patch
         ("columns", np.int64),
-        ("mass", np.float64),
-        *((name, np.int64) for name in _PLACES),
-        ("waist_depth", np.float64),
+        # from here on measured of the mask; rows and columns count within the patch, ends are exclusive
+        ("mass", np.float64),  # its sum
+        *(
+            (name, np.int64) for name in ("top", "left", "bottom", "right")
+        ),  # likely covered; ends 0 if none is
+        *((f"faint_{name}", np.int64) for name in ("top", "left", "bottom", "right")),  # may be covered
+        ("waist", np.int64),  # the column where it is narrowest between two upright parts
+        ("waist_depth", np.float64),  # its height there as a share of theirs (1: there is none)
     ]
 )
-"""All that is known of a blob but its pixels, in words of 8 bytes.
-
-identity
-    from 1.
-position, velocity
-    px and px/s, (down, right), of the patch's top left corner.
-covariance
-    of position and velocity along either axis.
-spread
-    squared grey levels: variance of its colours about the remembered ones.
-seen, unseen, still
-    s for which it was seen, since it was last seen, and for which it has not moved.
-confidence
-    share of its visible part that was seen in the last frame.
-view, past_views
-    nats, log ratio of being a ghost and being real by its outline as it is now, and by how it was before.
-fragment_time
-    s for which it has been much smaller than anybody where it stands.
-whole
-    identity of the object that it is a part of; its own if it is one itself.
-origin
-    x, y, width, height px of where it appeared.
-parting
-    s for which it has seemed to be two beside each other.
-size
-    px, its usual height and width.
-existence, noticed
-    log odds that it is one of those that the detector is made to find, if there is one, and that the detector
-    finds it at present, if it is in sight.
-detected
-    1 if the detector has found it: then `box_mean` px and `box_variance` px^2 are of foot x and y from the
-    patch's top left corner, width and height, and `unfound` s since a box was last found that may be its.
-coloured
-    1 if an image has shown its colours.
-start, rows, columns
-    where its pixels are, and how large its patch is, px.
-mass
-    of the mask, its sum; what follows is measured of it as well. Rows and columns count within the patch,
-    ends are exclusive, and 0 of what is empty.
-top, left, bottom, right
-    of the pixels that it likely covers, at least two in a row or column.
-faint_top, faint_left, faint_bottom, faint_right
-    of all that it may cover.
-waist, waist_depth
-    the column where it is narrowest between two upright parts, and its height there as a share of theirs (1:
-    there is none).
-"""
+"""All that is known of a blob but its pixels, in words of 8 bytes."""
 
 FRESH = 0.5  # s for which a blob was seen, below which it may still be a part of another
 MARGIN = 6  # px of empty border in a blob's patch, into which its mask can grow
