@@ -203,21 +203,16 @@ class Scene(NamedTuple):
 
 
 class Learning(NamedTuple):
-    """How blobs follow what is seen.
-
-    `mask_share` (also of a fresh blob's size), `colour_share`, `view_share` and `size_share` are those by
-    which something follows the last frame; `kept` is what a mask keeps where it reaches too far. The rest is
-    as of `Matching`, and from `outliers` on as of `BlobTracker`.
-    """
+    """How blobs follow what is seen; what it has not of itself is as of `Matching` and `BlobTracker`."""
 
     log_uniform: float
     elapsed: float
-    mask_share: float
+    mask_share: float  # by which a mask, or the size of a fresh blob, follows the last frame
     colour_share: float
     view_share: float
     size_share: float
-    kept: float
-    least_area: float
+    kept: float  # what a mask keeps where it reaches too far
+    least_area: float  # px
     outliers: float
     strength: float
     spread: float

@@ -42,31 +42,15 @@ WORDS = RECORD.itemsize // 8
 @short_repr
 @dataclass(frozen=True)
 class Track:
-    """What is reported of an object in a frame.
+    """What is reported of an object in a frame."""
 
-    Parameters
-    ----------
-    identity
-        from 1, never used twice.
-    box
-        x, y, width, height px; x, y is the top left corner, 0 at the picture's.
-    confidence
-        share of the object's visible part that was seen, 0 to 1; 0 while it is hidden or not found. A missing
-        frame leaves it as it was. Of who was detected it is the probability that there is such an object.
-    velocity
-        px/s to the right and down.
-    seen
-        whether this frame shows it, to its pixels or to a detector; else it is only predicted.
-    position_covariance
-        px^2, of the middle of the box, along x and y.
-    """
-
-    identity: int
-    box: Box
+    identity: int  # from 1, never used twice
+    box: Box  # x, y, width, height px; x, y is the top left corner, 0 at the picture's
+    # share of its visible part that was seen; of who was detected, the probability to exist
     confidence: float
-    velocity: tuple[float, float]
-    seen: bool
-    position_covariance: Covariance
+    velocity: tuple[float, float]  # px/s to the right and down
+    seen: bool  # whether this frame shows it, to its pixels or to a detector; else it is only predicted
+    position_covariance: Covariance  # px^2, of the middle of the box, along x and y
 
     def seen_by(self, view: AffineMap) -> Self:
         """The same as a frame shows it whose camera has moved by `view`; its velocity stays the scene's."""
@@ -89,21 +73,11 @@ def middle_covariance(variance: Pair) -> Covariance:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Blob:
-    """One object by itself: its record, whose fields (see `RECORD`) are attributes as well, and its pixels.
+    """One object by itself: a record, whose fields (see `RECORD`) are attributes, and its pixels."""
 
-    Parameters
-    ----------
-    record
-        of type `RECORD`.
-    mask
-        `(height, width)` float32 probability of covering a pixel.
-    appearance
-        `(channels, height, width)` float32 planes; none where no image has shown it yet.
-    """
-
-    record: np.void
-    mask: Map
-    appearance: Map
+    record: np.void  # of type `RECORD`
+    mask: Map  # (height, width) probability of covering a pixel
+    appearance: Map  # (channels, height, width) planes; none where no image has shown it yet
 
     @classmethod
     def newborn(
@@ -168,21 +142,12 @@ class Blobs:
     """Blobs as rows of a table, in no particular order; `blobs[k]` is one of them.
 
     Like any state it is never changed once it is made.
-
-    Parameters
-    ----------
-    words
-        `(n, WORDS)` int64: records of type `RECORD`, bit by bit.
-    masks, colours
-        float32, of all blobs one after the other; colours plane by plane of each blob.
-    channels
-        of the colours, 1 or 3.
     """
 
-    words: Words
-    masks: Map
-    colours: Map
-    channels: int
+    words: Words  # (n, WORDS): records of type `RECORD`, bit by bit
+    masks: Map  # of all blobs one after the other
+    colours: Map  # likewise, plane by plane of each blob
+    channels: int  # of the colours, 1 or 3
 
     def __post_init__(self) -> None:
         if self.words.ndim != 2 or self.words.shape[1] != WORDS:

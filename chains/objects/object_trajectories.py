@@ -40,16 +40,12 @@ GOES_ON, GOES_ON_AT_EDGE = 0.5, 0.05
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Boxes(Rows):
-    """Boxes of objects in the frames of a film, one a row, ordered by object and then by time.
+    """Boxes of objects in the frames of a film, one a row, ordered by object and then by time."""
 
-    `frames` `(n,)` int64 are indices, `means` and `variances` `(n, 4)` px and px^2, in the order of
-    `ObjectBoxes`.
-    """
-
-    frames: NDArray[np.int64]
+    frames: NDArray[np.int64]  # (n,), index of the frame
     identities: NDArray[np.int64]
-    means: Numbers
-    variances: Numbers
+    means: Numbers  # (n, 4) px, in the order of `ObjectBoxes`
+    variances: Numbers  # (n, 4) px^2
 
     @classmethod
     def of(cls, messages: Iterable[GaussianMessage]) -> "Boxes":

@@ -40,27 +40,20 @@ MOST_RECALLED = 5.95
 
 
 class Gaussians(NamedTuple):
-    """One Gaussian a pixel: int16 mean `(channels, n_pixels)`, uint16 variance and noise `(n_pixels,)`.
+    """One Gaussian a pixel, in 16 bits a number."""
 
-    Means are in steps of 1 / `MEAN_STEPS` grey levels and end at +-1024; the variance of the mean is in
-    squared grey levels, in steps of 1 / `VARIANCE_STEPS` up to `HIGHEST_VARIANCE` and of 1 / `COARSE_STEPS`
-    beyond; the noise of a single observation (sensor and scene) in steps of 1 / `NOISE_STEPS`.
-    """
-
-    mean: NDArray[np.int16]
+    mean: NDArray[np.int16]  # (channels, n_pixels), in steps of 1 / `MEAN_STEPS` grey levels, to +-1024
+    # (n_pixels,), of 1 / `VARIANCE_STEPS`, of 1 / `COARSE_STEPS` beyond `HIGHEST_VARIANCE`
     variance: NDArray[np.uint16]
+    # (n_pixels,) of an observation (sensor and scene), in steps of 1 / `NOISE_STEPS`
     noise: NDArray[np.uint16]
 
 
 class Light(NamedTuple):
-    """Today's light relative to that of the mean, interpolated along x.
+    """Today's light relative to that of the mean, interpolated along x."""
 
-    `rows` `(block_rows + 2, width)` float32 are at the blocks' centres, one more on either side; `positions`
-    `(height,)` float32 says where between them each row of pixels lies.
-    """
-
-    rows: Planes
-    positions: Planes
+    rows: Planes  # (block_rows + 2, width) at the blocks' centres, one more on either side
+    positions: Planes  # (height,): where between them each row of pixels lies
 
 
 class Certain(NamedTuple):

@@ -36,16 +36,11 @@ _LEAST_DENSITY = _f4(1e-30)
 
 
 class Mixture(NamedTuple):
-    """Components of every pixel, in the order of weight over standard deviation; all float32.
+    """Components of every pixel, in the order of weight over standard deviation."""
 
-    `(components, n_pixels)` weights, whose sum is 1 (0 where there is no such component);
-    `(components, channels, n_pixels)` means in the planes of `colour`; `(components, n_pixels)`
-    variances of each channel, squared grey levels.
-    """
-
-    weights: NDArray[np.float32]
-    means: NDArray[np.float32]
-    variances: NDArray[np.float32]
+    weights: NDArray[np.float32]  # (components, n_pixels), whose sum is 1; 0 of what is no component
+    means: NDArray[np.float32]  # (components, channels, n_pixels) in the planes of `colour`
+    variances: NDArray[np.float32]  # (components, n_pixels) of each channel, squared grey levels
 
 
 @compiled
@@ -210,17 +205,13 @@ REVEALED = 3.0
 @short_repr
 @dataclass(frozen=True, eq=False)
 class MixturePrediction:
-    """Prediction of every pixel's background value: the first components of its mixture, normalised.
-
-    As many of the first components are background as it takes for their weight to exceed `share` (the paper's
-    T); `prior` and `pooling` are those of `MixtureBackground`.
-    """
+    """Prediction of every pixel's background value: the first components of its mixture, normalised."""
 
     size: tuple[int, int]
     mixture: Mixture
-    prior: float
-    share: float
-    pooling: float
+    prior: float  # P(B=1), that a pixel shows background
+    share: float  # so much of the weight is background, as the first components have it (the paper's T)
+    pooling: float  # weight of what the 5 x 5 pixels around show
     _compared: dict[int, tuple[NDArray[np.uint8], Planes, Subtraction]] = field(default_factory=dict)
 
     @property

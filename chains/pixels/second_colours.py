@@ -40,13 +40,10 @@ REVEALED = 1  # Among what is covered: others are so sure of background that the
 
 
 class SecondColours(NamedTuple):
-    """A second hypothesis: `(n_pixels * channels,)` uint8 colours, and for how long each was seen.
+    """A second hypothesis of every pixel."""
 
-    `seen` is `(n_pixels,)` uint16, the share of the settling time in steps of 1 / `SETTLED`.
-    """
-
-    colours: NDArray[np.uint8]
-    seen: NDArray[np.uint16]
+    colours: NDArray[np.uint8]  # (n_pixels * channels,)
+    seen: NDArray[np.uint16]  # (n_pixels,): share of the settling time, in steps of 1 / `SETTLED`
 
 
 class Settling(NamedTuple):

@@ -25,16 +25,12 @@ class GaussianMessage(Rows):
     In information form products add, and a thing that a message does not mention has no information there.
     Things are kept apart: what a chain knows of several together (one plane below all boxes, one camera that
     sees all points) is sent as each one's own marginal.
-
-    `identities` `(n,)` int64 increase; `information` `(n, d, d)` 1/px^2 is symmetric, positive definite or
-    semi-definite; `vector` `(n, d)` 1/px is that times the mean; `log_scale` `(n,)`: see `from_moments` for
-    that of a density.
     """
 
-    identities: NDArray[np.int64]
-    information: Numbers
-    vector: Numbers
-    log_scale: Numbers
+    identities: NDArray[np.int64]  # (n,), increasing
+    information: Numbers  # (n, d, d) 1/px^2, symmetric, positive definite or semi-definite
+    vector: Numbers  # (n, d) 1/px, information times mean
+    log_scale: Numbers  # (n,); see `from_moments` for that of a density
 
     @classmethod
     def uniform(cls, dimension: int) -> Self:

@@ -30,25 +30,13 @@ class GaussianMixtures:
 
     g is a Gaussian density, or the constant 1 of a flat component. Parts have equally many components: those
     with a weight of 0 are fillers.
-
-    Parameters
-    ----------
-    log_weights
-        `(n_parts, n)`; minus infinity for a filler.
-    means, covariances
-        `(n_parts, n, 2)` px and `(n_parts, n, 2, 2)` px^2, positive definite.
-    flat
-        `(n_parts, n)` bool: components without mean and covariance (whose entries are not used).
-    labels
-        `(n_parts, n)` int64: number of the thing in the picture that a component stands for, which may be
-        the same in several parts; -1 for none. A product keeps them.
     """
 
-    log_weights: Array
-    means: Array
-    covariances: Array
-    flat: NDArray[np.bool_]
-    labels: NDArray[np.int64]
+    log_weights: Array  # (n_parts, n); minus infinity for a filler
+    means: Array  # (n_parts, n, 2) px
+    covariances: Array  # (n_parts, n, 2, 2) px^2, positive definite
+    flat: NDArray[np.bool_]  # (n_parts, n): components whose mean and covariance are not used
+    labels: NDArray[np.int64]  # (n_parts, n): of the thing that a component stands for; -1 for none
 
     @classmethod
     def uniform(cls, n_parts: int) -> Self:

@@ -41,14 +41,10 @@ class Pools(NamedTuple):
 
 
 class Composition(NamedTuple):
-    """Layers, composed in regions that are apart; elsewhere they say nothing.
+    """Layers, composed in regions that are apart, with the maps of `Region`; elsewhere they say nothing."""
 
-    `boxes` `(n, 4)` are the regions' top, left, height, width px. Their pixels follow each other, from
-    `starts` `(n,)` on, in the flat maps of `Region`.
-    """
-
-    boxes: NDArray[np.int64]
-    starts: NDArray[np.int64]
+    boxes: NDArray[np.int64]  # (n, 4): top, left, height, width px of the regions
+    starts: NDArray[np.int64]  # (n,): where the pixels of each begin in the flat maps
     clear: NDArray[np.float32]
     explained: NDArray[np.float32]
     shift: NDArray[np.float32]

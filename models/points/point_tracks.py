@@ -87,23 +87,14 @@ class View:
 class PointMessage:
     """Independent Gaussians over positions by identity, and what goes with them.
 
-    Parameters
-    ----------
-    positions
-        px; see `GaussianMessage`.
-    patches
-        what points look like; also of points of whose position nothing is known.
-    view
-        from the evidence: of this frame; from a tracker: of the frame it comes from, to search back there. It
-        is not saved: who goes on with a saved message has the frame.
-    same_as
-        `(n,)` int64 beside `positions.identities`: the point that each one is taken for, the smallest of its
-        group; `None` where nobody takes two for one.
+    `view` is this frame's, of the evidence, or that of the frame which a tracker's message comes from, to
+    search back there. It is not saved: who goes on with a saved message has the frame.
     """
 
-    positions: GaussianMessage
-    patches: Patches | None = None
+    positions: GaussianMessage  # px; see `GaussianMessage`
+    patches: Patches | None = None  # what points look like; also of points whose position is not known
     view: View | None = field(default=None, metadata={"saved": False})
+    # (n,): the point that each is taken for, the smallest of its group
     same_as: NDArray[np.int64] | None = None
 
     @classmethod
