@@ -271,7 +271,7 @@ AT_ONCE = 0.05  # unions between two comparisons of all pairs, as a share of the
 
 @dataclass(frozen=True, eq=False)
 class TrackAssociation:
-    """Cameras and points in a factorisation, and the tracks that show them, with their noise in px^2.
+    """Cameras and points in a factorisation, and the tracks that show them.
 
     `point_of_track` `(n_tracks,)` is -1 where it is not sure enough what a track shows; `trusted`
     `(n_frames, n_tracks)` are positions that are taken to be right.
@@ -279,7 +279,6 @@ class TrackAssociation:
 
     factorisation: Factorisation
     point_of_track: Indices
-    noise: CorrelatedNoise
     trusted: NDArray[np.bool_]
 
 
@@ -302,13 +301,10 @@ def associate_tracks(
         # what is trusted counts, so that no track is refused for a position that is wrong
         association = _Association(where[:, kept], trusted[:, kept], fit.of_points(kept))
         association.unite()
-        found = association.soft_assignment()
+        fit, point[kept] = association.soft_assignment()
     except ValueError:  # what is joined is too little to be a structure, or falls apart: nothing is
-        point[kept] = np.arange(np.count_nonzero(kept))
-        noise = CorrelatedNoise(fit.noise_variance, 0.0, 1.0)
-        return TrackAssociation(fit.of_points(kept), point, noise, robust.trusted)
-    point[kept] = found.point_of_track
-    return replace(found, point_of_track=point, trusted=robust.trusted)
+        fit, point[kept] = fit.of_points(kept), np.arange(np.count_nonzero(kept))
+    return TrackAssociation(fit, point, robust.trusted)
 
 
 class _Association:
@@ -455,7 +451,7 @@ class _Association:
 
     # --- the end ---
 
-    def soft_assignment(self) -> TrackAssociation:
+    def soft_assignment(self) -> tuple[Factorisation, Indices]:
         """Let tracks belong to points in part, and leave out points that they do not determine."""
         noise = self._noise()
         for _ in range(SOFT_ROUNDS):
@@ -504,7 +500,7 @@ class _Association:
         known: NDArray[np.bool_] = (variance < DETERMINED**2 * spread[:, None]).all(axis=0)
         return known
 
-    def _result(self, noise: CorrelatedNoise) -> TrackAssociation:
+    def _result(self, noise: CorrelatedNoise) -> tuple[Factorisation, Indices]:
         membership = self._membership
         point = membership.argmax(axis=1)
         sure = membership.max(axis=1).toarray() > SURE
@@ -517,9 +513,8 @@ class _Association:
         point = np.where(sure & own[point], (np.cumsum(own) - 1)[point], -1)
         membership = membership[:, own]
         unsure = (point < 0) & (self._counts >= LEAST_VIEWS)
-        if np.count_nonzero(np.bincount(point[point >= 0]) == 1) + np.count_nonzero(unsure) > MOSTLY * len(
-            point
-        ):
+        alone = np.count_nonzero(np.bincount(point[point >= 0]) == 1)
+        if alone + np.count_nonzero(unsure) > MOSTLY * len(point):
             # where most tracks are the only ones of their points, so is one of which nothing is sure
             n_points = membership.shape[1] + np.count_nonzero(unsure)
             point[unsure] = np.arange(membership.shape[1], n_points)
@@ -527,8 +522,7 @@ class _Association:
             self._fit = self._apart  # its cameras have heard all of them
         self._positions, self._weights = self._all
         self._refit(membership, LAST_ITERATIONS)
-        unit = self._observations.scale**2 * self._observations.weight_unit
-        return TrackAssociation(self._fit, point, noise.scaled(unit), self._weights > 0)
+        return self._fit, point
 
 
 def log_partition(information: Numbers, vector: Numbers) -> Numbers:

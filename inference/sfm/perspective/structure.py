@@ -277,16 +277,13 @@ PRECISION, MOST_STEPS = 1e-3, 20  # of the least squares of a round: the next on
 class AffineFit:
     """Cameras `(n_frames, 2, 4)` and shape `(n_points, 3)` under Student's noise.
 
-    `frames` and `points` are those which the observations determine; others are not fitted. `weights`
-    `(n_frames, n_points)` are as given, less what makes an observation an outlier.
+    `frames` and `points` are those which the observations determine; others are not fitted.
     """
 
     cameras: Numbers
     shape: Numbers
     frames: NDArray[np.bool_]
     points: NDArray[np.bool_]
-    weights: Numbers
-    noise: StudentNoise
     log_likelihood: float
 
 
@@ -300,19 +297,18 @@ def affine_fit(positions: ArrayLike, weights: ArrayLike, cameras: Numbers, shape
     frames, points = determined(Observations.from_arrays(where, given), apart=True)
     seen = (given > 0) & frames[:, None] & points
     best: AffineFit | None = None
-    counted = given
     for _ in range(FIT_ROUNDS):
         squares = np.sum((where - projected(cameras, shape)) ** 2, axis=2)[seen]
         noise = StudentNoise.of_errors(squares, given[seen])
         likelihood = noise.log_likelihood(squares, given[seen])
         before = -np.inf if best is None else best.log_likelihood
-        counted = given.copy()
-        counted[seen] = noise.weights(squares, given[seen])
         if likelihood > before:
-            best = AffineFit(cameras, shape, frames, points, counted, noise, likelihood)
+            best = AffineFit(cameras, shape, frames, points, likelihood)
         if likelihood < before + FIT_SETTLED * len(squares):
             break
-        cameras, shape = _refitted(where, np.where(seen, counted, 0), cameras)
+        counted = np.zeros_like(given)
+        counted[seen] = noise.weights(squares, given[seen])
+        cameras, shape = _refitted(where, counted, cameras)
     assert best is not None
     return best
 
