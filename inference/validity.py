@@ -395,7 +395,7 @@ def compare(
     moments, noise, as_stated = np.split(sums.resampled(random, resamples), [4 * d**2, 5 * d**2], axis=1)
     errors = _without_noise(moments.reshape(-1, 2 * d, 2 * d), noise.reshape(-1, d, d))
     gain_first, gain_second = errors.gains
-    correlation = errors.correlation
+    correlation, factor = errors.correlation, float(errors.bearable[0])
     return Comparison(
         count=count,
         groups=sums.count,
@@ -406,7 +406,9 @@ def compare(
         rms_first=interval_of(_rms(errors.first)),
         rms_second=interval_of(_rms(errors.second)),
         correlation=interval_of(correlation),
-        bearable_correlation=_bearable_correlation(float(correlation[0]), float(errors.bearable[0])),
+        bearable_correlation=correlation[0] * factor
+        if correlation[0] > 0 and np.isfinite(factor)
+        else np.inf,
         gain_first=interval_of(gain_first),
         gain_second=interval_of(gain_second),
         gain=interval_of(np.minimum(gain_first, gain_second)),
@@ -496,10 +498,6 @@ def _summarised(means: Numbers) -> StatedComparison:
     better_cost = np.minimum(costs[:, 0], costs[:, 1])
     gains = scores[:, 2] - better_score, better_cost - costs[:, 2]
     return StatedComparison(*map(interval_of, [*means[:, :3].T, *gains]))
-
-
-def _bearable_correlation(correlation: float, factor: float) -> float:
-    return correlation * factor if correlation > 0 and np.isfinite(factor) else float("inf")
 
 
 def interval_of(samples: Numbers) -> Interval[float]:

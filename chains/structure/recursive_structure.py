@@ -682,7 +682,8 @@ class RecursiveStructure:
         seen, structure = _seen(state, others), state.structure
         if structure is not None:
             found = incoming.once(_registered, structure, state, others)
-            if len(seen) < LEAST_SEEN or not _lost(found.motion, structure.extent):
+            variance = found.motion.camera_covariance.diagonal()[:3].mean()
+            if len(seen) < LEAST_SEEN or not variance > (LOST * structure.extent) ** 2:
                 structure = updated(structure, found, state.elapsed, state.time)
                 structure = self._remembered(add_points(structure, seen))
                 return replace(state, elapsed=0.0, structure=structure)
@@ -720,7 +721,3 @@ def _seen(state: StructureState, others: PointMessage) -> ObservedPoints:
 
 def _registered(structure: Structure, state: StructureState, others: PointMessage) -> Registration:
     return register(structure, _seen(state, others))
-
-
-def _lost(motion: CameraMotion, extent: float) -> bool:
-    return bool(motion.camera_covariance.diagonal()[:3].mean() > (LOST * extent) ** 2)

@@ -115,7 +115,9 @@ def grown(observations: Observations, *, coherent: bool) -> tuple[Numbers, Numbe
         if not coherent or known.frames.all():
             break
         _refine(observations, known, LAST_ROUNDS)
-        _foresee(known)
+        # with coherence, frames come in that the motion of the known ones foresees best
+        variance = np.where(known.frames, np.inf, np.einsum("tjj->t", known.camera_covariance))
+        known.frames |= variance <= FORESIGHT * variance.min()
         alone = False
     if not alone:
         _refine(observations, known, LAST_ROUNDS)
@@ -203,12 +205,6 @@ def _resect(observations: Observations, known: _Known, terms: "_Terms") -> bool:
     known.cameras[chosen] = np.linalg.solve(information[chosen], vector[chosen]).transpose(0, 2, 1)
     known.frames |= chosen
     return bool(chosen.any())
-
-
-def _foresee(known: _Known) -> None:
-    """With coherence, add the frames that the motion of the known ones foresees best."""
-    variance = np.where(known.frames, np.inf, np.einsum("tjj->t", known.camera_covariance))
-    known.frames |= variance <= FORESIGHT * variance.min()
 
 
 def _intersect(observations: Observations, known: _Known, terms: "_Terms") -> bool:

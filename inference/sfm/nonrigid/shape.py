@@ -52,9 +52,6 @@ def about_centroids(shapes: Numbers) -> Numbers:
     return about
 
 
-POSE = 6  # numbers of a frame before its weights: turn (rad), logarithm of scale, translation (px)
-
-
 def without_triangles(bases: Numbers) -> MorphableModel:
     """Points of which only places are of interest."""
     return MorphableModel(bases, np.zeros((0, 3), np.int64))
