@@ -81,8 +81,7 @@ class PredictionErrors:
         """`(...)`: by what factor K could grow before combining stops paying; perhaps infinite."""
         with np.errstate(divide="ignore"):
             factors = [np.where(loss > 0, share / loss, np.inf) for share, loss in self._shares_and_losses()]
-        smaller: Numbers = np.minimum(*factors)
-        return smaller
+        return np.minimum(*factors)
 
     @property
     def gammas(self) -> tuple[Numbers, Numbers]:
@@ -104,8 +103,7 @@ class PredictionErrors:
     def theorem_holds(self) -> NDArray[np.bool_]:
         """`(...)`: whether Theorem 2's condition is met; enough for benefit, but not needed for it."""
         meets = [np.linalg.eigvalsh(gamma)[..., 0] >= 0 for gamma in self.gammas]
-        both: NDArray[np.bool_] = np.logical_and(*meets)
-        return both
+        return np.logical_and(*meets)
 
     @property
     def correlation(self) -> Numbers:
@@ -114,8 +112,7 @@ class PredictionErrors:
             np.trace(_solve(self.observation, self.process + part), axis1=-2, axis2=-1)
             for part in (self.first, self.second, self.cross)
         )
-        ratio: Numbers = both / np.sqrt(first * second)
-        return ratio
+        return both / np.sqrt(first * second)
 
     def _shares_and_losses(self) -> Iterator[tuple[Numbers, Numbers]]:
         """What the product gains by being surer, and loses by common errors, over either chain."""
@@ -140,8 +137,7 @@ def cost(stated: Numbers, error: Numbers, process: Numbers, observation: Numbers
     logs = logs - log_determinant(seen) + log_determinant(process + observation)
     traces = np.trace(_solve(stated, total), axis1=-2, axis2=-1)
     traces = traces - np.trace(_solve(seen, total + observation), axis1=-2, axis2=-1)
-    half: Numbers = 0.5 * (logs + traces)
-    return half
+    return 0.5 * (logs + traces)
 
 
 def product_of(first: Numbers, second: Numbers) -> tuple[Numbers, Numbers, Numbers]:
@@ -161,8 +157,7 @@ def _of_the_observation(prediction: Numbers, observation: Numbers) -> Numbers:
 
 def log_determinant(matrix: Numbers) -> Numbers:
     """`(...)`, of `(..., d, d)`; minus infinity for a singular one."""
-    value: Numbers = np.linalg.slogdet(matrix)[1]
-    return value
+    return np.linalg.slogdet(matrix)[1]
 
 
 def transposed(matrix: Numbers) -> Numbers:
@@ -441,8 +436,7 @@ class GroupSums:
             times = np.bincount(drawn.ravel(), minlength=size * self.count).reshape(size, self.count)
             totals.append(times @ table)
         total = np.concatenate(totals)
-        means: Numbers = total[:, 1:] / total[:, :1]
-        return means
+        return total[:, 1:] / total[:, :1]
 
 
 def group_sums(values: Numbers, labels: NDArray[np.generic]) -> GroupSums:

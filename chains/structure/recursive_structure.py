@@ -382,8 +382,7 @@ def isotropic(variances: Numbers) -> Numbers:
 
 def _leverage(motion: CameraMotion, points: Numbers) -> Numbers:
     """px^2 by which the camera's uncertainty moves points `(n, 4)`, in u and in v."""
-    moved: Numbers = ((points @ motion.camera_covariance) * points).sum(axis=1)
-    return moved
+    return ((points @ motion.camera_covariance) * points).sum(axis=1)
 
 
 def _seen_through(linear: Numbers, spreads: Numbers) -> Numbers:
@@ -393,8 +392,7 @@ def _seen_through(linear: Numbers, spreads: Numbers) -> Numbers:
 
 def _joint(motion: CameraMotion, spreads: Numbers) -> Numbers:
     """px^2, in u and in v, of the product of both errors, the camera's and the point's."""
-    moved: Numbers = (motion.camera_covariance[:3, :3] * spreads).sum(axis=(1, 2))
-    return moved
+    return (motion.camera_covariance[:3, :3] * spreads).sum(axis=(1, 2))
 
 
 def _with_learned_noise(structure: Structure, found: Registration, elapsed: float, time: float) -> Structure:

@@ -59,10 +59,7 @@ class CorrelatedNoise:
         -2 log p(track | its point S) = quadratic - 2 vector . S + S . information S + determinant +
         constant; the four are `(n_tracks, 3, 3)`, `(n_tracks, 3)`, `(n_tracks,)`, `(n_tracks,)`.
         """
-        terms: tuple[Numbers, Numbers, Numbers, Numbers] = track_information(
-            tracks, np.ascontiguousarray(cameras), self.white, self.drift, self.decay
-        )
-        return terms
+        return track_information(tracks, np.ascontiguousarray(cameras), self.white, self.drift, self.decay)
 
 
 def estimate_correlated_noise(
@@ -80,15 +77,13 @@ def estimate_correlated_noise(
     n_points = int(point_of_track.max()) + 1
     count = 2 * len(tracks.x)
     root = np.linalg.cholesky(prior)
-    n_tracks = len(point_of_track)
-    pool = csr_array((np.ones(n_tracks), (point_of_track, np.arange(n_tracks))), shape=(n_points, n_tracks))
+    membership = certain(point_of_track, n_points)
     found: list[tuple[float, CorrelatedNoise]] = []
     for share in SHARES:
         for memory in MEMORIES if share else MEMORIES[:1]:
             noise = CorrelatedNoise(1 - share, share, memory)
             information, vector, quadratic, determinant = noise.information(tracks, cameras)
-            whole = np.asarray(pool @ information.reshape(-1, 9), np.float64).reshape(-1, 3, 3)
-            sums = np.asarray(pool @ vector, np.float64)
+            whole, sums = pooled(membership, information), pooled(membership, vector)
             # in the axes in which prior and observations of a point are diagonal
             values, axes = np.linalg.eigh(root.T @ whole @ root)
             squares = np.square(np.einsum("nji,kj,nk->ni", axes, root, sums))
@@ -201,8 +196,7 @@ def motion_precision(variances: Numbers, n_frames: int) -> Numbers:
         noise += variance * band @ band.T
     noise[np.diag_indices(count)] *= 1 + 1e-6
     rows = solve_triangular(np.linalg.cholesky(noise), np.diff(np.eye(n_frames), 3, axis=0), lower=True)
-    precision: Numbers = rows.T @ rows
-    return precision
+    return rows.T @ rows
 
 
 LEAST_WEIGHT = 1e-3  # of a position that is pooled from tracks: less is none
@@ -497,8 +491,7 @@ class _Association:
         rows = self._cameras[..., :3]
         variance = np.einsum("tcj,pjk,tck->tp", rows, np.linalg.inv(whole), rows, optimize=True)
         spread = np.einsum("tcj,jk,tck->t", rows, covariance, rows)
-        known: NDArray[np.bool_] = (variance < DETERMINED**2 * spread[:, None]).all(axis=0)
-        return known
+        return (variance < DETERMINED**2 * spread[:, None]).all(axis=0)
 
     def _result(self, noise: CorrelatedNoise) -> tuple[Factorisation, Indices]:
         membership = self._membership
@@ -528,8 +521,7 @@ class _Association:
 def log_partition(information: Numbers, vector: Numbers) -> Numbers:
     """Log integral of exp(vector . x - x . information x / 2) over x in 3-D, without log(2 pi); batched."""
     solved = np.linalg.solve(information, vector[..., None])[..., 0]
-    result: Numbers = 0.5 * ((vector * solved).sum(axis=-1) - np.linalg.slogdet(information)[1])
-    return result
+    return 0.5 * ((vector * solved).sum(axis=-1) - np.linalg.slogdet(information)[1])
 
 
 def unite_points(

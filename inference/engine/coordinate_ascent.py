@@ -197,8 +197,7 @@ class _BatchIncoming(BatchIncoming):
 
     def _message_at(self, node: Named) -> Message:
         slices, name, time = self._slices, node.name, self._time
-        product: Message = slices.messages(name, time, self._chain) * slices.evidence(name, time)
-        return product
+        return slices.messages(name, time, self._chain) * slices.evidence(name, time)
 
     @property
     def frame(self) -> Frame:

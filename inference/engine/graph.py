@@ -298,8 +298,7 @@ class MultiChain:
         return ports[0]
 
     def _port(self, chain: str, feature: str) -> Port:
-        port: Port = self.graph.edges[chain, feature]["port"]
-        return port
+        return self.graph.edges[chain, feature]["port"]
 
     def _nodes(self, kind: str) -> dict[str, Any]:
         return {name: data["node"] for name, data in self.graph.nodes.items() if data["kind"] == kind}

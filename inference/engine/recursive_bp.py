@@ -176,8 +176,7 @@ class _Incoming(Incoming):
         self._results = time_slice._results
 
     def _message_at(self, node: Named) -> Message:
-        product: Message = self._slice._multiply(node.name, self._factors[node.name])
-        return product
+        return self._slice._multiply(node.name, self._factors[node.name])
 
 
 @short_repr
@@ -288,8 +287,7 @@ class Belief:
     def _sent(self, sender: str, feature: FeatureNode[MessageType]) -> MessageType:
         if self._slice is None:
             raise KeyError(f"{feature.name}: nothing is said before the first frame that is not missing")
-        message: MessageType = self._slice.sent(sender, feature.name)
-        return message
+        return self._slice.sent(sender, feature.name)
 
     @overload
     def __getitem__(self, key: Chain[State], /) -> State: ...

@@ -161,8 +161,7 @@ def _linear_metric(rows: Numbers) -> Numbers:
 
     def product(one: Numbers, other: Numbers) -> Numbers:
         """Coefficients of one . Q other."""
-        both: Numbers = 0.5 * (one[:, first] * other[:, second] + one[:, second] * other[:, first]) * double
-        return both
+        return 0.5 * (one[:, first] * other[:, second] + one[:, second] * other[:, first]) * double
 
     u, v = rows[:, 0], rows[:, 1]
     size = np.sum(rows**2, axis=(1, 2))[:, None]
@@ -172,8 +171,7 @@ def _linear_metric(rows: Numbers) -> Numbers:
     metric = metric + np.triu(metric, 1).T
     metric *= np.sign(np.trace(metric)) or 1.0
     values, axes = np.linalg.eigh(metric)
-    root: Numbers = axes * np.sqrt(np.maximum(values, 1e-2 * values[-1]))
-    return root
+    return axes * np.sqrt(np.maximum(values, 1e-2 * values[-1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,8 +191,7 @@ class _Metric:
     @property
     def normal(self) -> Numbers:
         """`(5, 5)`."""
-        matrix: Numbers = self.jacobian.T @ (self.weight[:, None] * self.jacobian)
-        return matrix
+        return self.jacobian.T @ (self.weight[:, None] * self.jacobian)
 
     def squares(self, errors: Numbers) -> float:
         """Sum of squared errors, weighted as they are here: weights depend on G."""

@@ -76,8 +76,7 @@ class PerspectiveCameras:
     @property
     def centres(self) -> Numbers:
         """`(n_frames, 3)`: where the cameras stand, in the shape's axes."""
-        places: Numbers = -np.einsum("tji,tj->ti", self.rotations, self.translations)
-        return places
+        return -np.einsum("tji,tj->ti", self.rotations, self.translations)
 
     def seen(self, shape: Numbers) -> tuple[Numbers, Numbers]:
         """Positions `(n_frames, n_points, 2)` px of points `(n_points, 3)`, and their depths.

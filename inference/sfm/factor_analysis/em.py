@@ -45,8 +45,7 @@ def camera_moments(cameras: Numbers, covariance: Numbers | None = None) -> Numbe
     """Give E[m m^T] summed over the rows of u and v, as ten numbers `(n_frames, 10)`."""
     covariance = np.zeros((len(cameras), 4, 4)) if covariance is None else covariance
     second = np.einsum("tcj,tck->tjk", cameras, cameras) + 2 * covariance
-    moments: Numbers = second[:, UPPER[0], UPPER[1]]
-    return moments
+    return second[:, UPPER[0], UPPER[1]]
 
 
 class Sums:
@@ -80,8 +79,7 @@ class Sums:
         """Weighted squares of each point's positions."""
         listed = self._observations.by_point
         squares = listed.weight * (listed.x**2 + listed.y**2)
-        sums: Numbers = np.bincount(listed.own, squares, self._observations.n_points).astype(np.float64)
-        return sums
+        return np.bincount(listed.own, squares, self._observations.n_points).astype(np.float64)
 
     @cached_property
     def total(self) -> float:
@@ -123,8 +121,7 @@ def _matrices(seconds: Numbers, places: NDArray[np.int64]) -> Numbers:
     if repeated(seconds):
         matrix = seconds[0, places]
         return np.broadcast_to(matrix, (len(seconds), *matrix.shape))
-    matrices: Numbers = seconds[:, places]
-    return matrices
+    return seconds[:, places]
 
 
 def repeated(matrices: Numbers) -> bool:

@@ -500,14 +500,12 @@ def _axes(cameras: Numbers, counts: NDArray[np.int64]) -> Numbers:
     axes = axes[:, ::-1]
     turned = rows.reshape(-1, RANK) @ axes
     largest = turned[np.abs(turned).argmax(axis=0), np.arange(RANK)]
-    result: Numbers = axes * np.where(largest < 0, -1.0, 1.0)
-    return result
+    return axes * np.where(largest < 0, -1.0, 1.0)
 
 
 def projected(cameras: Numbers, shape: Numbers) -> Numbers:
     """Positions `(n_frames, n_points, 2)` px of points `(n_points, 3)` before cameras `(n_frames, 2, 4)`."""
-    positions: Numbers = np.einsum("tcj,ij->tic", cameras[..., :3], shape) + cameras[:, None, :, 3]
-    return positions
+    return np.einsum("tcj,ij->tic", cameras[..., :3], shape) + cameras[:, None, :, 3]
 
 
 def predicted(factorisation: Factorisation) -> tuple[Numbers, Numbers]:
@@ -657,5 +655,4 @@ def _free_squares(
     rows = rows * known[..., None]
     spread = np.einsum("ncj,njk,nck->n", rows, fit.shape_covariance[points], rows, optimize=True)
     free = 1 - weights * spread / (np.count_nonzero(known, axis=1) * fit.noise_variance)
-    squares: Numbers = np.square(off).sum(axis=1) / np.maximum(free, LEAST_FREE)
-    return squares
+    return np.square(off).sum(axis=1) / np.maximum(free, LEAST_FREE)

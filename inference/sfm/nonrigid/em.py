@@ -103,8 +103,7 @@ class State:
     @property
     def seen_axes(self) -> Numbers:
         """c R: `(n_frames, 2, 3)`, the part of the pose that is seen."""
-        axes: Numbers = self.scales[:, None, None] * self.rotations[:, :2]
-        return axes
+        return self.scales[:, None, None] * self.rotations[:, :2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,8 +249,7 @@ def _uncertain_shape(sums: PointSums, found: WeightPosterior, n_bases: int) -> N
     products = sums.points[:, 1:, 1:].reshape(-1, n_bases, 3, n_bases, 3)[:, 1:, :, 1:]
     by_modes = products.transpose(0, 1, 3, 2, 4).reshape(-1, n_modes**2, 9)
     flat = found.covariance.reshape(n, 1, n_modes**2)
-    summed: Numbers = np.matmul(flat, by_modes).reshape(n, 3, 3)
-    return summed
+    return np.matmul(flat, by_modes).reshape(n, 3, 3)
 
 
 OfFrames = TypeVar("OfFrames", State, WeightPosterior)

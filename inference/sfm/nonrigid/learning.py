@@ -172,8 +172,7 @@ def _smoothest(likelihoods: Numbers, rotations: Numbers) -> NDArray[np.int64]:
 
 def _angles(one: Numbers, other: Numbers) -> Numbers:
     """Angles `(...,)` rad between rotations `(..., 3, 3)`."""
-    angles: Numbers = np.arccos(np.clip((np.sum(one * other, axis=(-2, -1)) - 1) / 2, -1, 1))
-    return angles
+    return np.arccos(np.clip((np.sum(one * other, axis=(-2, -1)) - 1) / 2, -1, 1))
 
 
 STEPS, MOST_TRIED = 100, 2000  # steps that are taken, and tried, at most
@@ -259,16 +258,14 @@ def _derivatives(motion: Numbers, rows: Numbers) -> Numbers:
     first, second = motion[:, 0, :, None], motion[:, 1, :, None]
     one, other = rows[:, 0, None], rows[:, 1, None]
     parts = [2 * first * one, 2 * second * other, np.sqrt(2) * (first * other + second * one)]
-    together: Numbers = np.concatenate(parts).reshape(3 * len(rows), -1)
-    return together
+    return np.concatenate(parts).reshape(3 * len(rows), -1)
 
 
 def _rotations(rows: Numbers) -> Numbers:
     """The rotations whose first two rows are nearest to `(n_frames, 2, 3)`."""
     whole = np.concatenate([rows, np.cross(rows[:, 0], rows[:, 1])[:, None]], axis=1)
     # the third row has no say in which are nearest: it is perpendicular to both
-    rotations: Numbers = nearest_rotation(whole)
-    return rotations
+    return nearest_rotation(whole)
 
 
 BASES_OF_POSES = 12
@@ -344,8 +341,7 @@ def _filled(tracks: Tracks, state: State) -> Numbers:
     """Positions about the middles of all points, those that were not seen as the state has them."""
     predicted = whole_shapes(tracks, state)[..., :2] + state.translations[:, None]
     complete = np.where(tracks.seen[..., None] > 0, tracks.positions, predicted)
-    centred: Numbers = complete - complete.mean(axis=1, keepdims=True)
-    return centred
+    return complete - complete.mean(axis=1, keepdims=True)
 
 
 def whole_shapes(tracks: Tracks, state: State) -> Numbers:
@@ -356,8 +352,7 @@ def whole_shapes(tracks: Tracks, state: State) -> Numbers:
 def shapes_of(state: State, found: WeightPosterior) -> Numbers:
     """The same for weights that are known."""
     shapes = np.tensordot(found.extended, state.bases, 1) @ state.rotations.transpose(0, 2, 1)
-    scaled: Numbers = state.scales[:, None, None] * shapes
-    return scaled
+    return state.scales[:, None, None] * shapes
 
 
 def _best_first(tracks: Tracks, states: Sequence[State]) -> list[tuple[float, State]]:

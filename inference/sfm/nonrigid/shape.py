@@ -48,8 +48,7 @@ def nearer_image(shapes: Numbers, truth: Numbers) -> Numbers:
 
 def about_centroids(shapes: Numbers) -> Numbers:
     """Shapes `(n_frames, n_points, 3)` about their centroids."""
-    about: Numbers = shapes - shapes.mean(axis=1, keepdims=True)
-    return about
+    return shapes - shapes.mean(axis=1, keepdims=True)
 
 
 def without_triangles(bases: Numbers) -> MorphableModel:
@@ -75,8 +74,7 @@ def frame_covariances(bases: Numbers, poses: Poses, seen: NDArray[np.bool_], noi
     # before, a pose is known to a radian, a factor of e and its size: the turn of a line about itself, which
     # nothing shows, stays finite
     information[:, every, every] += np.where((every == 4) | (every == 5), 1 / poses.sizes[:, None] ** 2, 1.0)
-    covariances: Numbers = np.linalg.inv(information).astype(np.float64)
-    return covariances
+    return np.linalg.inv(information).astype(np.float64)
 
 
 def basis_covariances(
@@ -91,8 +89,7 @@ def basis_covariances(
     size = 3 * len(bases)
     information = (seen.T.astype(np.float64) @ products.reshape(len(seen), -1)).reshape(-1, size, size)
     prior = ALIKE * np.linalg.inv(basis_covariance(bases, axes))
-    covariances: Numbers = np.linalg.inv(information + np.kron(prior, np.eye(3)))
-    return covariances
+    return np.linalg.inv(information + np.kron(prior, np.eye(3)))
 
 
 @short_repr

@@ -84,13 +84,11 @@ class StudentNoise:
 
     def weights(self, squares: Numbers, weight: Numbers) -> Numbers:
         """What each observation counts in least squares `(n,)`: `weight` less what makes it an outlier."""
-        result: Numbers = weight * (self.freedom + 2) / (self.freedom + weight * squares / self.variance)
-        return result
+        return weight * (self.freedom + 2) / (self.freedom + weight * squares / self.variance)
 
     def agrees(self, squares: Numbers, weight: Numbers) -> NDArray[np.bool_]:
         """Whether an observation is no outlier: it counts for `HARDLY` or more of one that fits."""
-        agreeing: NDArray[np.bool_] = weight * squares <= (1 / HARDLY - 1) * self.freedom * self.variance
-        return agreeing
+        return weight * squares <= (1 / HARDLY - 1) * self.freedom * self.variance
 
     def log_likelihood(self, squares: Numbers, weight: Numbers) -> float:
         """Log density of errors `(n,)` px^2."""
@@ -157,8 +155,7 @@ def freedom(listed: Listed, *, focal_known: bool) -> int:
 
 def squares_of(listed: Listed, cameras: PerspectiveCameras, shape: Numbers) -> Numbers:
     """Squared distances `(n,)` px^2 between observations and where they should be."""
-    squares: Numbers = squared_distances(listed, *cameras.arrays, shape, NEAREST, BEHIND)
-    return squares
+    return squared_distances(listed, *cameras.arrays, shape, NEAREST, BEHIND)
 
 
 def adjust(

@@ -264,8 +264,7 @@ def _float(values: ArrayLike) -> Numbers:
 def _angles(one: Numbers, other: Numbers) -> Numbers:
     """Angles `(n,)` rad between vectors `(n, 3)`."""
     sine = np.linalg.norm(np.cross(one, other), axis=1)
-    angles: Numbers = np.arctan2(sine, np.sum(one * other, axis=1))
-    return angles
+    return np.arctan2(sine, np.sum(one * other, axis=1))
 
 
 FIT_ROUNDS = 15
@@ -461,8 +460,7 @@ class PerspectiveStructure:
     def agrees(self, positions: Numbers, weights: Numbers) -> Mask:
         """Whether there is an observation `(n_frames, n_points)`, and no outlier."""
         squares = np.sum((positions - self.positions) ** 2, axis=2)
-        agreeing: Mask = (weights > 0) & self.noise.agrees(np.where(weights > 0, squares, 0), weights)
-        return agreeing
+        return (weights > 0) & self.noise.agrees(np.where(weights > 0, squares, 0), weights)
 
     def of_points(self, points: Mask) -> Self:
         """The same with some points only."""
