@@ -336,28 +336,14 @@ def factorise(
     if not isinstance(start, Factorisation):
         whole = Observations.from_arrays(where, np.where(half, 0.0, given))
         start = _factorised(whole, start, *settings)
+    # EM over the coordinates that are missing: they are expected where cameras and shape have them
     share = 1 - 0.5 * float(np.count_nonzero(half) / np.count_nonzero(given > 0))
-
-    def found(filled: Numbers, begin: Factorisation) -> Factorisation:
-        return _factorised(Observations.from_arrays(filled, given, known=share), begin, *settings)
-
-    return _with_filled(where, given, half, start, found)
-
-
-def _with_filled(
-    where: Numbers,
-    weights: Numbers,
-    half: Mask,
-    start: Factorisation,
-    found: Callable[[Numbers, Factorisation], Factorisation],
-) -> Factorisation:
-    """Cameras and shape given positions of which one coordinate is missing, by EM over those coordinates."""
     missing = np.isnan(where) & half[..., None]
     filled, fit = where.copy(), start
     filled[missing] = projected(fit.cameras, fit.shape)[missing]
     acceleration, nearest = Anderson(), np.inf
     for _ in range(MOST_FILLINGS):
-        fit = found(filled, fit)
+        fit = _factorised(Observations.from_arrays(filled, given, known=share), fit, *settings)
         before, expected = filled[missing], projected(fit.cameras, fit.shape)[missing]
         off = float(np.sqrt(np.mean((expected - before) ** 2)))
         if off <= FILLED * np.sqrt(fit.noise_variance):
@@ -368,7 +354,7 @@ def _with_filled(
         else:
             filled[missing] = acceleration.propose(before, expected)
         nearest = off
-    return _without_filled(fit, weights, half, missing)
+    return _without_filled(fit, given, half, missing)
 
 
 def _without_filled(fit: Factorisation, weights: Numbers, half: Mask, missing: Mask) -> Factorisation:
