@@ -112,7 +112,8 @@ class PredictionErrors:
             np.trace(_solve(self.observation, self.process + part), axis1=-2, axis2=-1)
             for part in (self.first, self.second, self.cross)
         )
-        return both / np.sqrt(first * second)
+        ratio: Numbers = both / np.sqrt(first * second)
+        return ratio
 
     def _shares_and_losses(self) -> Iterator[tuple[Numbers, Numbers]]:
         """What the product gains by being surer, and loses by common errors, over either chain."""
@@ -137,7 +138,8 @@ def cost(stated: Numbers, error: Numbers, process: Numbers, observation: Numbers
     logs = logs - log_determinant(seen) + log_determinant(process + observation)
     traces = np.trace(_solve(stated, total), axis1=-2, axis2=-1)
     traces = traces - np.trace(_solve(seen, total + observation), axis1=-2, axis2=-1)
-    return 0.5 * (logs + traces)
+    half: Numbers = 0.5 * (logs + traces)
+    return half
 
 
 def product_of(first: Numbers, second: Numbers) -> tuple[Numbers, Numbers, Numbers]:
@@ -157,7 +159,8 @@ def _of_the_observation(prediction: Numbers, observation: Numbers) -> Numbers:
 
 def log_determinant(matrix: Numbers) -> Numbers:
     """`(...)`, of `(..., d, d)`; minus infinity for a singular one."""
-    return np.linalg.slogdet(matrix)[1]
+    value: Numbers = np.linalg.slogdet(matrix)[1]
+    return value
 
 
 def transposed(matrix: Numbers) -> Numbers:
@@ -436,7 +439,8 @@ class GroupSums:
             times = np.bincount(drawn.ravel(), minlength=size * self.count).reshape(size, self.count)
             totals.append(times @ table)
         total = np.concatenate(totals)
-        return total[:, 1:] / total[:, :1]
+        means: Numbers = total[:, 1:] / total[:, :1]
+        return means
 
 
 def group_sums(values: Numbers, labels: NDArray[np.generic]) -> GroupSums:

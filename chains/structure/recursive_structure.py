@@ -8,7 +8,7 @@ show, whose errors are not its own: so covariances stay consistent.
 """
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -336,7 +336,7 @@ def add_points(structure: Structure, seen: ObservedPoints) -> Structure:
     shape, covariance = intersect(shape, covariance, cameras, seen.positions[new], noise)
     added = seen.identities[new], shape, covariance, np.zeros(count), np.zeros((count, 2))
     parts = zip(PER_POINT, added, strict=True)
-    whole = {name: np.concatenate([getattr(structure, name), part]) for name, part in parts}
+    whole: dict[str, Any] = {name: np.concatenate([getattr(structure, name), part]) for name, part in parts}
     return replace(structure, **whole).only(np.argsort(whole["identities"]))
 
 
@@ -382,7 +382,8 @@ def isotropic(variances: Numbers) -> Numbers:
 
 def _leverage(motion: CameraMotion, points: Numbers) -> Numbers:
     """px^2 by which the camera's uncertainty moves points `(n, 4)`, in u and in v."""
-    return ((points @ motion.camera_covariance) * points).sum(axis=1)
+    moved: Numbers = ((points @ motion.camera_covariance) * points).sum(axis=1)
+    return moved
 
 
 def _seen_through(linear: Numbers, spreads: Numbers) -> Numbers:
@@ -392,7 +393,8 @@ def _seen_through(linear: Numbers, spreads: Numbers) -> Numbers:
 
 def _joint(motion: CameraMotion, spreads: Numbers) -> Numbers:
     """px^2, in u and in v, of the product of both errors, the camera's and the point's."""
-    return (motion.camera_covariance[:3, :3] * spreads).sum(axis=(1, 2))
+    moved: Numbers = (motion.camera_covariance[:3, :3] * spreads).sum(axis=(1, 2))
+    return moved
 
 
 def _with_learned_noise(structure: Structure, found: Registration, elapsed: float, time: float) -> Structure:

@@ -59,7 +59,10 @@ class CorrelatedNoise:
         -2 log p(track | its point S) = quadratic - 2 vector . S + S . information S + determinant +
         constant; the four are `(n_tracks, 3, 3)`, `(n_tracks, 3)`, `(n_tracks,)`, `(n_tracks,)`.
         """
-        return track_information(tracks, np.ascontiguousarray(cameras), self.white, self.drift, self.decay)
+        terms: tuple[Numbers, Numbers, Numbers, Numbers] = track_information(
+            tracks, np.ascontiguousarray(cameras), self.white, self.drift, self.decay
+        )
+        return terms
 
 
 def estimate_correlated_noise(
@@ -491,7 +494,8 @@ class _Association:
         rows = self._cameras[..., :3]
         variance = np.einsum("tcj,pjk,tck->tp", rows, np.linalg.inv(whole), rows, optimize=True)
         spread = np.einsum("tcj,jk,tck->t", rows, covariance, rows)
-        return (variance < DETERMINED**2 * spread[:, None]).all(axis=0)
+        known: NDArray[np.bool_] = (variance < DETERMINED**2 * spread[:, None]).all(axis=0)
+        return known
 
     def _result(self, noise: CorrelatedNoise) -> tuple[Factorisation, Indices]:
         membership = self._membership
@@ -521,7 +525,8 @@ class _Association:
 def log_partition(information: Numbers, vector: Numbers) -> Numbers:
     """Log integral of exp(vector . x - x . information x / 2) over x in 3-D, without log(2 pi); batched."""
     solved = np.linalg.solve(information, vector[..., None])[..., 0]
-    return 0.5 * ((vector * solved).sum(axis=-1) - np.linalg.slogdet(information)[1])
+    result: Numbers = 0.5 * ((vector * solved).sum(axis=-1) - np.linalg.slogdet(information)[1])
+    return result
 
 
 def unite_points(

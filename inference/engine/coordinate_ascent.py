@@ -197,7 +197,8 @@ class _BatchIncoming(BatchIncoming):
 
     def _message_at(self, node: Named) -> Message:
         slices, name, time = self._slices, node.name, self._time
-        return slices.messages(name, time, self._chain) * slices.evidence(name, time)
+        product: Message = slices.messages(name, time, self._chain) * slices.evidence(name, time)
+        return product
 
     @property
     def frame(self) -> Frame:

@@ -298,7 +298,8 @@ class MultiChain:
         return ports[0]
 
     def _port(self, chain: str, feature: str) -> Port:
-        return self.graph.edges[chain, feature]["port"]
+        port: Port = self.graph.edges[chain, feature]["port"]
+        return port
 
     def _nodes(self, kind: str) -> dict[str, Any]:
         return {name: data["node"] for name, data in self.graph.nodes.items() if data["kind"] == kind}

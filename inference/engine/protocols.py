@@ -148,7 +148,8 @@ class Incoming:
         if key not in self._results:
             # the arguments stay alive, so that no other object gets the id of one
             self._results[key] = arguments, function(*arguments)
-        return self._results[key][1]
+        result: Result = self._results[key][1]
+        return result
 
     def node(self, key: type | Named, /) -> Named:
         """The feature node that the chain is connected to, or the one of that kind; else a `KeyError`."""

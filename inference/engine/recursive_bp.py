@@ -176,7 +176,8 @@ class _Incoming(Incoming):
         self._results = time_slice._results
 
     def _message_at(self, node: Named) -> Message:
-        return self._slice._multiply(node.name, self._factors[node.name])
+        product: Message = self._slice._multiply(node.name, self._factors[node.name])
+        return product
 
 
 @short_repr
@@ -287,7 +288,8 @@ class Belief:
     def _sent(self, sender: str, feature: FeatureNode[MessageType]) -> MessageType:
         if self._slice is None:
             raise KeyError(f"{feature.name}: nothing is said before the first frame that is not missing")
-        return self._slice.sent(sender, feature.name)
+        message: MessageType = self._slice.sent(sender, feature.name)
+        return message
 
     @overload
     def __getitem__(self, key: Chain[State], /) -> State: ...

@@ -171,7 +171,8 @@ def _linear_metric(rows: Numbers) -> Numbers:
     metric = metric + np.triu(metric, 1).T
     metric *= np.sign(np.trace(metric)) or 1.0
     values, axes = np.linalg.eigh(metric)
-    return axes * np.sqrt(np.maximum(values, 1e-2 * values[-1]))
+    root: Numbers = axes * np.sqrt(np.maximum(values, 1e-2 * values[-1]))
+    return root
 
 
 @dataclass(frozen=True, eq=False)

@@ -76,7 +76,8 @@ class PerspectiveCameras:
     @property
     def centres(self) -> Numbers:
         """`(n_frames, 3)`: where the cameras stand, in the shape's axes."""
-        return -np.einsum("tji,tj->ti", self.rotations, self.translations)
+        places: Numbers = -np.einsum("tji,tj->ti", self.rotations, self.translations)
+        return places
 
     def seen(self, shape: Numbers) -> tuple[Numbers, Numbers]:
         """Positions `(n_frames, n_points, 2)` px of points `(n_points, 3)`, and their depths.

@@ -45,7 +45,8 @@ def camera_moments(cameras: Numbers, covariance: Numbers | None = None) -> Numbe
     """Give E[m m^T] summed over the rows of u and v, as ten numbers `(n_frames, 10)`."""
     covariance = np.zeros((len(cameras), 4, 4)) if covariance is None else covariance
     second = np.einsum("tcj,tck->tjk", cameras, cameras) + 2 * covariance
-    return second[:, UPPER[0], UPPER[1]]
+    moments: Numbers = second[:, UPPER[0], UPPER[1]]
+    return moments
 
 
 class Sums:

@@ -491,7 +491,8 @@ def _axes(cameras: Numbers, counts: NDArray[np.int64]) -> Numbers:
 
 def projected(cameras: Numbers, shape: Numbers) -> Numbers:
     """Positions `(n_frames, n_points, 2)` px of points `(n_points, 3)` before cameras `(n_frames, 2, 4)`."""
-    return np.einsum("tcj,ij->tic", cameras[..., :3], shape) + cameras[:, None, :, 3]
+    positions: Numbers = np.einsum("tcj,ij->tic", cameras[..., :3], shape) + cameras[:, None, :, 3]
+    return positions
 
 
 def predicted(factorisation: Factorisation) -> tuple[Numbers, Numbers]:
@@ -641,4 +642,5 @@ def _free_squares(
     rows = rows * known[..., None]
     spread = np.einsum("ncj,njk,nck->n", rows, fit.shape_covariance[points], rows, optimize=True)
     free = 1 - weights * spread / (np.count_nonzero(known, axis=1) * fit.noise_variance)
-    return np.square(off).sum(axis=1) / np.maximum(free, LEAST_FREE)
+    squares: Numbers = np.square(off).sum(axis=1) / np.maximum(free, LEAST_FREE)
+    return squares

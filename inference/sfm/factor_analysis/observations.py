@@ -216,7 +216,7 @@ def _joined(part: Observations) -> Mask:
     shown[listed.other[listed.edges[fullest] : listed.edges[fullest + 1]]] = True
     shared = np.bincount(listed.own[shown[listed.other]], minlength=n_frames)
     shared[fullest] = 0
-    joined = np.isin(np.arange(n_frames), (fullest, np.argmax(shared)))
+    joined: Mask = np.isin(np.arange(n_frames), [fullest, int(np.argmax(shared))])
     while True:
         known = np.bincount(listed.other[joined[listed.own]], minlength=part.n_points) >= LEAST_VIEWS
         more = joined | (np.bincount(listed.own[known[listed.other]], minlength=n_frames) >= LEAST_POINTS)

@@ -16,7 +16,7 @@ integrated out, all frames together. Frames that are left out count as none.
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,7 +96,7 @@ class State:
     noise: float
     damping: Numbers
 
-    def begun(self, **changes: Numbers) -> Self:
+    def begun(self, **changes: Any) -> Self:
         """The same with these changes, before the first step."""
         return replace(self, damping=np.full(len(self.scales), FIRST_DAMPING), **changes)
 
@@ -249,7 +249,8 @@ def _uncertain_shape(sums: PointSums, found: WeightPosterior, n_bases: int) -> N
     products = sums.points[:, 1:, 1:].reshape(-1, n_bases, 3, n_bases, 3)[:, 1:, :, 1:]
     by_modes = products.transpose(0, 1, 3, 2, 4).reshape(-1, n_modes**2, 9)
     flat = found.covariance.reshape(n, 1, n_modes**2)
-    return np.matmul(flat, by_modes).reshape(n, 3, 3)
+    summed: Numbers = np.matmul(flat, by_modes).reshape(n, 3, 3)
+    return summed
 
 
 OfFrames = TypeVar("OfFrames", State, WeightPosterior)
@@ -263,7 +264,7 @@ def chosen_poses(first: NDArray[np.bool_], one: State, other: State) -> State:
 def chosen(first: NDArray[np.bool_], one: OfFrames, other: OfFrames, names: Iterable[str]) -> OfFrames:
     """`other` with these of the arrays of `one` in the frames `first`."""
 
-    def mixed(name: str) -> Numbers:
+    def mixed(name: str) -> Any:
         new, old = getattr(one, name), getattr(other, name)
         return np.where(first.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 

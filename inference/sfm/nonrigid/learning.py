@@ -172,7 +172,8 @@ def _smoothest(likelihoods: Numbers, rotations: Numbers) -> NDArray[np.int64]:
 
 def _angles(one: Numbers, other: Numbers) -> Numbers:
     """Angles `(...,)` rad between rotations `(..., 3, 3)`."""
-    return np.arccos(np.clip((np.sum(one * other, axis=(-2, -1)) - 1) / 2, -1, 1))
+    angles: Numbers = np.arccos(np.clip((np.sum(one * other, axis=(-2, -1)) - 1) / 2, -1, 1))
+    return angles
 
 
 STEPS, MOST_TRIED = 100, 2000  # steps that are taken, and tried, at most
@@ -341,7 +342,8 @@ def _filled(tracks: Tracks, state: State) -> Numbers:
     """Positions about the middles of all points, those that were not seen as the state has them."""
     predicted = whole_shapes(tracks, state)[..., :2] + state.translations[:, None]
     complete = np.where(tracks.seen[..., None] > 0, tracks.positions, predicted)
-    return complete - complete.mean(axis=1, keepdims=True)
+    centred: Numbers = complete - complete.mean(axis=1, keepdims=True)
+    return centred
 
 
 def whole_shapes(tracks: Tracks, state: State) -> Numbers:

@@ -48,7 +48,8 @@ def nearer_image(shapes: Numbers, truth: Numbers) -> Numbers:
 
 def about_centroids(shapes: Numbers) -> Numbers:
     """Shapes `(n_frames, n_points, 3)` about their centroids."""
-    return shapes - shapes.mean(axis=1, keepdims=True)
+    about: Numbers = shapes - shapes.mean(axis=1, keepdims=True)
+    return about
 
 
 def without_triangles(bases: Numbers) -> MorphableModel:

@@ -155,7 +155,8 @@ def freedom(listed: Listed, *, focal_known: bool) -> int:
 
 def squares_of(listed: Listed, cameras: PerspectiveCameras, shape: Numbers) -> Numbers:
     """Squared distances `(n,)` px^2 between observations and where they should be."""
-    return squared_distances(listed, *cameras.arrays, shape, NEAREST, BEHIND)
+    squares: Numbers = squared_distances(listed, *cameras.arrays, shape, NEAREST, BEHIND)
+    return squares
 
 
 def adjust(

@@ -264,7 +264,8 @@ def _float(values: ArrayLike) -> Numbers:
 def _angles(one: Numbers, other: Numbers) -> Numbers:
     """Angles `(n,)` rad between vectors `(n, 3)`."""
     sine = np.linalg.norm(np.cross(one, other), axis=1)
-    return np.arctan2(sine, np.sum(one * other, axis=1))
+    angles: Numbers = np.arctan2(sine, np.sum(one * other, axis=1))
+    return angles
 
 
 FIT_ROUNDS = 15
