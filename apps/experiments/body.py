@@ -44,8 +44,7 @@ from ..body.measures import (
 )
 from ..scenes import SignerScene, signer
 from ..view.overlay import BodyOverlay, TrackedBody
-from .experiment import Findings, Picture, by_seed
-from .mosaic import mosaic
+from .experiment import Findings, Picture, by_seed, mosaic
 from .record import Expectation, Table, over_seeds
 
 Image = NDArray[np.uint8]

@@ -25,8 +25,7 @@ from ..runs.interruption import Interruption, Outcome
 from ..runs.progress import Progress
 from ..runs.region import inside, read_region
 from .baselines import CleanUp, KalmanHungarian, Subtractor, components, opencv_subtractor
-from .experiment import Findings, Picture, Plot, publish
-from .mosaic import fitting, mosaic
+from .experiment import Findings, Picture, Plot, fitting, mosaic, publish
 from .record import Table
 
 if TYPE_CHECKING:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 Cell = TypeVar("Cell", bound=Hashable)
 Method = TypeVar("Method", bound=Hashable)
 T = TypeVar("T")
+Image = NDArray[np.uint8]
 
 INK = dict.fromkeys(
     ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color", "grid.color"), "#0a0b0c"
@@ -82,7 +84,7 @@ class Picture:
     """A picture `(height, width[, 3])` uint8 BGR: its file's name, and what is said below it."""
 
     name: str
-    image: NDArray[np.uint8]
+    image: Image
     caption: str
 
     def write(self, path: Path) -> None:
@@ -130,3 +132,43 @@ def publish(name: str, command: str, out: Path, run: Callable[[], Findings]) -> 
     sections: list[Section] = [("", judged), ("Figures", shown), ("Measured", measured)]
     write_page(out / "index.html", Page(found.title, sections=[each for each in sections if each[1]]))
     print(f"\npage: {out / 'index.html'}")
+
+
+GAP = 4  # px
+TEXT = 18  # px, height of a line
+PAPER = 255
+TALLEST = 4  # times as high as wide: the room for a picture
+
+
+def fitting(shape: tuple[int, ...], width: int) -> tuple[int, int]:
+    """Width and height, px, of a picture `(height, width[, 3])` at a width; less for a very tall one."""
+    scale = min(width / shape[1], TALLEST * width / shape[0])
+    return max(1, round(scale * shape[1])), max(1, round(scale * shape[0]))
+
+
+def mosaic(rows: Sequence[tuple[str, Sequence[Image]]], columns: Sequence[str], width: int = 240) -> Image:
+    """Lay out pictures `(height, width[, 3])` uint8, all of one size, in rows with their names above them.
+
+    `columns` are the names above the first row. Each picture is scaled to `width` px, unless it is more
+    than four times as high as wide. The sheet is `(height, width, 3)` BGR.
+    """
+    width, height = fitting(rows[0][1][0].shape, width)
+    across, down = width + GAP, height + TEXT + GAP
+    shape = (TEXT + len(rows) * down + GAP, len(columns) * across + GAP, 3)
+    sheet: Image = np.full(shape, PAPER, np.uint8)
+    for column, name in enumerate(columns):
+        _write(sheet, name, GAP + column * across, TEXT - 5)
+    for row, (name, images) in enumerate(rows):
+        top = TEXT + row * down
+        _write(sheet, name, GAP, top + TEXT - 5)
+        for column, image in enumerate(images):
+            left = GAP + column * across
+            small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+            if small.ndim == 2:
+                small = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
+            sheet[top + TEXT : top + TEXT + height, left : left + width] = small
+    return sheet
+
+
+def _write(sheet: Image, text: str, x: int, y: int) -> None:
+    cv2.putText(sheet, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 0, 0), 1, cv2.LINE_AA)

@@ -410,12 +410,14 @@ def gain() -> Findings:
     )
 
 
+def _best_gain(found: Measured) -> float:
+    return min(GAINS, key=lambda gain: median(found[f"{gain:g}"]))
+
+
 def expected_of_gains(everything: Mapping[str, Measured]) -> list[Expectation]:
     """What is wanted; of ratios of medians."""
-    best_gain, best = {}, {}
-    for scene, found in everything.items():
-        best_gain[scene] = min(GAINS, key=lambda gain, found=found: median(found[f"{gain:g}"]))  # type: ignore[misc]
-        best[scene] = median(found[f"{best_gain[scene]:g}"])
+    best_gain = {scene: _best_gain(found) for scene, found in everything.items()}
+    best = {scene: median(found[f"{best_gain[scene]:g}"]) for scene, found in everything.items()}
     flow, moved = median(everything[STEADY][f"{GAINS[-1]:g}"]), best_gain[CHANGING] / best_gain[STEADY]
     what = f"{STEADY}: error of flow (gain {GAINS[-1]:g}) over that of the best gain"
     learned = "error with learned gains over that of the best fixed gain"

@@ -16,8 +16,7 @@ from ..scenes import sleeping_man as street
 from .baselines import SETTINGS, CleanUp, Setting, sweep_subtractors
 from .compare import CHAINS, SHOWN_PRIOR, Model
 from .datasets import data_folder
-from .experiment import Findings, Picture, by_seed
-from .mosaic import mosaic
+from .experiment import Findings, Picture, by_seed, mosaic
 from .record import Expectation, Table, over_seeds
 
 Image = NDArray[np.uint8]

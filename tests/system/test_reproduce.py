@@ -12,7 +12,7 @@ from rsmcm.apps.experiments import masks as experiment
 from rsmcm.apps.experiments import run_experiment
 from rsmcm.apps.experiments.baselines import SETTINGS, CleanUp, opencv_subtractor
 from rsmcm.apps.experiments.compare import COLUMNS, Gallery, Model, ModelSubtractor, Usual
-from rsmcm.apps.experiments.mosaic import mosaic
+from rsmcm.apps.experiments.experiment import mosaic
 from rsmcm.apps.experiments.record import Expectation
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame

@@ -6,7 +6,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
-from rsmcm.apps.experiments.mosaic import TALLEST, fitting, mosaic
+from rsmcm.apps.experiments.experiment import TALLEST, fitting, mosaic
 from rsmcm.apps.view.overlay import LONGEST_SIDE, enlargement
 
 from ..conftest import Command, names, summary_of
