@@ -141,7 +141,7 @@ class ErrorClasses:
         return ErrorClasses(*map(add, astuple(self), astuple(other)))
 
 
-def error_classes(foreground: NDArray[np.uint8], truth: BoxTruth, min_area: int = MIN_AREA) -> ErrorClasses:
+def error_classes(foreground: NDArray[np.uint8], truth: BoxTruth) -> ErrorClasses:
     """Count missed objects and ghosts in one frame.
 
     Parameters
@@ -150,11 +150,11 @@ def error_classes(foreground: NDArray[np.uint8], truth: BoxTruth, min_area: int 
         `(height, width)` uint8, not 0 where foreground was found.
     truth
         the boxes of this frame.
-    min_area
-        px; smaller components (8-connected) are dropped first.
 
     Notes
     -----
+    Components (8-connected) smaller than `MIN_AREA` are dropped first.
+
     *Ghost*: less than 10 % of the component's pixels lie in true boxes (ignored ones included) grown by
     20 % about their centres. *Missed*: less than 50 % of the true box, clipped to the picture, is covered
     by the union of the bounding boxes of the components that are no ghosts. Boxes are compared with boxes,
@@ -162,7 +162,7 @@ def error_classes(foreground: NDArray[np.uint8], truth: BoxTruth, min_area: int 
     over the whole picture would find everybody. Objects wholly outside the picture do not count.
     """
     height, width = foreground.shape
-    labels, corners, areas = _components(foreground, min_area)
+    labels, corners, areas = _components(foreground)
     far = np.ones((height, width), np.bool_)
     inside = np.zeros(len(areas), np.int64)
     for x0, y0, x1, y1 in _pixel_corners(truth.box, foreground.shape, _GROWTH):
@@ -194,12 +194,10 @@ def error_classes(foreground: NDArray[np.uint8], truth: BoxTruth, min_area: int 
     )
 
 
-def mask_error_classes(
-    foreground: NDArray[np.uint8], labels: NDArray[np.uint8], min_area: int = MIN_AREA
-) -> ErrorClasses:
+def mask_error_classes(foreground: NDArray[np.uint8], labels: NDArray[np.uint8]) -> ErrorClasses:
     """Count missed objects and ghosts in one frame of labelled masks.
 
-    The true objects are the connected components of the labels' foreground with at least `min_area` pixels;
+    The true objects are the connected components of the labels' foreground with at least `MIN_AREA` pixels;
     one is missed if less than 50 % of its pixels belong to extracted components. A ghost has less than 10 %
     of its pixels on anything but background: where the truth is unknown, nothing is a ghost.
 
@@ -209,8 +207,6 @@ def mask_error_classes(
         `(height, width)` uint8, not 0 where foreground was found.
     labels
         `(height, width)` uint8, CDnet's labels.
-    min_area
-        px, of extracted and of true components.
 
     Raises
     ------
@@ -218,10 +214,10 @@ def mask_error_classes(
         if the two differ in size.
     """
     _check_same_size(foreground, labels)
-    found, _, areas = _components(foreground, min_area)
+    found, _, areas = _components(foreground)
     inside = np.bincount(found[labels > 0], minlength=len(areas))
     kept = areas > 0
-    objects, _, sizes = _components((labels == FOREGROUND).astype(np.uint8), min_area)
+    objects, _, sizes = _components((labels == FOREGROUND).astype(np.uint8))
     covered = np.bincount(objects[kept[found]], minlength=len(sizes))
     missed = int(np.count_nonzero((sizes > 0) & (covered < _COVERED * sizes)))
     return ErrorClasses(
@@ -232,13 +228,11 @@ def mask_error_classes(
     )
 
 
-def _components(
-    mask: NDArray[np.uint8], min_area: int
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+def _components(mask: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
     """Return labels, corners (x0, y0, x1, y1) and areas of components; area 0: background or too small."""
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     areas = statistics[:, cv2.CC_STAT_AREA].astype(np.int32)
-    areas[areas < min_area] = 0
+    areas[areas < MIN_AREA] = 0
     areas[0] = 0
     corners = statistics[:, : cv2.CC_STAT_HEIGHT + 1].astype(np.int32)
     corners[:, 2:] += corners[:, :2]

@@ -151,17 +151,11 @@ class Sprite:
     texels: Pixels  # (height, width, 4), premultiplied as in `Layer`
     joint: tuple[float, float]
 
-    def placed(self, x: float, y: float) -> tuple["Sprite", NDArray[np.float64]]:
-        """This sprite with its joint at `(x, y)` px, upright."""
-        return self, _shift(x, y)
-
-    def reach(self, x: float, y: float) -> tuple[int, int, int, int]:
-        """Left, top, width, height of a patch that holds the sprite with its joint at `(x, y)` px."""
+    def standing(self, x: float, y: float) -> Layer:
+        """The sprite by itself, upright, with its joint at `(x, y)` px."""
         height, width = self.texels.shape[:2]
-        left, top = (
-            int(np.floor(at - joint / DETAIL)) - 1 for at, joint in zip((x, y), self.joint, strict=True)
-        )
-        return left, top, width // DETAIL + 4, height // DETAIL + 4
+        left, top = (np.floor(np.array([x, y]) - np.array(self.joint) / DETAIL).astype(int) - 1).tolist()
+        return compose([(self, _shift(x, y))], (left, top, width // DETAIL + 4, height // DETAIL + 4))
 
 
 def compose(parts: Sequence[tuple[Sprite, NDArray[np.float64]]], reach: tuple[int, int, int, int]) -> Layer:
@@ -529,9 +523,8 @@ class Scene(GeneratedFilm):
         width, height = self.size
         driven = max(0, index - self.car_leaves + 1) * self.dt
         left = 0.62 * width + 0.5 * 0.25 * width * driven**2  # accelerates by a quarter of the width
-        wheels = 0.80 * height
-        car = compose([self._car_sprite.placed(left, wheels)], self._car_sprite.reach(left, wheels))
         _, feet, walked, gait = self._visit(index)
+        car = self._car_sprite.standing(left, 0.80 * height)
         return car, self._figure.posed(feet, 0.94 * height, walked, gait, index * self.dt)
 
     def _visible(self, index: int) -> tuple[Mask, Mask]:
