@@ -4,7 +4,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar, cast
 
 import cv2
 import numpy as np
@@ -40,8 +40,7 @@ def opencv_subtractor(method: str, history: int, threshold: float) -> Subtractor
     """
     cv2.setRNGSeed(0)  # KNN draws from OpenCV's generator: the same run must give the same masks
     make = {"MOG2": cv2.createBackgroundSubtractorMOG2, "KNN": cv2.createBackgroundSubtractorKNN}[method]
-    subtractor: Subtractor = make(history, threshold, True)  # type: ignore[operator]
-    return subtractor
+    return cast(Subtractor, make(history, threshold, True))
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import textwrap
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import cv2
 import numpy as np
@@ -28,7 +28,7 @@ Image = NDArray[np.uint8]
 INK = dict.fromkeys(
     ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color", "grid.color"), "#0a0b0c"
 )
-STYLE = {
+STYLE: dict[Any, object] = {
     "font.family": "sans-serif", "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
     "axes.axisbelow": True, "grid.alpha": 0.18, "legend.frameon": False, **INK,
 }  # fmt: skip

@@ -261,7 +261,9 @@ def over_tracks() -> Curve:
     """Which tracks show one point: robust factor analysis, association, and what is read of both."""
     steps = {count: partial(associate_tracks, broken_tracks(count)) for count in TRACKS}
     turns = {count: 2 if count > TRACKS[1] else ROUNDS for count in TRACKS}
-    rounds = {count: in_turns({"ours": step}, turns[count])["ours"] for count, step in steps.items()}
+    rounds: dict[float, list[float]] = {
+        count: in_turns({"ours": step}, turns[count])["ours"] for count, step in steps.items()
+    }
     return Curve.of("association", "tracks", rounds)
 
 

@@ -141,7 +141,8 @@ def _by_remap(
 ) -> tuple[Numbers, Numbers]:
     """The same normal equations with a Jacobian of every texel."""
     texels = surface.texels
-    positions, rows = surface.rows(poses)
+    positions, rows, write = surface.rows(poses)
+    write(0, len(poses))
     corners = surface.used_texels.groups[texels.group_of_texel]
     places = np.einsum("na,nac->nc", texels.weights, positions[0][corners])
     texel_rows = np.einsum("na,nacd->ncd", texels.weights, rows[0][corners][..., : poses.dimension])
