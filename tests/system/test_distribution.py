@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("models", "inference", "chains", "apps")
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "_build", "generated", "*.nb[ic]")
-MOST_SECONDS = 300
+MOST_SECONDS = 900
 
 
 @pytest.fixture(scope="module")
