@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -40,17 +40,6 @@ PRIORS = (0.5, 0.7, 0.9, 0.99)  # P(B) of the stand-alone background, as in Fig.
 SHOWN_PRIOR = 0.9  # which of them Fig. 11's picture shows
 COLUMNS = 5  # of Fig. 11's picture
 PICTURE_WIDTH = 240  # px
-
-
-class Method(Protocol):
-    """Something that finds foreground, and perhaps tracks, frame by frame."""
-
-    name: str
-    tracks: bool  # whether it can
-
-    def step(self, frame: Frame) -> Found:
-        """Take in the next frame."""
-        ...
 
 
 class Model:
@@ -124,7 +113,7 @@ class Usual:
 class Tally:
     """One method's results, gathered frame by frame."""
 
-    method: Method
+    method: Model | Usual
     scoring: Scoring | None
     seconds: float = 0.0
     share: float = 0.0  # of the picture that is foreground, summed over frames
@@ -225,7 +214,7 @@ FIGURE_ROWS = (
 
 def methods_of_figure_8(
     size: tuple[int, int], parameters: Parameters, camera: Camera = "fixed"
-) -> list[Method]:
+) -> list[Model | Usual]:
     """The background by itself at several P(B), feed-forward, RSMCM, and OpenCV's subtractors as they come.
 
     The latter know neither parameters nor a camera that moves. `size` is `(width, height)` px.

@@ -615,7 +615,7 @@ COMPARED = {
 """The methods by condition."""
 
 
-def follow_before(case: tuple[str, str], seed: int) -> dict[str, Evaluation]:
+def follow_case(case: tuple[str, str], seed: int) -> dict[str, Evaluation]:
     """Follow one scene from its true first pose with one method; vertices are the mean over the experts."""
     condition, method = case
     settings, tracker = {**CONDITIONS, **TURNING}[condition]
@@ -648,7 +648,7 @@ def face_background() -> Findings:
     """Errors with no background, a shared one, and one an expert; and with self-occlusion handled and not."""
     cases = [(condition, method) for condition, methods in COMPARED.items() for method in methods]
     found: dict[str, dict[str, list[Evaluation]]] = {condition: {} for condition in COMPARED}
-    for (condition, _), evaluations in by_seed("face and background", follow_before, cases, SEEDS).items():
+    for (condition, _), evaluations in by_seed("face and background", follow_case, cases, SEEDS).items():
         found[condition].update(evaluations)
     lines = [
         [scene, method, quartiles(evaluations), n_lost(evaluations), f"{median(evaluations, 'time'):.0f}"]

@@ -177,7 +177,7 @@ def test_claims_of_face_and_background() -> None:
 def test_a_run_with_a_background(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(faces, "BACKGROUND_FRAMES", 5)
     monkeypatch.setattr(faces, "BACKGROUND_EXPERTS", 2)
-    one = faces.follow_before((faces.MOVING, method), 1)[method]
+    one = faces.follow_case((faces.MOVING, method), 1)[method]
     assert len(one.errors) == 5
     assert one.error < 2
     assert one.time > 0
