@@ -60,22 +60,15 @@ def draw_mesh(shown, depth, places, attributes, triangles, texture):
                             shown[row, column, channel] = light * (above + down * (below - above))
 
 
-@compiled
 def average_samples(picture, covered, grey, depth, across, left, top):
     """Blend samples, `across` x `across` a pixel, over `picture` from pixel `(left, top)` on.
 
     covered (height, width) receives the share of each pixel that is drawn.
     """
-    share = _f4(1.0 / (across * across))
-    for row in range(depth.shape[0] // across):
-        for column in range(depth.shape[1] // across):
-            total, count = _f4(0), 0
-            for i in range(row * across, (row + 1) * across):
-                for j in range(column * across, (column + 1) * across):
-                    if depth[i, j] < _f4(FARTHEST):
-                        total += grey[i, j]
-                        count += 1
-            part = _f4(count) * share
-            covered[top + row, left + column] = part
-            old = picture[top + row, left + column]
-            picture[top + row, left + column] = total * share + (_f4(1) - part) * old
+    drawn, share = depth < _f4(FARTHEST), _f4(1 / across**2)
+    places = [np.s_[i::across, j::across] for i in range(across) for j in range(across)]
+    total = sum(np.where(drawn[place], grey[place], _f4(0)) for place in places)
+    part = sum(drawn[place].astype(np.float32) for place in places) * share
+    window = np.s_[top : top + part.shape[0], left : left + part.shape[1]]
+    covered[window] = part
+    picture[window] = total * share + (1 - part) * picture[window]
