@@ -88,7 +88,7 @@ EXPRESSIONS = ("jaw opens", "smile", "brows rise", "pucker", "mouth aside")
 def face_model(fineness: int = 1, *, shields: bool = False) -> MorphableModel:
     """The built-in model: 102 vertices, 180 triangles, a typical shape and five expressions.
 
-    Its origin is the centroid of the typical shape. Landmarks have names in `landmarks()`.
+    Its origin is the centroid of the typical shape.
 
     Parameters
     ----------
@@ -111,15 +111,6 @@ def face_model(fineness: int = 1, *, shields: bool = False) -> MorphableModel:
     typical = _typical(plane) - origin
     bases = np.concatenate([typical[None], _expressions(plane)]) / scale
     return MorphableModel(bases, _refined(fineness, shields)[1].copy(), names=("typical", *EXPRESSIONS))
-
-
-def landmarks() -> dict[str, int]:
-    """Vertex numbers by name, in `face_model` of any fineness; "left" and "right" as the picture shows it."""
-    numbers = {name: number for number, name in enumerate(MIDDLE)}
-    for number, name in enumerate(SIDE):
-        numbers[f"right {name}"] = len(MIDDLE) + number
-        numbers[f"left {name}"] = len(MIDDLE) + len(SIDE) + number
-    return numbers
 
 
 def face_plane(fineness: int = 1, *, shields: bool = False) -> Array:
