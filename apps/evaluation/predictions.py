@@ -36,31 +36,17 @@ NAMES = ("first", "second", "feature", "unit")
 class _Pair:
     first: str
     second: str
-    feature: str
-    unit: str
+    feature: str  # what both chains predict
+    unit: str  # of the feature, such as "px"; of scores what a row is of, such as "a pixel"
 
 
 @dataclass(frozen=True, eq=False)
 class PairRecord(_Pair):
-    """Predictions of one pair of chains.
+    """Predictions of one pair of chains."""
 
-    Parameters
-    ----------
-    first, second, feature
-        names of the chains and of what they predict.
-    unit
-        of the feature, such as "px".
-    predictions
-        `n` of them.
-    tracks
-        `(n,)` int64, of which point, part or object.
-    frames
-        `(n,)` int64, numbers of the frames.
-    """
-
-    predictions: RecordedPredictions
-    tracks: NDArray[np.int64]
-    frames: NDArray[np.int64]
+    predictions: RecordedPredictions  # n of them
+    tracks: NDArray[np.int64]  # `(n,)`, of which point, part or object
+    frames: NDArray[np.int64]  # `(n,)`, numbers of the frames
 
     def rows(self, kept: NDArray[np.int64]) -> "PairRecord":
         """Some of its rows."""
@@ -70,20 +56,10 @@ class PairRecord(_Pair):
 
 @dataclass(frozen=True, eq=False)
 class ScoreRecord(_Pair):
-    """Log densities that a pair of chains and their product gave to what was observed.
+    """Log densities that a pair of chains and their product gave to what was observed."""
 
-    Parameters
-    ----------
-    first, second, feature, unit
-        as in `PairRecord`; `unit` is what a row's score is of, such as "a pixel".
-    scores
-        `(n, 3)` nats: of the first chain, the second, and their product.
-    frames
-        `(n,)` int64, numbers of the frames.
-    """
-
-    scores: NDArray[np.float64]
-    frames: NDArray[np.int64]
+    scores: NDArray[np.float64]  # `(n, 3)` nats: of the first chain, the second, and their product
+    frames: NDArray[np.int64]  # `(n,)`, numbers of the frames
 
     def rows(self, kept: NDArray[np.int64]) -> "ScoreRecord":
         """Some of its rows."""
@@ -100,12 +76,7 @@ class PairRecorder:
     Memory is bounded: when there are more than `most` rows, every other frame is dropped, and from then on
     frames are taken half as often.
 
-    Parameters
-    ----------
-    first, second, feature, unit
-        as in `PairRecord`.
-    most
-        rows; two files' worth if not given.
+    `most` rows are two files' worth if not given.
     """
 
     first: str

@@ -19,34 +19,19 @@ class StructureScores:
     """Errors and counts of one reconstruction.
 
     An estimated point stands for the true point that most of the observations assigned to it belong to.
-
-    Parameters
-    ----------
-    reprojection_error
-        root mean square distance between estimated points and the noise-free ones that they stand for, over
-        all frames and estimated points, visible or not, in the truth's unit of length.
-    shape_error
-        root mean square distance in space, over estimated points, after the affine map of the estimated
-        shape that makes it smallest; NaN where there is no shape.
-    n_points
-        estimated points.
-    n_spurious
-        those beyond one for every true point that is represented.
-    n_missing
-        true points for which no estimated point stands.
-    n_rejected
-        tracks that belong to no estimated point.
-    purity
-        share of the estimated points all of whose observations are of one true point.
     """
 
+    # root mean square distance between estimated points and the noise-free ones that they stand for, over all
+    # frames and estimated points, visible or not, in the truth's unit of length
     reprojection_error: float
+    # root mean square distance in space, over estimated points, after the affine map of the estimated shape
+    # that makes it smallest; NaN where there is no shape
     shape_error: float
-    n_points: int
-    n_spurious: int
-    n_missing: int
-    n_rejected: int
-    purity: float
+    n_points: int  # estimated points
+    n_spurious: int  # those beyond one for every true point that is represented
+    n_missing: int  # true points for which no estimated point stands
+    n_rejected: int  # tracks that belong to no estimated point
+    purity: float  # share of the estimated points all of whose observations are of one true point
 
 
 def score_structure(
