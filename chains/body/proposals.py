@@ -373,16 +373,6 @@ class Candidates:
         """With factors `(n,)` that others say; weights are normalised."""
         return replace(self, log_weights=normalised(self.log_weights + log_factors))
 
-    def take(self, rows: NDArray[np.int64], log_weights: Array) -> Self:
-        """Some of them, with other weights."""
-        return replace(
-            self,
-            poses=self.poses.take(rows),
-            log_weights=log_weights,
-            ancestors=self.ancestors.take(rows),
-            anew=self.anew[rows],
-        )
-
     def log_prior(self, poses: BodyPoses, owners: NDArray[np.int64]) -> Array:
         """`(m,)` nats of poses that go back to what candidates `owners` `(m,)` go back to, up to a constant
         of each; minus infinity where joints forbid them."""

@@ -328,7 +328,10 @@ class GFlow(PickledByFields):
         background already. To points: where its vertices should be, before the picture.
         """
         if isinstance(feature, PointTracks):
-            return self._vertices_predicted(state) or feature.uniform()
+            if (state.doubted and self.recover) or not self.tracked or not state.elapsed:
+                return feature.uniform()
+            prior = self._prior(state)
+            return PointMessage(predicted_points(self.model, prior, state.weights, self._tracked))
         others = incoming[feature]
         nothing_there = others.image is None and others.background is None
         if state.lost or not len(self.model.triangles) or nothing_there:
@@ -344,11 +347,6 @@ class GFlow(PickledByFields):
     def update(self, state: GFlowState, incoming: Incoming) -> GFlowState:
         """Experts and textures after the picture."""
         return incoming.once(self._updated, state, incoming[PixelLabels], incoming.get(PointTracks))
-
-    def _vertices_predicted(self, state: GFlowState) -> PointMessage | None:
-        if (state.doubted and self.recover) or not self.tracked or not state.elapsed:
-            return None
-        return PointMessage(predicted_points(self.model, self._prior(state), state.weights, self._tracked))
 
     def mean_pose(self, state: GFlowState) -> Poses:
         """One pose: the experts' weighted mean."""
