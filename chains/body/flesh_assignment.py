@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...inference.kalman import ornstein_uhlenbeck_velocity
 from ...models.body.parts import PartMessage
 from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures, log_sums, products
+from ...models.core.short_repr import Rows
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -20,7 +21,7 @@ T = TypeVar("T", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
-class MovingParts:
+class MovingParts(Rows):
     """Gaussians over position and velocity in the picture, any number of them."""
 
     means: Array  # `(..., 4)`: x, y px and their velocities px/s
@@ -34,10 +35,6 @@ class MovingParts:
         """
         motion = ornstein_uhlenbeck_velocity(dt, velocity_time).along(2)
         return type(self)(*motion.moved(self.means, self.covariances, np.square(speeds)))
-
-    def take(self, rows: NDArray[np.intp]) -> Self:
-        """Some of them, along the first axis."""
-        return type(self)(self.means[rows], self.covariances[rows])
 
     def given(self, positions: Array, spreads: Array) -> Self:
         """The same if the positions have these means `(..., 2)` px and covariances `(..., 2, 2)` px^2.
@@ -254,7 +251,7 @@ class Answers:
         shares, means, covariances = [], [], []
         for case, prior in enumerate((went_on, elsewhere)):
             here = (rows, columns, case, self.options)
-            moved = prior.take(self.hypotheses).given(options.means[here], options.covariances[here])
+            moved = prior.only(self.hypotheses).given(options.means[here], options.covariances[here])
             shares.append(options.shares[here])
             means.append(moved.means)
             covariances.append(moved.covariances)

@@ -2,14 +2,14 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import UpperBody
 from ...models.core.gaussian_mixtures import log_sums
-from ...models.core.short_repr import short_repr
+from ...models.core.short_repr import Rows, short_repr
 from .flesh_assignment import MovingParts
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ SUREST = 0.99  # however often it was seen, it may have gone since then
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class Clutter:
+class Clutter(Rows):
     """Things at rest under each of H hypotheses, which keep numbers of their own."""
 
     places: Array  # `(H, n, 2)` px
@@ -42,15 +42,6 @@ class Clutter:
         return replace(
             self, variances=self.variances + drift**2 * dt, chances=self.chances * np.exp(-dt / LASTS)
         )
-
-    def take(self, hypotheses: Any) -> Self:
-        """Those of some hypotheses."""
-        return type(self)(*(each[hypotheses] for each in vars(self).values()))
-
-    def joined(self, other: Self, axis: int = 0) -> Self:
-        """Those of other hypotheses as well, or along axis 1 more of each hypothesis."""
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return type(self)(*(np.concatenate(pair, axis=axis) for pair in pairs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +104,7 @@ class ClutterMatch:
         `hypotheses` `(m,)`, which each of them continues; `parts` `(m, n_parts, 2)` px: where parts are seen;
         not a number for one that is not.
         """
-        before, pairs = self.clutter.take(hypotheses), self.pairs[hypotheses]
+        before, pairs = self.clutter.only(hypotheses), self.pairs[hypotheses]
         taken = _near(self.means[None], parts, radius)
         rows = np.arange(len(hypotheses))[:, None]
         places, variances, chances = before.places.copy(), before.variances.copy(), before.chances.copy()
@@ -128,10 +119,11 @@ class ClutterMatch:
         chances[row, found] = np.minimum(self.known[hypotheses][row, thing], SUREST)
         new = np.where((pairs < 0) & ~taken & self.new, BORN, 0.0)
         shape = new.shape
-        seen = Clutter(np.broadcast_to(self.means, (*shape, 2)), np.broadcast_to(self.variances, shape), new)
-        everything = Clutter(places, variances, chances).joined(seen, axis=1)
-        kept = np.argsort(-everything.chances, axis=1, kind="stable")[:, :MOST_CLUTTER]
-        return everything.take((rows, kept))
+        seen = np.broadcast_to(self.means, (*shape, 2)), np.broadcast_to(self.variances, shape), new
+        both = zip((places, variances, chances), seen, strict=True)
+        every = [np.concatenate(pair, axis=1) for pair in both]
+        kept = np.argsort(-every[2], axis=1, kind="stable")[:, :MOST_CLUTTER]
+        return Clutter(*(each[rows, kept] for each in every))
 
 
 def _near(places: Array, parts: Array, radius: float) -> NDArray[np.bool_]:
@@ -208,7 +200,7 @@ class FleshTracks:
     def take(self, hypotheses: NDArray[np.intp]) -> Self:
         """Some of the hypotheses, with their weights."""
         rows = {name: getattr(self, name)[hypotheses] for name in ("log_weights", *OF_PARTS)}
-        return replace(self, **rows, clutter=self.clutter.take(hypotheses))
+        return replace(self, **rows, clutter=self.clutter.only(hypotheses))
 
     def exchanged(self) -> Self:
         """The same with each hand where the other one is."""
@@ -234,7 +226,7 @@ class FleshTracks:
             name: np.concatenate([getattr(self, name), getattr(other, name)])
             for name in ("log_weights", *OF_PARTS)
         }
-        return replace(self, **both, clutter=self.clutter.joined(other.clutter))
+        return replace(self, **both, clutter=self.clutter.joined([other.clutter]))
 
     def reduced(self, radius: float) -> Self:
         """The best hypotheses, best first; one that says the same as a better one is merged into that.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.pictures import grey_of
-from ...models.core.short_repr import short_repr
+from ...models.core.short_repr import Rows, short_repr
 from ...models.face.morphable_model import MorphableModel, Poses
 from ...models.face.surface import Box, covered, visible
 from ...models.numerics.threads import over_bands
@@ -199,7 +199,7 @@ LEAST_RATIO = -9.0  # Nats: no pixel speaks louder against the background, whate
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class ExpertBackground:
+class ExpertBackground(Rows):
     """What each expert believes of the background, a Gaussian a pixel."""
 
     mean: Map  # `(n_experts, height, width)` float32, raw grey levels
@@ -210,10 +210,6 @@ class ExpertBackground:
         """Of a picture of `size` `(height, width)` of which nothing has been seen."""
         shape = (n_experts, *size)
         return cls(np.zeros(shape, np.float32), np.full(shape, UNKNOWN_VARIANCE, np.float32))
-
-    def of(self, parents: NDArray[np.int64]) -> Self:
-        """Backgrounds of the children of `parents`."""
-        return replace(self, mean=self.mean[parents], variance=self.variance[parents])
 
     def contrast(
         self, image: NDArray[np.uint8], box: Box, tones: Map, unit: Map, elapsed: float

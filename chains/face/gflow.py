@@ -617,7 +617,7 @@ class GFlow(PickledByFields):
         parents = seen.particles.parents
         background = state.background
         if background is not None:  # else it follows when it learns
-            background = background.of(parents)
+            background = background.only(parents)
         after = self._after(state, seen, trust)
         return replace(after, texture=seen.texture, trusted=state.trusted[parents], background=background)
 

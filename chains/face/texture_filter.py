@@ -9,7 +9,7 @@ from typing import Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.short_repr import short_repr
+from ...models.core.short_repr import Rows, short_repr
 from ...models.numerics.threads import over_bands
 from . import kernels
 from .pose_terms import SHORTEST
@@ -83,7 +83,7 @@ LEAST_INSIDE = 0.4  # share of the visible texels that must lie in the picture f
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class LearnedGain:
+class LearnedGain(Rows):
     """What is remembered of each texel's innovations, to learn its gain (§7.2.1).
 
     Under the right gain innovations are white. A texel that changes faster than its gain follows has
@@ -110,12 +110,6 @@ class LearnedGain:
         gain = 1 / (1 + np.exp(-self.log_odds))
         return gain.astype(np.float32)
 
-    def of(self, parents: NDArray[np.int64]) -> Self:
-        """What the children of `parents` remember."""
-        return replace(
-            self, log_odds=self.log_odds[parents], last=self.last[parents], power=self.power[parents]
-        )
-
     def updated(self, innovation: Map, seen: NDArray[np.bool_], elapsed: float) -> Self:
         """With a picture `elapsed` s after the last one; `innovation` counts where `seen`."""
         share = -np.expm1(-elapsed / MEMORY)
@@ -134,7 +128,7 @@ class LearnedGain:
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class LastingTexture:
+class LastingTexture(Rows):
     """What texels look like in the long run, to which they return.
 
     A departure from the paper, whose texels walk at random. There, errors of the pose add up: the texture is
@@ -147,10 +141,6 @@ class LastingTexture:
     mean: Map  # `(n_experts, n_texels)` float32 grey levels
     # `(n_experts, n_texels)` float32: pictures of the usual rate that it rests on; 0 if never seen
     looks: Map
-
-    def of(self, parents: NDArray[np.int64]) -> Self:
-        """Those of the children of `parents`."""
-        return replace(self, mean=self.mean[parents], looks=self.looks[parents])
 
     def updated(self, observed: Map, seen: NDArray[np.bool_], gain: Map, elapsed: float) -> Self:
         """With a picture `elapsed` s after the last one, under a filter of steady `gain` above 0.
@@ -205,8 +195,8 @@ class Texture:
             self,
             mean=self.mean[parents],
             variance=self.variance[parents],
-            learned=None if self.learned is None else self.learned.of(parents),
-            lasting=None if self.lasting is None else self.lasting.of(parents),
+            learned=None if self.learned is None else self.learned.only(parents),
+            lasting=None if self.lasting is None else self.lasting.only(parents),
         )
 
     def temperature(self, noise: TexelNoise) -> Map:

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.short_repr import short_repr
+from ..core.short_repr import Rows, short_repr
 from ..numerics.rotations import logarithm
 from .kernels import elbows, place_joints, place_parts, reach, within_limits
 
@@ -20,7 +20,7 @@ ANGLES = 16  # degrees of freedom: 2 of the root, 3 of torso and neck each, 3 of
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class BodyPoses:
+class BodyPoses(Rows):
     """Poses of an upper body with 16 degrees of freedom, one an entry (RSMCM paper §4.1 has 13).
 
     x is to the right, y down and z away from the viewer; "left" is the person's own. The elbow is a hinge,
@@ -55,14 +55,14 @@ class BodyPoses:
         return self.roots, self.torsos, self.necks, self.arms
 
     @classmethod
-    def concatenated(cls, parts: Sequence["BodyPoses"]) -> Self:
+    def concatenated(cls, parts: Sequence[Self]) -> Self:
         """All poses of `parts`, one after the other."""
-        return cls(*map(np.concatenate, zip(*(part.arrays for part in parts), strict=True)))
+        return parts[0].joined(parts[1:])
 
     def take(self, chosen: Any) -> Self:
         """The poses chosen by a slice, a mask or indices."""
         if isinstance(chosen, slice):
-            return type(self)(*(each[chosen] for each in self.arrays))
+            return self.only(chosen)
         rows = np.asarray(chosen)
         if rows.dtype == np.bool_:
             rows = np.flatnonzero(rows)

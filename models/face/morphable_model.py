@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.short_repr import PickledByFields, short_repr
+from ..core.short_repr import PickledByFields, Rows, short_repr
 from ..numerics.rotations import cross_matrices, exponential, logarithm, nearest_rotation
 
 Array = NDArray[np.float64]
@@ -18,7 +18,7 @@ RIGID = 5  # degrees of freedom of rotation and translation, which come before t
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class Poses:
+class Poses(Rows):
     """Poses under weak perspective, one an entry (G-flow paper §2.1).
 
     Small changes of a pose are vectors of `dimension` numbers: a rotation vector w (rad) that turns the
@@ -45,7 +45,7 @@ class Poses:
         """The poses chosen by a slice, a mask or indices; a single number gives a batch of one."""
         if isinstance(chosen, int | np.integer):
             chosen = [chosen]
-        return type(self)(*(each[chosen] for each in self.arrays))
+        return self.only(chosen)
 
     @property
     def arrays(self) -> tuple[Array, Array, Array]:
@@ -71,9 +71,9 @@ class Poses:
         return cls(np.tile(np.eye(3), (n, 1, 1)), np.asarray(translations, np.float64), morphs)
 
     @classmethod
-    def concatenated(cls, parts: Sequence["Poses"]) -> Self:
+    def concatenated(cls, parts: Sequence[Self]) -> Self:
         """All poses of `parts`, one after the other."""
-        return cls(*map(np.concatenate, zip(*(part.arrays for part in parts), strict=True)))
+        return parts[0].joined(parts[1:])
 
     def replaced(self, which: NDArray[np.int64], poses: "Poses") -> Self:
         """With `poses` in the places `which` `(k,)`."""
