@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -199,7 +199,7 @@ class FleshTracks:
 
     def take(self, hypotheses: NDArray[np.intp]) -> Self:
         """Some of the hypotheses, with their weights."""
-        rows = {name: getattr(self, name)[hypotheses] for name in ("log_weights", *OF_PARTS)}
+        rows: dict[str, Any] = {name: getattr(self, name)[hypotheses] for name in ("log_weights", *OF_PARTS)}
         return replace(self, **rows, clutter=self.clutter.only(hypotheses))
 
     def exchanged(self) -> Self:
@@ -222,7 +222,7 @@ class FleshTracks:
 
     def joined(self, other: Self) -> Self:
         """The hypotheses of both."""
-        both = {
+        both: dict[str, Any] = {
             name: np.concatenate([getattr(self, name), getattr(other, name)])
             for name in ("log_weights", *OF_PARTS)
         }

@@ -318,6 +318,9 @@ class InStages:
 
     target: Array
 
+    def __call__(self, poses: BodyPoses) -> Array:
+        return self.first(poses) + self.rest(poses)
+
     def first(self, poses: BodyPoses) -> Array:
         off = BODY.parts(poses)[:, 1] - self.target[0]
         return np.asarray(-0.5 * (off**2).sum(axis=1) / 20.0**2)
