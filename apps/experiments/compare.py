@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from ...inference import RecursiveBP
 from ...inference.engine.recursive_bp import RunState
 from ...models.core.frame import Frame
-from ...models.numerics.evenly_spaced import EvenlySpaced
 from ..background.application import Found, build_model, found_in
 from ..background.job import BackgroundJob, Camera, Engine
 from ..background.parameters import Parameters, read_parameters
@@ -173,20 +172,26 @@ class Moment:
 class Gallery:
     """Evenly spaced moments of a source of unknown length: at most ten, of which five are shown."""
 
-    moments: EvenlySpaced[Moment] = field(default_factory=lambda: EvenlySpaced(2 * COLUMNS))
+    moments: list[Moment] = field(default_factory=list)
+    stride: int = 1
+    seen: int = 0
 
     def add(self, number: int, image: Image, systems: Sequence[tuple[Model, Found]]) -> None:
-        """Keep a frame and what each system makes of it, if it is one of those to keep."""
+        """Keep a frame and what each system makes of it, if it is one of those to keep.
 
-        def moment() -> Moment:
+        Whenever there are more, every second one goes and the distance doubles.
+        """
+        if self.seen % self.stride == 0:
             made = [shown for model, found in systems for shown in (model.background(), found.foreground)]
-            return Moment(number, tuple(_small(each) for each in (image, *made)))
-
-        self.moments.add(moment)
+            self.moments.append(Moment(number, tuple(_small(each) for each in (image, *made))))
+            if len(self.moments) > 2 * COLUMNS:
+                del self.moments[1::2]
+                self.stride *= 2
+        self.seen += 1
 
     def chosen(self) -> list[Moment]:
         """Up to five of them, evenly spaced, with the last."""
-        kept = self.moments.kept
+        kept = self.moments
         return [kept[round(place)] for place in np.linspace(0, len(kept) - 1, min(COLUMNS, len(kept)))]
 
     def picture(self) -> Picture:
