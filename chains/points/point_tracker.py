@@ -25,10 +25,10 @@ from ...inference import kalman
 from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ...inference.kalman import STATE, PointStates
 from ...models.core.bounds import POSITIVE, check_bounds
-from ...models.core.frame import Frame
+from ...models.core.frame import Frame, GivenPoints
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.short_repr import Rows, short_repr
-from ...models.points.patches import Patches, ncc, with_light_of
+from ...models.points.patches import Patches, find_corners, ncc, with_light_of
 from ...models.points.point_tracks import PointMessage, PointTracks, View
 from .trajectory import (
     MEDIAN,
@@ -205,9 +205,11 @@ def replenished(state: TrackerState, n_points: int, spacing: float) -> TrackerSt
     """With new points where the picture has corners, `spacing` px from all that are followed."""
     known, view = state.known, state.view
     missing = n_points - int(known.alive.sum())
-    if view is None or missing < max(1, REFILL * n_points) or state.rested < CORNER_INTERVAL:
+    if missing < max(1, REFILL * n_points) or state.rested < CORNER_INTERVAL:
         return state
-    corners = view.corners(missing, known.states.position[known.alive], spacing)
+    if view is None or view.grey is None:
+        return state
+    corners = find_corners(view.grey, missing, known.states.position[known.alive], spacing, view.patch)
     identities = state.next_identity + np.arange(len(corners))
     states = initial_states(state, view, corners, NEW_DEVIATION**2 * np.eye(2))
     return replace(
@@ -215,7 +217,7 @@ def replenished(state: TrackerState, n_points: int, spacing: float) -> TrackerSt
         known=known.with_more(KnownPoints.new(identities, states, view.patches_at(corners))),
         next_identity=state.next_identity + len(corners),
         rested=0.0,
-        view=view.with_found(identities, corners),
+        view=replace(view, found=view.found.joined([GivenPoints(corners, identities)])),
     )
 
 

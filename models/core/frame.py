@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from .short_repr import short_repr
+from .short_repr import Rows, short_repr
 
 Array = NDArray[np.float64]
 
@@ -214,7 +214,7 @@ BoundingBox = tuple[float, float, float, float]
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class GivenPoints:
+class GivenPoints(Rows):
     """Points that another detector or tracker has found in a frame.
 
     Parameters

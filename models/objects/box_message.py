@@ -79,10 +79,6 @@ class BoxDetector:
         place = self.position**2 * width * height
         return np.stack([place, place, (self.size * width) ** 2, (self.size * height) ** 2], axis=1)
 
-    def log_score_ratio(self, scores: Numbers | None, n_boxes: int) -> Numbers:
-        """`(n_boxes,)` nats: what the scores say for a true box and against a false one."""
-        return np.zeros(n_boxes) if self.scores is None or scores is None else self.scores.log_ratio(scores)
-
 
 @short_repr
 @dataclass(frozen=True, eq=False)

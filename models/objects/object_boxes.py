@@ -114,7 +114,9 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     further = _log_densities(boxes, means, covariances, DOUBLE**2 * own)
 
     area = float(size[0] * size[1])
-    score = np.exp(np.clip(detector.log_score_ratio(given.confidence, len(boxes)), -20, 20))
+    score = np.ones(len(boxes))
+    if detector.scores is not None and given.confidence is not None:
+        score = np.exp(np.clip(detector.scores.log_ratio(given.confidence), -20, 20))
     anywhere = log_anywhere(boxes, area)
     somebody = anywhere if prior.newcomers is None else prior.newcomers.log_density(boxes, noise)
     new = detector.newcomers * detector.found * np.exp(somebody) * score

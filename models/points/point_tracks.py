@@ -16,7 +16,7 @@ from ..core.frame import Frame, GivenPoints
 from ..core.gaussian_message import GaussianMessage
 from ..core.pictures import draw_region, grey_of
 from ..core.short_repr import short_repr
-from .patches import Patches, find_corners, sample_patches
+from .patches import Patches, sample_patches
 from .search import Before, find_points
 
 Numbers = NDArray[np.float64]
@@ -63,23 +63,10 @@ class View:
     noise: float  # px, standard deviation of each coordinate of points that were given
     patch: int  # px, side of the patches that are cut from it
 
-    def with_found(self, identities: NDArray[np.int64], positions: Numbers) -> "View":
-        """As it is, but with more points found in it, of larger identities."""
-        found = GivenPoints(
-            np.concatenate([self.found.positions, positions]),
-            np.concatenate([self.found.identities, identities]),
-        )
-        return replace(self, found=found)
-
     def patches_at(self, positions: Numbers) -> NDArray[np.float32]:
         """Grey values `(n, patch, patch)` about `positions`, `(n, 2)` px; there has to be a picture."""
         assert self.grey is not None
         return sample_patches(self.grey, positions, self.patch)
-
-    def corners(self, most: int, away_from: Numbers, spacing: float) -> Numbers:
-        """Corners of the picture; see `find_corners`."""
-        assert self.grey is not None
-        return find_corners(self.grey, most, away_from, spacing, self.patch)
 
 
 @short_repr
