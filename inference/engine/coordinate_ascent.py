@@ -44,12 +44,11 @@ class TimeSlices:
         self.trajectories: dict[str, Any] = {}
         self.sent: dict[tuple[str, str], Sequence[Message]] = {}
         self._evidence: dict[str, list[Message | None]] = {}
-        self._found: dict[str, dict[str, list[Message]]] = {}
-        """Feature: what each of the chains that search there by themselves has found."""
-        self._smoothed: dict[str, int] = {}
-        """Chain: how often its trajectory was worked out."""
-        self._read: dict[str, tuple[int, ...]] = {}
-        """Chain: numbers of all that its trajectory was worked out from."""
+        self._found: dict[
+            str, dict[str, list[Message]]
+        ] = {}  # at a feature, by chains that search themselves
+        self._smoothed: dict[str, int] = {}  # how often a chain's trajectory was worked out
+        self._read: dict[str, tuple[int, ...]] = {}  # numbers of all that it was worked out from
 
     def copy(self) -> "TimeSlices":
         """The same, to go on from without changing these."""
@@ -76,10 +75,8 @@ class TimeSlices:
         slices.trajectories = saved["trajectories"]
         evidence = {name: messages for name, messages in saved["evidence"].items() if messages is not None}
         found = {name: by_chain for name, by_chain in saved["found"].items() if by_chain}
-        for messages in (
-            *evidence.values(),
-            *(each for by_chain in found.values() for each in by_chain.values()),
-        ):
+        searched = [each for by_chain in found.values() for each in by_chain.values()]
+        for messages in (*evidence.values(), *searched):
             if len(messages) != len(frames):
                 raise ValueError(f"state: got {len(messages)} frames, expected {len(frames)}")
         slices._evidence, slices._found = evidence, found
@@ -454,32 +451,22 @@ class CoordinateAscent:
                 raise TypeError(f"{method.__qualname__}: no return annotation, which says what is saved")
             return hints["return"]
 
-        def smoothed(method: Any) -> Any:
-            kind = returned(method)
+        trajectories = {}
+        for name, chain in self.model.chains.items():
+            kind = returned(type(chain).smooth)
             if get_origin(kind) is not Smoothed:
-                raise TypeError(f"{method.__qualname__}: returns {kind}, expected Smoothed[...]")
-            return get_args(kind)[0]
-
+                raise TypeError(f"{type(chain).smooth.__qualname__}: returns {kind}, expected Smoothed[...]")
+            trajectories[name] = get_args(kind)[0]
+        messages = {name: returned(type(node).evidence) for name, node in self.model.features.items()}
         slices = {
-            "trajectories": {name: smoothed(type(chain).smooth) for name, chain in self.model.chains.items()},
-            "evidence": {
-                name: list[returned(type(node).evidence) | None] | None  # type: ignore[misc]
-                for name, node in self.model.features.items()
-            },
-            "found": {
-                name: dict[str, list[returned(type(node).evidence)]]  # type: ignore[misc]
-                for name, node in self.model.features.items()
-            },
+            "trajectories": trajectories,
+            "evidence": {name: list[kind | None] | None for name, kind in messages.items()},  # type: ignore[valid-type]
+            "found": {name: dict[str, list[kind]] for name, kind in messages.items()},  # type: ignore[valid-type]
             "smoothed": dict[str, int],
             "read": dict[str, tuple[int, ...]],
         }
-        return {
-            "best": slices,
-            "latest": slices,
-            "rounds": tuple[Round, ...],
-            "converged": bool,
-            "about": dict[str, Any],
-        }
+        rest = {"rounds": tuple[Round, ...], "converged": bool, "about": dict[str, Any]}
+        return {"best": slices, "latest": slices, **rest}
 
 
 def _as_frames(items: Iterable[Frame | NDArray[np.uint8] | None], dt: float) -> Sequence[Frame]:
