@@ -8,6 +8,7 @@ tracks between two pictures, whatever their depth. Only what a homography leaves
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Literal
 
@@ -31,21 +32,16 @@ few tracks are long enough to tell."""
 
 MOST_PAIRS = 12
 LEAST_SHARED = 8  # tracks of two pictures: twice those that any homography goes through
-
 AS_WELL = 1.5
 """Variance about a plainer map, in that about the best homography, up to which it explains as much: lenses
 are no pinholes, and the ratio of two estimates from a dozen points varies by a third."""
 NEARLY_ALL = 0.3
-"""Share of what shifts, turns and zooms of the picture leave that a camera which turns may leave. It leaves a
-tenth where the middle of its picture, which is not known, is some way off that of the points; of a plane it
-leaves two thirds and more."""
-
+"""Share of what a similarity leaves that a camera which turns may leave: a tenth where the middle of its
+picture is some way off that of the points, of a plane two thirds and more."""
 MOST = 0.8  # share of the tracks that are believed: some of a tracker's jump to other points
 TRIMMED_STEPS = 5
 ROUNDING = 1e-12  # variance, in squares of the tracks' extent, that is none
-
-FOCAL_LENGTHS = (0.7, 3.0)
-"""In the tracks' extent: where the search for a camera that turns begins, wide and narrow."""
+FOCAL_LENGTHS = (0.7, 3.0)  # in the tracks' extent: where the search for a camera that turns begins
 SHORTEST, LONGEST = 0.4, 100.0  # in the tracks' extent: wider, a camera that turns explains planes, too
 MOST_LOOKED_AT = 8  # pairs of pictures from which the motion is told where no track says it
 FEATURES = 500
@@ -261,16 +257,9 @@ def depth(positions: ArrayLike, weights: ArrayLike | None, found: Factorisation)
     if left <= 0:  # everything is fitted, and nothing is left to tell noise by
         return Depth(0.0, needed)
     cameras = observations.scaled(found.cameras)
-    deep = variable_projection(part, cameras, damping=NEAR, tolerance=PRECISION, most_steps=MOST_STEPS)
+    fitted = partial(variable_projection, part, damping=NEAR, tolerance=PRECISION, most_steps=MOST_STEPS)
+    deep = fitted(cameras)
     noise = max(deep.error / left, LEAST_NOISE**2)
     cameras[..., 2] = 0  # the axis that moves points least
-    flat = variable_projection(
-        part,
-        cameras,
-        rank=2,
-        damping=NEAR,
-        tolerance=PRECISION,
-        most_steps=MOST_STEPS,
-        enough=deep.error + needed * noise,
-    )
+    flat = fitted(cameras, rank=2, enough=deep.error + needed * noise)
     return Depth((flat.error - deep.error) / noise, needed)

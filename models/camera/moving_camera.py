@@ -181,9 +181,7 @@ class AffineMap:
 POINTS = 3000  # by which pictures are registered, at most, on each level
 
 COARSEST, FINEST = 48, 640
-"""px, the least length of a side of the coarsest level, and the largest one of the finest: half as fine is
-half as exact, and a fortieth of a pixel."""
-
+"""px, sides of the coarsest and the finest level: half as fine is half as exact."""
 THINNEST = 16  # px, of a side of the finest level, below which a picture is too thin to be registered
 LOCAL_MEAN = 15  # px, side of the square about a pixel whose mean is taken off its value
 STEPS, SMALL = 12, 0.01  # Gauss-Newton steps at most on each level, and px of one that is the last

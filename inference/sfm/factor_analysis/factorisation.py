@@ -42,8 +42,7 @@ from .observations import Indices, Numbers, Observations, as_arrays, determined
 ACCURACY = 1e-3  # relative, of the solution of the normal equations
 MOST_PRODUCTS = 500
 FAR, NEAR = 1.0, 1e-2
-"""First damping, of the mean of the diagonal, from anywhere and from near the optimum. It changes by bold
-factors of ten, which get past poor valleys: with gentler ones half of the random starts end in one."""
+"""First damping, of the mean of the diagonal; it changes by ten: else half of the random starts end badly."""
 LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e12
 STILL = 3  # steps in a row that hardly lower the error: one may be short because it was damped
 
@@ -523,8 +522,7 @@ LEAST_FREE = 0.02  # share of an observation that its own point leaves free, at 
 FIRST_ROUNDS = 3  # in which the variance of right positions is that of their median
 
 FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.05, 1e-4, 0.2
-"""Of outliers: to begin with, at the least, and at most. Where more do not fit, the camera is not affine (a
-plane seen from near leaves its corners over), and nothing is an outlier."""
+"""Of outliers. Where more do not fit, the camera is not affine, and nothing is an outlier."""
 
 ROUNDING, TINY = 1e-12, 1e-300  # of the largest square, and absolutely: the least variance
 MEDIAN = 2 * float(np.log(2))  # of the squared length of a vector of two standard normal numbers

@@ -29,15 +29,9 @@ from ...optimisation import Anderson, Damping, levenberg_marquardt
 Numbers = NDArray[np.float64]
 
 LEAST_NOISE = 3e-3
-"""Standard deviation of noise in the unit of `Tracks`, the spread of points: there likelihood ends.
+"""Of the spread of points: no film shows them better (0.15 px for 50). Below, what is left out is fitted."""
 
-No film shows points better than this, 0.15 px where they are spread over 50 px on either side. Below it a
-model is fitted to what it leaves out.
-"""
-
-ALIKE = 10.0
-"""So many frames of a video say as much as one that stands by itself; the power of the bases' prior."""
-
+ALIKE = 10.0  # so many frames of a video say as much as one by itself; power of the bases' prior
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
 LONGEST_TURN, LONGEST_GROWTH = 0.3, 0.3  # of one step: rad, and change of the logarithm of scale
 RIDGE = 1e-9  # of the mean information on a point: points that frames leave open stay where they are

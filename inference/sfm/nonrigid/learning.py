@@ -270,11 +270,8 @@ def _rotations(rows: Numbers) -> Numbers:
 
 
 BASES_OF_POSES = 12
-"""That poses are looked for with, if fewer are asked for: what bases leave of a deformation is then not
-explained by turns that the object never made. More gain little, and take longer."""
-
-FIRST_ROUND, SECOND_ROUND, PRUNING_ROUND = 40, 100, 40
-"""Iterations of all starts, of the best ones, and of a shape after modes were taken away."""
+"""That poses are looked for with at least: what bases leave is else explained by turns never made."""
+FIRST_ROUND, SECOND_ROUND, PRUNING_ROUND = 40, 100, 40  # iterations
 KEPT = 3  # starts that go on to the second round
 SAME = 0.01  # shapes that differ by so little, as `shape_error` measures, are one optimum
 NEARLY = 0.05  # optima are as good as each other if their noise differs by no more than this share
@@ -604,11 +601,8 @@ def withheld(positions: Numbers) -> NDArray[np.bool_]:
 
 
 ALIKE = 3.0
-"""Mean squared distance of a coordinate from where the other track expects it, in units of what is stated.
-
-It is 1 for one point, if covariances are honest. Its errors are alike over time, so that the mean over a
-short track spreads as a chi-square of few degrees of freedom would: 3 is its 95 % point for two of them.
-"""
+"""Mean squared distance of a coordinate from where the other track expects it, in units of what is stated. It
+is 1 for one point; 3 is the 95 % point where errors are so alike that two of them are free."""
 SHARP = 0.1  # places are expected to this share of the object's size, or tracks cannot be told apart
 ROUNDS = 3
 
