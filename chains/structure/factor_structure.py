@@ -56,10 +56,9 @@ class StructureTrajectory:
 
     Parameters
     ----------
-    identities
-        `(n_tracks,)` int64, increasing: points of the feature node, which may be partial tracks.
-    point_of_track
-        `(n_tracks,)` int64: column of `factorisation.shape`; -1 where it is not sure enough.
+    identities, point_of_track
+        `(n_tracks,)` int64: points of the feature node, increasing, which may be partial tracks; and column
+        of `factorisation.shape`, -1 where it is not sure enough.
     factorisation
         cameras and points; see there.
     noise, scatter

@@ -23,14 +23,12 @@ class NonrigidTrajectory:
 
     Parameters
     ----------
-    identities
-        `(n_tracks,)` int64, increasing: points of the feature node, which may be partial tracks.
-    point_of_track
-        `(n_tracks,)` int64: a point of the shape; -1 where the track is too short.
-    shape
-        the shape in all frames.
-    scatter
-        px^2, what of the noise is the features' own, and not the one that observations state.
+    identities, point_of_track
+        `(n_tracks,)` int64: points of the feature node, increasing, which may be partial tracks; and a point
+        of the shape, -1 where the track is too short.
+    shape, scatter
+        the shape in all frames; px^2, what of the noise is the features' own, and not the one that
+        observations state.
     """
 
     identities: NDArray[np.int64]

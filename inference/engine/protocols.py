@@ -237,8 +237,7 @@ class Smoothed(Generic[TrajectoryType]):
         the best one.
     evidence
         by feature node, for each frame: what a search of its own found (see `BatchIncoming.search`). It is
-        the evidence for everybody until the chain searches again. Where several chains search, what they find
-        is multiplied: each has to search for things of its own.
+        the evidence for everybody until the chain searches again; what several chains find is multiplied.
     """
 
     trajectory: TrajectoryType

@@ -225,16 +225,14 @@ class Registration:
 
     Parameters
     ----------
-    map
-        the most likely one.
-    covariance
-        `(6, 6)` px^2 of its parameters (Laplace's approximation).
+    map, covariance
+        the most likely one, and `(6, 6)` px^2 of its parameters (Laplace's approximation).
     explained
-        share of the differences between frame and scene, where nothing is moved, that it takes away: near 1
-        when all that is not as it was has moved by this map, 0 when the map is none or does not help.
+        share of the differences between frame and scene, where nothing is moved, that it takes away: 1 when
+        all that is not as it was has moved by this map, 0 when the map does not help.
     correlation
         of what the frame shows at the mapped points with what the scene does, values beyond their usual size
-        cut off, so that things which move count by their number: by chance it is below 0.1.
+        cut off: by chance it is below 0.1.
     """
 
     map: AffineMap

@@ -33,12 +33,9 @@ class PerspectiveCameras:
 
     Parameters
     ----------
-    rotations
-        `(n_frames, 3, 3)`, from the shape to the camera.
-    scales
-        `(n_frames,)` positive, px per unit of the shape at the depth of its origin.
-    shifts
-        `(n_frames, 2)` px from the principal point: where the shape's origin is seen.
+    rotations, scales, shifts
+        `(n_frames, 3, 3)` from the shape to the camera; `(n_frames,)` positive, px per unit of the shape at
+        the depth of its origin; `(n_frames, 2)` px from the principal point, where the origin is seen.
     curvature
         1 / focal length, 1/px; 0 for a camera far away.
     principal
