@@ -53,28 +53,25 @@ class Reconstruction:
     Parameters
     ----------
     positions, covariances
-        `(n_frames, n_points, 2)` px and `(n_frames, n_points, 2, 2)` px^2: where shape and cameras have every
-        point, seen or not.
-    observed
-        `(n_frames, n_points)` bool.
-    residuals
-        `(n_frames, n_points, 2)` px: observation minus position, NaN where not observed.
+        `(n_frames, n_points, 2)` px: where shape and cameras have every point, seen or not; and px^2 of
+        these.
+    observed, residuals
+        `(n_frames, n_points)` bool, and `(n_frames, n_points, 2)` px: observation minus position, NaN where
+        not observed.
     point_of_track
         `(n_tracks,)` int64: the point that each track shows, -1 where it was rejected.
     cameras
         `(n_frames, 2, 4)`: position = `cameras[t, :, :3] @ shape[i] + cameras[t, :, 3]`.
     shape, shape_covariances
         `(n_points, 3)`, in px at the mean scale of the cameras where the geometry is Euclidean, and
-        `(n_points, 3, 3)`.
+        `(n_points, 3, 3)` in the square of its unit.
     noise_variance
         px^2 of each observed coordinate, as estimated.
     objective, converged
-        after each round of the ascent, and whether it ended by itself.
-    geometry
+        after each round of the ascent, and whether that ended by itself.
+    geometry, reason
         `"euclidean"`: `shape` is determined up to scale and reflection in depth. `"affine"`: up to an affine
-        map. `"none"`: the motion says nothing of depth, and `shape` means nothing.
-    reason
-        why the geometry is no better; empty for a Euclidean one.
+        map. `"none"`: the motion says nothing of depth, and `shape` means nothing. And why it is no better.
     perspective
         the structure before a perspective camera, where that is what all of the above is of; `cameras` are
         then what it is in the middle of the shape's depth.

@@ -247,24 +247,19 @@ class Factorisation:
 
     Parameters
     ----------
-    cameras
-        `(n_frames, 2, 4)`: position in px = cameras[..., :3] @ shape + cameras[..., 3].
-    camera_covariance
-        `(n_frames, 4, 4)`, of the row of u and of that of v alike.
-    shape
-        `(n_points, 3)`, about white (mean 0, covariance I); the third axis is the one that moves points
-        least.
-    shape_covariance
-        `(n_points, 3, 3)`.
-    noise_variance
-        px^2, of a position of weight 1.
-    rmse
-        px, root mean square over the coordinates of all observations, weighted, at the means.
-    coherent
-        whether cameras follow eq. (19).
-    motion_noise
-        px^2. With coherence `(3, 2)`: variances of eps_1, eps_2, eps_3 for the numbers that multiply the
-        shape and for the translation. Else `(1, 2)`: variances of those numbers themselves.
+    cameras, camera_covariance
+        `(n_frames, 2, 4)`: position in px = cameras[..., :3] @ shape + cameras[..., 3]; and `(n_frames, 4,
+        4)`, of the row of u and of that of v alike.
+    shape, shape_covariance
+        `(n_points, 3)`, about white (mean 0, covariance I), the third axis the one that moves points least;
+        and `(n_points, 3, 3)`.
+    noise_variance, rmse
+        px^2, of a position of weight 1; px, weighted, over the coordinates of all observations, at the
+        means.
+    coherent, motion_noise
+        whether cameras follow eq. (19); and px^2: `(3, 2)` variances of eps_1, eps_2, eps_3 for the numbers
+        that multiply the shape and for the translation, or else `(1, 2)` variances of those numbers
+        themselves.
     frame_determined
         `(n_frames,)` bool: the frame shows four points or more that other frames show too. Other cameras are
         what the prior makes of what there is.

@@ -107,32 +107,28 @@ class Rival:
 class NonrigidShape:
     """Mean shape and modes of deformation, and in each frame the pose and the weights of modes.
 
-    Point j of frame t is seen at scale_t * (rotation_t @ (bases[0, j] + sum_k weights[t, k - 1] bases[k, j]))
-    + translation_t, of which x and y are seen, z points away from the viewer. Finer modes, `details`, are
-    added in the same way; they belong to the shape, though not to the bases that were asked for. The first
-    basis has root mean square distance 1 from its centroid, the origin, over x and y; weights are standard
-    normal. The mean of all rotations is the identity. Which of the two mirror images in depth it is,
-    orthography cannot tell: it is the one that is convex towards the viewer, as a face is.
+    Point j of frame t is seen at scale_t * (rotation_t @ (bases[0, j] + sum_k weights[t, k - 1] bases[k,
+    j])) + translation_t, of which x and y are seen, z points away from the viewer. Finer modes, `details`,
+    are added in the same way. The first basis has root mean square distance 1 from its centroid, the origin,
+    over x and y; weights are standard normal; the mean of all rotations is the identity. Which of the two
+    mirror images in depth it is, orthography cannot tell: it is the one that is convex towards the viewer,
+    as a face is.
 
     Parameters
     ----------
-    bases
-        `(n_bases, n_points, 3)`: mean shape, and modes in the order of their size.
-    weights
-        `(n_frames, n_bases - 1)`: posterior means.
+    bases, weights
+        `(n_bases, n_points, 3)`: mean shape, and modes in the order of their size; `(n_frames, n_bases -
+        1)`.
     details, detail_weights
-        `(n_details, n_points, 3)` and `(n_frames, n_details)`: the same for modes that are finer than those
-        of the bases, as many as the tracks tell; there may be none.
+        `(n_details, n_points, 3)` and `(n_frames, n_details)`: finer modes, as many as the tracks tell.
     rotations, scales, translations
         `(n_frames, 3, 3)`, `(n_frames,)` px, `(n_frames, 2)` px.
-    noise
-        px: standard deviation of a coordinate.
-    rmse
-        px: root mean square, over coordinates of all that was seen, of what `shapes()` leaves.
-    log_likelihood
-        nats, of the tracks in px, weights integrated out.
-    history
-        log likelihood with the prior of the bases, before each iteration of the last climb; never falls.
+    noise, rmse
+        px: standard deviation of a coordinate, and root mean square, over all that was seen, of what
+        `shapes()` leaves.
+    log_likelihood, history
+        nats, of the tracks in px, weights integrated out; and with the prior of the bases, before each
+        iteration of the last climb; it never falls.
     frame_determined
         `(n_frames,)` bool: the frame shows four points or more. Poses and weights of others are NaN.
     frame_covariances
