@@ -39,7 +39,7 @@ NOT_RUN_BLOCKS = {
     "running": 1,  # a camera
     "scale": 2,  # a cluster
     "start": 1,  # pip install
-    "structure": 1,  # a film of one's own
+    "structure": 2,  # a camera, a film of one's own
     "validity": 1,  # any run
 }
 """How many blocks of a page are not run; every other block is."""
@@ -160,10 +160,10 @@ def check_start(reader: Reader) -> None:
 
 
 def check_files(reader: Reader) -> None:
-    """The tables name what is there, and other tools have read it."""
+    """The tables name what is there but for what an option asks for, and other tools have read it."""
     listed = {}
     for part in PAGES["files"].read_text().split("\n## ")[1:]:
-        rows = re.findall(r"^\| (`[^|]+) \|", part, re.MULTILINE)
+        rows = re.findall(r"^\| (`[^|]+) \| (?!with `--)", part, re.MULTILINE)
         listed[part.partition("\n")[0]] = [name for row in rows for name in re.findall(r"`([^`]+)`", row)]
     of_background = listed["Results of `rsmcm background`"]
     assert of_background[: len(COLUMNS)] == list(COLUMNS)

@@ -11,7 +11,8 @@ from rsmcm.apps.runs import progress
 
 @pytest.fixture(autouse=True)
 def not_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As without --quiet, which a command before, in this process, may have had."""
+    """As without --quiet, which a command before, in this process, may have had; with a line every 10 s."""
+    monkeypatch.setattr(progress, "SPARSE_SECONDS", 10.0)
     package = logging.getLogger("rsmcm")
     monkeypatch.setattr(package, "level", package.level)
     package.setLevel(logging.WARNING)  # which forgets what was enabled before, too
