@@ -1,10 +1,12 @@
 """Loops that draw a textured mesh: triangles into samples with a depth each, and samples into pixels."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...models.numerics.compiled import compiled
 
 _f4 = np.float32
+Pixels = NDArray[np.float32]
 
 FARTHEST = 1e30  # depth of a sample that nothing covers
 
@@ -60,15 +62,21 @@ def draw_mesh(shown, depth, places, attributes, triangles, texture):
                             shown[row, column, channel] = light * (above + down * (below - above))
 
 
-def average_samples(picture, covered, grey, depth, across, left, top):
+def average_samples(
+    picture: Pixels, covered: Pixels, grey: Pixels, depth: Pixels, across: int, left: int, top: int
+) -> None:
     """Blend samples, `across` x `across` a pixel, over `picture` from pixel `(left, top)` on.
 
-    covered (height, width) receives the share of each pixel that is drawn.
+    `covered`, `(height, width)`, receives the share of each pixel that is drawn.
     """
     drawn, share = depth < _f4(FARTHEST), _f4(1 / across**2)
     places = [np.s_[i::across, j::across] for i in range(across) for j in range(across)]
-    total = sum(np.where(drawn[place], grey[place], _f4(0)) for place in places)
-    part = sum(drawn[place].astype(np.float32) for place in places) * share
-    window = np.s_[top : top + part.shape[0], left : left + part.shape[1]]
+    height, width = depth.shape[0] // across, depth.shape[1] // across
+    total, part = np.zeros((2, height, width), np.float32)
+    for place in places:
+        total += np.where(drawn[place], grey[place], _f4(0))
+        part += drawn[place]
+    part *= share
+    window = np.s_[top : top + height, left : left + width]
     covered[window] = part
     picture[window] = total * share + (1 - part) * picture[window]
