@@ -191,14 +191,14 @@ class BlobTracker:
     def _rule(self, channels: int, scene: BlobScene, least_area: float) -> Learning:
         """How blobs follow what this frame shows."""
         times = self.mask_time, self.colour_time, VIEW_TIME, self.size_time
-        return Learning(
+        values = [
             log_uniform(channels),
             scene.elapsed,
             *(-math.expm1(-scene.elapsed / time) for time in times),
             math.exp(-scene.elapsed / FADING),
             least_area,
-            *(getattr(self, name) for name in Learning._fields[8:]),
-        )
+        ]
+        return Learning._make([*values, *(getattr(self, name) for name in Learning._fields[len(values) :])])
 
     def _parted(self, blobs: Blobs, numbers: Iterator[int], scene: BlobScene, least_area: float) -> Blobs:
         """Blobs that have had a waist or the width of two for a while are two; crumbs are swept away."""

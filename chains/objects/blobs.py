@@ -104,7 +104,7 @@ class Blob:
         )
 
     def __getattr__(self, name: str) -> Any:
-        if name not in RECORD.names:
+        if name not in (RECORD.names or ()):
             raise AttributeError(name)
         return self.record[name]
 

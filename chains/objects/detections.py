@@ -176,7 +176,10 @@ def are_kept(blobs: Blobs, size: tuple[int, int]) -> NDArray[np.bool_]:
     boxes = table["box_mean"].copy()
     boxes[:, :WIDTH] += table["position"][:, ::-1]
     there = _inside(boxes, size) & (table["existence"] > GIVEN_UP)
-    return (table["detected"] == 0) | (there & (table["covariance"][:, 0, 0] < boxes[:, HEIGHT] ** 2))
+    kept: NDArray[np.bool_] = (table["detected"] == 0) | (
+        there & (table["covariance"][:, 0, 0] < boxes[:, HEIGHT] ** 2)
+    )
+    return kept
 
 
 def _inside(boxes: Pair, size: tuple[int, int]) -> NDArray[np.bool_]:

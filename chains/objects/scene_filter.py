@@ -17,7 +17,7 @@ R_1 alone, and messages are worked out again in each pass.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,6 +145,14 @@ class SceneFilter:
             (name for name, chain in self.model.chains.items() if hasattr(chain, "empty_scene")), None
         )
 
+    @overload
+    def messages(
+        self, trajectory: SceneTrajectory, feature: PixelLabels, incoming: Sequence[BatchIncoming]
+    ) -> Sequence[PixelMessage]: ...
+    @overload
+    def messages(
+        self, trajectory: SceneTrajectory, feature: ObjectBoxes, incoming: Sequence[BatchIncoming]
+    ) -> Sequence[BoxMessage]: ...
     def messages(
         self,
         trajectory: SceneTrajectory,
