@@ -16,6 +16,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import count
+from typing import overload
 
 import numpy as np
 
@@ -117,6 +118,10 @@ class BlobTracker:
             blobs = detections.moved(blobs, dt, self.acceleration, state.detecting)
         return replace(state, blobs=blobs, elapsed=state.elapsed + dt)
 
+    @overload
+    def message(self, state: BlobState, feature: PixelLabels, incoming: Incoming) -> PixelMessage: ...
+    @overload
+    def message(self, state: BlobState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage: ...
     def message(
         self, state: BlobState, feature: PixelLabels | ObjectBoxes, incoming: Incoming
     ) -> PixelMessage | BoxMessage:
