@@ -380,8 +380,8 @@ def _without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruc
 
     Before affine cameras, perspective may have been: then homographies explain clearly more than the shape. A
     perspective camera explains them too, with any depth if it stays where it is, or with any focal length if
-    it sees a plane: then homographies explain as much. Or there is less parallax than a tracker makes by
-    itself.
+    it sees a plane: then homographies explain as much. Or, `from_images` and with an affine shape or a
+    focal length that was estimated, there is less parallax than a tracker makes by itself.
     """
     if found.geometry == "none":
         return found

@@ -79,7 +79,7 @@ MEMORY = 8  # steps that are kept
 
 
 class Anderson:
-    """Anderson acceleration of x <- g(x): the combination of the last steps at which g(x) = x."""
+    """Anderson acceleration of x <- g(x): where g(x) - x would vanish, by the last steps."""
 
     def __init__(self) -> None:
         self._places: list[Numbers] = []

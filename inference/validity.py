@@ -14,16 +14,21 @@ through A, B and K, which are what prediction errors show.
 
 What the paper prints differently (checked by Monte Carlo in the tests):
 
-- (13), (14): the means are g^_1 and g^_2, not g. - (A.2), last line: the trace with (Sigma_1 + Sigma_v)^-1
-is subtracted, not added. In the first form of C(q*) both traces have the wrong sign. - (A.3) ends in an
-equation that does not hold; the derivative is half of S^-1 X S^-1 - (S + Sigma_v)^-1 X (S + Sigma_v)^-1 with
-S = Sigma_1 and X = S - Sigma_0 - P_1, which vanishes for X = 0 only. Lemma 1 is right. - (A.4): both costs
-lack the factor 1/2. - Theorem 2 and eq. (17) are right as printed, and sufficient, but only with Lemma 1's
-noises and far from necessary. The remark on P_1 = P_12 misplaces a transpose: Gamma_1 = -Q (P_12 + Sigma_0)
-there. That the correlation must be less than 0.5 is true of (17) with Sigma_0 > 0, not of benefit: in one
-dimension products help up to a correlation of A, B, K of log 2 = 0.69.
+- (13), (14): the means are g^_1 and g^_2, not g.
+- (A.2), last line: the trace with (Sigma_1 + Sigma_v)^-1 is subtracted, not added. In the first form of
+  C(q*) both traces have the wrong sign.
+- (A.3) ends in an equation that does not hold; the derivative is half of
+  S^-1 X S^-1 - (S + Sigma_v)^-1 X (S + Sigma_v)^-1 with S = Sigma_1 and X = S - Sigma_0 - P_1. It vanishes
+  for X = 0 only; that this is the minimum follows from C(q_1) - C(q_1opt) being what observing through noise
+  takes away from a KL divergence. Lemma 1 is right.
+- (A.4): both costs lack the factor 1/2.
+- Theorem 2 and eq. (17) are right as printed, and sufficient (Gamma_i seem asymmetric and are symmetric), but
+  only with Lemma 1's noises and far from necessary. The remark on P_1 = P_12 misplaces a transpose:
+  Gamma_1 = -Q (P_12 + Sigma_0) there. That the correlation must be less than 0.5 is true of (17) with
+  Sigma_0 > 0, not of benefit: in one dimension products help up to a correlation of A, B, K of log 2 = 0.69.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any, Generic, Literal, TypeVar
@@ -176,7 +181,7 @@ def symmetric(matrix: Numbers) -> Numbers:
 Bounded = TypeVar("Bounded", float, Numbers)
 Verdict = Literal["helps", "does not help", "not sure"]
 
-LEAST_VARIANCE = 1e-6  # of prediction errors, in the observation's: less is that noise
+LEAST_VARIANCE = 1e-6  # of prediction errors, as a share of the observation's: less is as good as none
 
 FEWEST_GROUPS = 20
 """Below, no verdict: 95 % intervals of 12 groups hold the true gain in 88 %, of 40 in 90 to 94 %."""
@@ -336,7 +341,7 @@ class Comparison(Judged):
 
     @property
     def reason(self) -> str:
-        """And in a sentence."""
+        """Why, in a sentence."""
         bearable, gain = self.bearable_correlation, f"{self.gain:.2g} nats"
         errors = (
             f"Errors of {self.rms_first.estimate:.3g} and {self.rms_second.estimate:.3g} "
@@ -393,6 +398,8 @@ def compare(
     errors = _without_noise(moments.reshape(-1, 2 * d, 2 * d), noise.reshape(-1, d, d))
     gain_first, gain_second = errors.gains
     correlation, factor = errors.correlation, float(errors.bearable[0])
+    estimate = float(correlation[0])
+    bearable = estimate * factor if estimate > 0 and math.isfinite(factor) else math.inf
     return Comparison(
         count=count,
         groups=sums.count,
@@ -403,9 +410,7 @@ def compare(
         rms_first=interval_of(_rms(errors.first)),
         rms_second=interval_of(_rms(errors.second)),
         correlation=interval_of(correlation),
-        bearable_correlation=correlation[0] * factor
-        if correlation[0] > 0 and np.isfinite(factor)
-        else np.inf,
+        bearable_correlation=bearable,
         gain_first=interval_of(gain_first),
         gain_second=interval_of(gain_second),
         gain=interval_of(np.minimum(gain_first, gain_second)),
@@ -554,7 +559,7 @@ class ScoreComparison(Judged):
 
     @property
     def reason(self) -> str:
-        """And in a sentence."""
+        """Why, in a sentence."""
         few = f", but only from {self.groups} independent groups" if self.groups < FEWEST_GROUPS else ""
         return f"The product scores {self.gain:.2g} nats above the better chain{few}"
 

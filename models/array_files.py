@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .files import MOST_NUMBERS
 
-SINGLE = ""  # The name of the one array of an `.npy` file
+SINGLE = ""  # the name of the one array of an `.npy` file
 
 NUMBER = 8  # bytes: what a number takes at most; longer ones, and texts, count as several
 LONGEST_HEADER = 10_000  # bytes

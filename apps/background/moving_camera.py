@@ -36,7 +36,7 @@ class CameraWatch:
     """Registers suspicious frames with the empty scene, and says once that the camera moves.
 
     A light that is switched, or somebody who fills the picture, makes most of it foreground too; but then no
-    map of the picture takes the differences away. What is `noticed` already is not said again.
+    map of the picture takes the differences away. If `noticed`, it has been said already.
     """
 
     def __init__(self, *, noticed: bool = False) -> None:

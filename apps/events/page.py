@@ -1,4 +1,4 @@
-"""What a page and a summary say of events: how many, how long, and how many were there at a time."""
+"""What a page and a summary say of events, and the page of a run that is finished (`rsmcm events`)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

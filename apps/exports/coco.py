@@ -1,4 +1,4 @@
-"""Tracks as COCO JSON, with a mask of each object in COCO's compact form."""
+"""Tracks as COCO JSON, with a mask of each object in COCO's compact form, and as XML of CVAT."""
 
 import json
 import math

@@ -23,8 +23,16 @@ SPACE = ["x", "y"]
 def to_movement(run: str | Path, out: str | Path) -> str:
     """Write what a run has tracked as a netCDF file of `movement`, whole or not at all.
 
-    Result and errors are as of `to_coco`; it is a ValueError as well if nothing was tracked, or it is too
-    large for one array, and an ImportError if `xarray` is not installed.
+    `run` is the folder of a background, body or face run. Returns a line on what was written.
+
+    Raises
+    ------
+    ValueError
+        if it is no such run, its files are damaged, nothing was tracked, or it is too large for one array.
+    OSError
+        if a file cannot be read or written.
+    ImportError
+        if `xarray` is not installed.
     """
     dataset = movement_dataset(run)
     with write_atomically(Path(out)) as unfinished:

@@ -23,8 +23,15 @@ def to_video(run: str | Path, out: str | Path) -> str:
     """Write the film of a run, what the page of the run plays, with what was found drawn on it, as MP4.
 
     Its pictures are of the size of the source, but their detail is that of `film.mp4`, whose sides are at
-    most 640 px; `--video` of the run itself draws on the frames as they are. Result and errors are as of
-    `to_coco`.
+    most 640 px; `--video` of the run itself draws on the frames as they are. Returns a
+    line on what was written.
+
+    Raises
+    ------
+    ValueError
+        if the folder holds no run with a film, or its files are damaged.
+    OSError
+        if a file cannot be read or written.
     """
     finished = FinishedRun.of(run, *_DRAWINGS)
     if not (finished.folder / FILM).exists() or not (finished.folder / ROWS).exists():

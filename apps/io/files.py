@@ -332,6 +332,8 @@ class MaskWriter:
     ----------
     folder
         of the results; made where it is not there.
+    mode
+        `"none"`, `"png"` (a picture a frame) or `"video"`.
     rate
         pictures per second of the video.
     resume_after

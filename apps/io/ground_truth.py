@@ -114,10 +114,14 @@ class MaskTruth:
         return sorted(self.files)
 
     def labels(self, number: int) -> NDArray[np.uint8]:
-        """Read the labels of an annotated frame: `(height, width)` uint8, 85 outside the region of interest.
+        """Read the labels of an annotated frame: `(height, width)` uint8 of 0, 50, 85, 170 and 255.
+
+        85 is outside the region of interest.
 
         Raises
         ------
+        KeyError
+            if the frame is not annotated.
         ValueError
             if the file is no picture, or the region of interest has another size.
         """

@@ -15,7 +15,7 @@ SIGNALLED = 128
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended: its `summary.json`, the signal that ended it early, if any, and a few lines."""
+    """How a run ended: its `summary.json`, also in `words`, and the signal that ended it early, if any."""
 
     summary: dict[str, Any]
     signal: int | None

@@ -160,11 +160,19 @@ class Start:
 
     Parameters
     ----------
+    job, source, session
+        what is wanted, the opened source, and the run in its folder.
     saved, learned
         the run that is resumed, and the one from which this one learns; `None` where there is none.
+    blank_is_missing
+        whether a picture without any contrast counts as missing.
 
     Attributes
     ----------
+    source, interruption, notes
+        the source, the signal that may have come, and what the summary tells the reader; to be added to.
+    seen
+        the frames that were taken from the source, with what was wrong with them.
     frames
         that will be answered, up to a signal; of those that `build` looks at, it puts back what is to be.
     before

@@ -202,7 +202,7 @@ class RowLog:
     ) -> None:
         """Write an `.npz` of constant arrays, and arrays with an entry a frame, whole or not at all.
 
-        Columns by their names are the name of a column of the log, or values.
+        `columns`: by the name of the array, the name of a column of the log, or the values themselves.
         """
         of_frames = {name: self[of] if isinstance(of, str) else of for name, of in columns.items()}
         with write_atomically(path) as unfinished:

@@ -1,4 +1,4 @@
-"""A run in its folder of results: what all applications have in common, whatever they read and write."""
+"""A run in its folder of results: what all applications have in common there, and versions."""
 
 import importlib.metadata
 import platform

@@ -47,7 +47,7 @@ class GeneratedFilm(Lazy[Frame]):
         """Frame `index` with its time."""
 
     def frame(self, index: int) -> Frame:
-        """Frame `index` with its time."""
+        """The same as `self[index]`."""
         return self[index]
 
     def image(self, index: int) -> NDArray[np.uint8]:

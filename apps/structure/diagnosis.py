@@ -22,7 +22,7 @@ CONTRAST = 4.0
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Why there is no structure: a sentence or two each, and figures that show it.
+    """Why there is no structure: what is missing, why, and what to do, a sentence or two each, and figures.
 
     Figures are in px, frames and grey levels; `None` where one could not be measured.
     """

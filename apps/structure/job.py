@@ -50,8 +50,8 @@ class StructureJob(FilmJob):
 
     BOUNDS: ClassVar[Bounds] = {"focal": (lambda px: 0 < px < math.inf, "px, more than 0")}
     EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = (
-        ("--live", ASCENT, "the second takes all frames together"),
-        ("--from", ASCENT, "the second takes all frames together"),
+        ("--live", ASCENT, "the second, which is the default, takes all frames together"),
+        ("--from", ASCENT, "the second, which is the default, takes all frames together"),
         ("--coherence none", RECURSIVE),
         ("--association none", RECURSIVE),
         ("--camera affine", RECURSIVE),

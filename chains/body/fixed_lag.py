@@ -105,7 +105,7 @@ def moved_between(
     Half of the moves are of whole arms, half are small ones.
 
     `poses`: n of them, which may have been drawn from `samples`; `past`: of the frame before; `samples`: what
-    the filter knows of this frame; `later`, `elapsed` `n` poses of the next frame; s from this one to it;
+    the filter knows of this frame; `later`: n poses of the next frame; `elapsed`: s from this one to it;
     `log_likelihood`: of this frame's image; `moves`: of every pose.
     """
     n = len(poses)

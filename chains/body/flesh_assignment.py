@@ -62,7 +62,7 @@ LEAST_FOUND = 1e-9  # the same at least, where things may be the part: ratios ar
 COVERED = 0.9  # chance that a part is not seen on its own where another thing is
 CHOICES = 8  # answers for each part that are combined with those for the others
 CANDIDATES = 64  # joint answers that are worked out
-NEVER = -1e9  # Nats: finite, so that sums of it are numbers
+NEVER = -1e9  # nats: finite, so that sums of it are numbers
 
 
 @dataclass(frozen=True, eq=False)

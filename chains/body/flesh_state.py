@@ -18,7 +18,7 @@ MOST_CLUTTER = 12  # things that are kept: as many as a picture may show
 FOUND = 0.9  # chance that one that is there is detected
 LASTS = 20.0  # s for which one stays
 BORN = 0.3  # chance that something which is seen once, and is no part, stays
-LEAST_KNOWN = 1e-9  # Probability: of something new
+LEAST_KNOWN = 1e-9  # probability: of something new
 SUREST = 0.99  # however often it was seen, it may have gone since then
 
 
@@ -139,7 +139,7 @@ OF_PARTS = ("means", "covariances", "visible", "since", "things")
 
 MOST_HYPOTHESES = 16
 
-EXCHANGES = 4  # Hypotheses, the best ones, whose hands are exchanged now and then
+EXCHANGES = 4  # hypotheses, the best ones, whose hands are exchanged now and then
 ALIKE = 0.6  # of a hand's radius, or of a standard deviation: places that are so close are the same
 LEAST_WEIGHT = 1e-5  # of the best hypothesis: with less, one is given up
 

@@ -620,7 +620,7 @@ class Solid(NamedTuple):
     firsts: NDArray[np.intp]  # `(9,)`: part j has the rows `firsts[j]` to `firsts[j + 1]`
     counted: NDArray[np.float32]  # `(rows, LANES)`: 1 where a point counts, else 0
     tolerance: np.float32  # px: a point is hidden by what is so much nearer
-    rim: np.float32  # Share of a part's squared radius that hides nothing, see `fronts`
+    rim: np.float32  # share of a part's squared radius that hides nothing, see `fronts`
 
 
 @inlined

@@ -136,7 +136,7 @@ HEAD_SCORES = (5.0, 0.2)
 """Nats of a place with all the skin of a head, where no face is detected; probability of a head without."""
 
 NECK_RADIUS, NO_NECK = 0.28, -9.0  # head heights: of bare skin above the shoulders; of none
-BLOB_COST = 4.0  # Nats: of what looks like a hand and is neither hand nor head
+BLOB_COST = 4.0  # nats: of what looks like a hand and is neither hand nor head
 BLOB_REACH = (0.6, 0.35, 0.35, 0.25)  # head heights: within which parts and bare forearms explain a blob
 EDGE_SPREAD = 0.05  # head heights: standard deviation of an edge about the outline of a nearly right body
 EDGE_WINDOW = 0.5  # head heights: standard deviation of the window in which an image's own edges are counted

@@ -190,9 +190,9 @@ def _grouped(places: Array, weights: Array, groups: int) -> Sequence[Array]:
     return np.log(mass[used]), means, covariances
 
 
-MOST = 4  # Hypotheses of a frame that are told apart
-WORTH_SAYING = 0.1  # Probability from which a second answer is shown
-ENOUGH = 200  # Poses that tell them
+MOST = 4  # hypotheses of a frame that are told apart
+WORTH_SAYING = 0.1  # probability from which a second answer is shown
+ENOUGH = 200  # poses that tell them
 
 HANDS = [JOINTS.index("left_hand"), JOINTS.index("right_hand")]
 

@@ -194,7 +194,7 @@ def tones(image: NDArray[np.uint8], object_: NDArray[np.bool_], box: Box) -> Map
 UNKNOWN_VARIANCE = 60.0**2  # squared grey levels: of a pixel whose background has never been seen
 NOISE = 20.0  # squared grey levels of a picture at a pixel, sigma_w^2
 WANDERING = 25.0  # squared grey levels per second by which a pixel's background may change, Psi_b
-LEAST_RATIO = -9.0  # Nats: no pixel speaks louder against the background, whatever has come before it
+LEAST_RATIO = -9.0  # nats: no pixel speaks louder against the background, whatever has come before it
 
 
 @short_repr

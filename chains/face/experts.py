@@ -29,7 +29,7 @@ FEW = 3  # experts of which the search is done before another thread is awake
 MOST_STEPS = (6, 4, 4)  # evaluations on each level, fine to coarse, the first at the start included
 
 
-Belief = Callable[[Poses, NDArray[np.int64]], kernels.Belief]
+BeliefAt = Callable[[Poses, NDArray[np.int64]], kernels.Belief]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def find_modes(
         after = kernels.PoseArrays(*(part.copy() for part in _parts(poses)))
 
         def work(
-            a: int, b: int, level: int = level, belief: Belief = belief, after: kernels.PoseArrays = after
+            a: int, b: int, level: int = level, belief: BeliefAt = belief, after: kernels.PoseArrays = after
         ) -> None:
             some = kernels.PoseArrays(*(part[a:b] for part in after))
             precision[a:b] = _climbed(belief, prior, level, unit, some, np.arange(a, b))
@@ -109,7 +109,7 @@ def _belief(
 
 
 def _climbed(
-    belief: Belief,
+    belief: BeliefAt,
     prior: PosePrior,
     level: int,
     unit: float,

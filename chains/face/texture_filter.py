@@ -25,7 +25,7 @@ class TexelNoise:
     """Noises of the texture (G-flow paper eq. 1, 4)."""
 
     rendering: float  # sigma_w^2, squared grey levels: of a texel as the picture shows it
-    process: float  # Psi_v, squared grey levels per second: by which a texel changes
+    process: float  # psi_v, squared grey levels per second: by which a texel changes
 
     def __post_init__(self) -> None:
         if not (self.rendering >= 0 and self.process >= 0 and self.rendering + self.process > 0):

@@ -45,9 +45,8 @@ RECORD = np.dtype(
         ("columns", np.int64),
         # from here on measured of the mask; rows and columns count within the patch, ends are exclusive
         ("mass", np.float64),  # its sum
-        *(
-            (name, np.int64) for name in ("top", "left", "bottom", "right")
-        ),  # likely covered; ends 0 if none is
+        # likely covered; ends are 0 if none is
+        *((name, np.int64) for name in ("top", "left", "bottom", "right")),
         *((f"faint_{name}", np.int64) for name in ("top", "left", "bottom", "right")),  # may be covered
         ("waist", np.int64),  # the column where it is narrowest between two upright parts
         ("waist_depth", np.float64),  # its height there as a share of theirs (1: there is none)
@@ -60,9 +59,9 @@ MARGIN = 6  # px of empty border in a blob's patch, into which its mask can grow
 
 _f4 = np.float32
 
-LIKELY = 0.45  # Probability of cover from which on a pixel counts as part of an object's box
-FAINT = 0.25  # Probability of cover from which on a mask's patch must leave room around a pixel
-UNKNOWN_COLOUR = -1e4  # In an appearance: no colour is known of this pixel
+LIKELY = 0.45  # probability of cover from which on a pixel counts as part of an object's box
+FAINT = 0.25  # probability of cover from which on a mask's patch must leave room around a pixel
+UNKNOWN_COLOUR = -1e4  # in an appearance: no colour is known of this pixel
 
 
 class Picture(NamedTuple):
@@ -199,8 +198,8 @@ def measured(mask: NDArray[np.float32], record: np.void | None = None) -> np.voi
     table["start"], table["rows"], table["columns"] = 0, *mask.shape
     flat = np.ascontiguousarray(mask).reshape(-1)
     measure_all(table, Pools(flat, nothing), np.empty(5 * mask.shape[1], np.float32))
-    measured: np.void = table[0]
-    return measured
+    found: np.void = table[0]
+    return found
 
 
 @compiled

@@ -60,8 +60,8 @@ _TOGETHER = 8  # ratios of contrasts that are multiplied before their logarithm 
 
 _BLOCK = 256  # px, of which a sum is one of float32
 
-HIGHEST_COVER = 0.97  # Masks stay below certainty, so that evidence can always win them back
-GROWTH = 1.3  # How far beyond its usual size a mask may reach
+HIGHEST_COVER = 0.97  # masks stay below certainty, so that evidence can always win them back
+GROWTH = 1.3  # how far beyond its usual size a mask may reach
 
 BENEFIT_OF_DOUBT = 0.6
 """What the mask of a still blob keeps of pixels that fit its colours as well as the background's."""
@@ -69,7 +69,7 @@ BENEFIT_OF_DOUBT = 0.6
 THINNEST = 0.08
 """Area over squared length below which a spot is a line (a rope, an edge that shakes) and no object."""
 
-LEAST_MASK = 0.1  # Of a mask's mass, which must be in the picture
+LEAST_MASK = 0.1  # of a mask's mass, which must be in the picture
 TRAVELLED = -5.0  # nats, log ratio of ghost and real for each own length that something travels
 MOST_EVIDENCE = 20.0  # nats, that all views together are worth, either way
 
@@ -203,7 +203,7 @@ class Scene(NamedTuple):
 
 
 class Learning(NamedTuple):
-    """How blobs follow what is seen; what it has not of itself is as of `Matching` and `BlobTracker`."""
+    """How blobs follow what is seen; its other fields are those of `Matching` and `BlobTracker`."""
 
     log_uniform: float
     elapsed: float
@@ -550,8 +550,8 @@ def learn_all(which, before, old, blobs, pools, picture, scene, rule, alive, scr
 Spot = list[int]
 """Top, left, bottom, right px."""
 
-BLOCKS = 192  # Along the longer side of a picture, in which spots are looked for
-MOST_SPOTS = 256  # In one frame
+BLOCKS = 192  # along the longer side of a picture, in which spots are looked for
+MOST_SPOTS = 256  # in one frame
 VIEW_TIME = 0.4  # s over which a view is averaged: masks err for a while in the same way
 
 
@@ -596,10 +596,16 @@ class BlobScene:
         masks, colours = np.empty(total, np.float32), np.empty(channels * total, np.float32)
         alive = np.empty(len(table), np.uint8)
         after = replace(blobs.with_table(table), masks=masks, colours=colours)
-        boxes, starts, _, explained, _ = self._layers.composition(self.pixels.image, self.size)
+        composed = self._layers.composition(self.pixels.image, self.size)
         background = self.pixels.background
         assert background is not None
-        scene = Scene(background.colours, boxes, starts, explained, self.expected_sizes(blobs))
+        scene = Scene(
+            background.colours,
+            composed.boxes,
+            composed.starts,
+            composed.explained,
+            self.expected_sizes(blobs),
+        )
         room, count = scratch_for_learning(table, channels), min(thread_count(), len(table))
 
         def work(first: int) -> None:

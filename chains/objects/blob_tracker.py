@@ -41,6 +41,12 @@ MORE_THAN_0 = (
 """Parameters of `BlobTracker` that must be more than 0."""
 
 SWEEP = 0.8  # s after which a mask is freed of crumbs again
+OF_TRACKER = (
+    "outliers", "strength", "spread", "temper", "ghost_evidence", "confirmed_time", "patience",
+    "hidden_patience",
+)  # fmt: skip
+"""Parameters of `BlobTracker` by which blobs are learned."""
+
 FADING = 0.06  # s, time constant with which a mask fades where it reaches too far
 
 
@@ -195,15 +201,21 @@ class BlobTracker:
 
     def _rule(self, channels: int, scene: BlobScene, least_area: float) -> Learning:
         """How blobs follow what this frame shows."""
-        times = self.mask_time, self.colour_time, VIEW_TIME, self.size_time
-        values = [
-            log_uniform(channels),
-            scene.elapsed,
-            *(-math.expm1(-scene.elapsed / time) for time in times),
-            math.exp(-scene.elapsed / FADING),
-            least_area,
-        ]
-        return Learning._make([*values, *(getattr(self, name) for name in Learning._fields[len(values) :])])
+
+        def share(time: float) -> float:
+            return -math.expm1(-scene.elapsed / time)
+
+        return Learning(
+            log_uniform=log_uniform(channels),
+            elapsed=scene.elapsed,
+            mask_share=share(self.mask_time),
+            colour_share=share(self.colour_time),
+            view_share=share(VIEW_TIME),
+            size_share=share(self.size_time),
+            kept=math.exp(-scene.elapsed / FADING),
+            least_area=least_area,
+            **{name: getattr(self, name) for name in OF_TRACKER},
+        )
 
     def _parted(self, blobs: Blobs, numbers: Iterator[int], scene: BlobScene, least_area: float) -> Blobs:
         """Blobs that have had a waist or the width of two for a while are two; crumbs are swept away."""

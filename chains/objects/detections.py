@@ -27,15 +27,15 @@ from .blobs import Blob, Blobs, Map, Pair, box_densities, paste
 ACCELERATION = 0.4
 """Heights/s^2, standard deviation of what moves a person out of the straight way; it lasts half a second."""
 
-FIRST_SPEED = 0.8  # Heights/s, standard deviation of somebody's velocity along either axis of the picture
+FIRST_SPEED = 0.8  # heights/s, standard deviation of somebody's velocity along either axis of the picture
 LIFE = 20.0  # s, for which an object stays in the picture on average
 PHASE = 0.5  # s, time constant with which the detector begins to notice an object, or ceases to
-USUALLY = 0.85  # Share of the time for which the detector notices an object
-SWAY = 0.03  # Heights/s^0.5: how far a box moves against the blob that it is of, by gait
-GROWTH = 0.1  # Shares/s^0.5: how fast sides of a box change as somebody comes nearer
-MASK_ERROR = 0.2  # Of a mask's box, in its sides: how far a detector's box may be off
+USUALLY = 0.85  # share of the time for which the detector notices an object
+SWAY = 0.03  # heights/s^0.5: how far a box moves against the blob that it is of, by gait
+GROWTH = 0.1  # shares/s^0.5: how fast sides of a box change as somebody comes nearer
+MASK_ERROR = 0.2  # of a mask's box, in its sides: how far a detector's box may be off
 LEAST = np.array([-np.inf, -np.inf, 1.0, 1.0])  # px: of a box's numbers
-SPREAD = 300.0  # Squared grey levels: variance of a new object's colours about those that it shows first
+SPREAD = 300.0  # squared grey levels: variance of a new object's colours about those that it shows first
 
 WHOLE = 0.25
 """s after which a box of the same object is worth a whole new one: a detector errs alike for a while."""
@@ -43,8 +43,8 @@ WHOLE = 0.25
 SURE_COVER = np.float32(0.9)
 """Probability that a pixel well inside of what a detector shows of an object is the object's."""
 
-CANDIDATE = 0.1  # Probability of being somebody new from which on a box is remembered as an object
-GIVEN_UP = math.log(0.02 / 0.98)  # Log odds of existence below which an object is forgotten
+CANDIDATE = 0.1  # probability of being somebody new from which on a box is remembered as an object
+GIVEN_UP = math.log(0.02 / 0.98)  # log odds of existence below which an object is forgotten
 
 
 def moved(blobs: Blobs, dt: float, acceleration: float, detecting: bool) -> Blobs:

@@ -31,8 +31,8 @@ Numbers = NDArray[np.float64]
 ASSUMED = 10.0
 """True and false boxes, of each so many, as which the assumption counts that true ones have higher scores."""
 
-APART = 1.0  # Deviations of all scores by which true and false ones are assumed to be apart
-UNDETECTED = 3.0  # People in the picture of whom nothing is known, before anybody has looked
+APART = 1.0  # deviations of all scores by which true and false ones are assumed to be apart
+UNDETECTED = 3.0  # people in the picture of whom nothing is known, before anybody has looked
 
 
 @short_repr

@@ -32,7 +32,7 @@ Numbers = NDArray[np.float64]
 FIRST_TRUST, MOST_TRUST = 1.4, 4.0
 """Log odds that an object stands on the plane: before its first observation, and as sure as one can get."""
 
-MOST_ASPECTS = 50.0  # Observations that are remembered of everybody's width over height
+MOST_ASPECTS = 50.0  # observations that are remembered of everybody's width over height
 
 LEAST_SPREAD = 0.05
 """Of a width, in heights: what remains uncertain about it, however alike the observations were."""

@@ -10,12 +10,12 @@ from .blob_records import FRESH, UNKNOWN_COLOUR, measured, next_piece
 from .blob_scene import BlobScene
 from .blobs import Blob, Blobs, Map, Pair, likely_size, union
 
-UPRIGHT = 0.75  # Width over height below which anybody is upright, and stands beside others
+UPRIGHT = 0.75  # width over height below which anybody is upright, and stands beside others
 PAIR = 3.0  # nats from which on a blob is taken for two people
-HALF = 0.5  # Of anybody's height, below which a blob is a fragment of somebody
+HALF = 0.5  # of anybody's height, below which a blob is a fragment of somebody
 SETTING_OFF = 2.0  # s from its birth on, in which something may still come into view as parts that are apart
 SAME_TIME = 0.4  # s by which the births of parts of one thing may be apart
-KNOWN = 0.25  # Deviation over mean of anybody's height, below which it is known
+KNOWN = 0.25  # deviation over mean of anybody's height, below which it is known
 
 
 def with_parts(blobs: Blobs, newcomers: Newcomers | None) -> Blobs:
@@ -142,7 +142,8 @@ def thinnest_column(mask: Map) -> int:
 def halves(blob: Blob, column: int) -> tuple[Map, Map]:
     """The mask left and right of a column, the larger one first."""
     left, right = blob.mask.copy(), blob.mask.copy()
-    left[:, column:], right[:, :column] = 0, 0
+    left[:, column:] = 0
+    right[:, :column] = 0
     return (left, right) if left.sum() >= right.sum() else (right, left)
 
 

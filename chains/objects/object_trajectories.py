@@ -29,9 +29,9 @@ from .blobs import Track, middle_covariance
 
 Numbers = NDArray[np.float64]
 
-KNOWN = 0.25  # Widths: standard deviation of a place up to which somebody out of sight is reported there
-EDGE = 0.25  # Heights within which the picture's edge is near
-FROM_EDGE = 0.9  # Share of those who come that come from the picture's edge, not out of a door or a crowd
+KNOWN = 0.25  # widths: standard deviation of a place up to which somebody out of sight is reported there
+EDGE = 0.25  # heights within which the picture's edge is near
+FROM_EDGE = 0.9  # share of those who come that come from the picture's edge, not out of a door or a crowd
 
 GOES_ON, GOES_ON_AT_EDGE = 0.5, 0.05
 """Probability that a track's end is not the object's, inside the picture and at its edge."""

@@ -30,7 +30,7 @@ TRACE = 0.05
 """Probability of cover from which on pixels are compared with the picture: what grows is faint at first."""
 
 FINEST_ROWS = 1500  # px of a patch, for each of which one row more is left out
-ASTRAY, ASTRAY_TIME = 0.05, 0.1  # Lengths, and s for which, a mask is off the object that a detector finds
+ASTRAY, ASTRAY_TIME = 0.05, 0.1  # lengths, and s for which, a mask is off the object that a detector finds
 
 _NOT_YET = _f4(-1e30)
 _VECTOR = 16

@@ -37,8 +37,8 @@ from .object_trajectories import Boxes, messages_of
 Numbers = NDArray[np.float64]
 
 LONG = 60.0  # s, in which any light can come about
-ROOM = 0.1  # Of a box's size, around it: shadows, hair and feet that it leaves out
-FEWEST_FRAMES = 9  # From which an empty scene is found, however large they are
+ROOM = 0.1  # of a box's size, around it: shadows, hair and feet that it leaves out
+FEWEST_FRAMES = 9  # from which an empty scene is found, however large they are
 
 
 @short_repr

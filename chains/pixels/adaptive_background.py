@@ -53,7 +53,7 @@ LIGHT_ROUNDS = 2
 """How often empty scene and light are found in turn; from then on the scene's noise changes by 1 %."""
 
 LONG = 60.0  # s, in which any light can come about
-MOST_NOISE_SHARE = 0.1  # Of a single observation in a pixel's noise, however long ago the one before was
+MOST_NOISE_SHARE = 0.1  # of a single observation in a pixel's noise, however long ago the one before was
 
 
 @short_repr

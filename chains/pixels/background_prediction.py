@@ -56,12 +56,12 @@ _ONE, _TWO, _THREE = np.uint64(1), np.uint64(2), np.uint64(3)
 _SPAN = np.uint64(SPAN)
 _ODDS, _PLANES, _VARIANCES, _NOISES = (np.uint64(number * SPAN) for number in (1, 2, 5, 6))
 
-_UNSURE = np.int8(-128)  # Where the log odds are not known yet
+_UNSURE = np.int8(-128)  # where the log odds are not known yet
 
 _HIGHEST = HIGHEST_VARIANCE * VARIANCE_STEPS
 
-HALO = 2  # Rows beyond a band that its own log odds depend on
-BLOCK = 32  # Rows that are worked on at a time: small enough to stay in the cache
+HALO = 2  # rows beyond a band that its own log odds depend on
+BLOCK = 32  # rows that are worked on at a time: small enough to stay in the cache
 
 
 @inlined
@@ -305,7 +305,7 @@ def _rows(first, end, pixels, before, light_field, model, certain, rounding, to,
 
 Planes = NDArray[np.float32]
 
-CERTAIN = 6.0  # Nats: the bound of the log odds of a pixel by itself
+CERTAIN = 6.0  # nats: the bound of the log odds of a pixel by itself
 
 CHORDS = (LOWEST_NOISE, 100.0, 1000.0)
 """Squared grey levels of variance, between which the bound of `Certain` is made of straight lines."""

@@ -29,7 +29,7 @@ class Modes(NamedTuple):
     support: NDArray[np.float32]
 
 
-STEADY = _f4(0.8)  # Share of the early frames in which a pixel must show one colour to be taken for still
+STEADY = _f4(0.8)  # share of the early frames in which a pixel must show one colour to be taken for still
 
 
 @compiled
@@ -149,7 +149,7 @@ Image = NDArray[np.uint8]
 Numbers = NDArray[np.float64]
 
 STILL = 3.0  # s: what does not change from the first frame on for so long is part of the scene
-PRIOR_FRAMES = 8.0  # How many frames what is known of the noise beforehand counts for
+PRIOR_FRAMES = 8.0  # how many frames what is known of the noise beforehand counts for
 
 
 def empty_scene(

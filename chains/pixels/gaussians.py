@@ -24,7 +24,7 @@ LOWEST_NOISE, HIGHEST_NOISE = 20.0, 400.0
 MEAN_STEPS, VARIANCE_STEPS, NOISE_STEPS = 32.0, 256.0, 128.0
 """Steps of the stored means per grey level, of variances and noises per squared grey level."""
 
-COARSE_STEPS = 8.0  # Steps of a variance beyond `HIGHEST_VARIANCE`, which nobody needs to know so well
+COARSE_STEPS = 8.0  # steps of a variance beyond `HIGHEST_VARIANCE`, which nobody needs to know so well
 
 _COARSE_START = HIGHEST_VARIANCE * (VARIANCE_STEPS / COARSE_STEPS - 1)
 """Where the line of coarse steps crosses that of fine ones at `HIGHEST_VARIANCE`."""
@@ -32,8 +32,8 @@ _COARSE_START = HIGHEST_VARIANCE * (VARIANCE_STEPS / COARSE_STEPS - 1)
 ROUNDING = 65536.0
 """In what is added before a number is cut off to whole steps: none is below 0 then, and 16 bits drop it."""
 
-ROUNDING_PERIOD = 256  # Rows of pixels are rounded by one table, each from another place in it
-SURE = np.int8(6 * ODDS_STEPS)  # Log odds at their bound, which only a pixel's own Gaussian gives
+ROUNDING_PERIOD = 256  # rows of pixels are rounded by one table, each from another place in it
+SURE = np.int8(6 * ODDS_STEPS)  # log odds at their bound, which only a pixel's own Gaussian gives
 
 MOST_RECALLED = 5.95
 """Nats at most, of pixels that are background for another reason: a step less than `SURE`."""

@@ -34,7 +34,7 @@ DARKEST, BRIGHTEST = 0.1, 10.0
 LEAST_AGREEMENT = 0.3
 """Share of a block's samples that must change by one factor; else something stands there that is new."""
 
-SAME_LIGHT = 0.05  # Log of a ratio within which a block agrees with the light that its neighbourhood has
+SAME_LIGHT = 0.05  # log of a ratio within which a block agrees with the light that its neighbourhood has
 
 HIDDEN_TIME = 1.0
 """s in which the light of a block that is not seen, or disagrees, becomes that of the blocks around it."""

@@ -30,7 +30,7 @@ from .gaussians import HIGHEST_NOISE, LOWEST_NOISE
 
 _f4 = np.float32
 
-LEAST_WEIGHT = 1e-9  # Weight below which a component is forgotten: it is 0 from then on
+LEAST_WEIGHT = 1e-9  # weight below which a component is forgotten: it is 0 from then on
 
 _LEAST_DENSITY = _f4(1e-30)
 

@@ -31,12 +31,12 @@ from .gaussians import (
 
 _f4 = np.float32
 
-SETTLED = 1 << 14  # Steps of the settling time: a second colour seen for so long has settled
+SETTLED = 1 << 14  # steps of the settling time: a second colour seen for so long has settled
 
 KNOWN = SETTLED * 3 // 2
 """Steps for what was the scene's colour before: it wears off after a quarter of the settling time."""
 
-REVEALED = 1  # Among what is covered: others are so sure of background that the picture was taken as it is
+REVEALED = 1  # among what is covered: others are so sure of background that the picture was taken as it is
 
 
 class SecondColours(NamedTuple):

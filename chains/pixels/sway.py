@@ -12,7 +12,7 @@ from .gaussians import MOST_RECALLED, SURE, Gaussians, Light, light_beside, mean
 
 _f4 = np.float32
 
-LEAST_RATE = 0.02  # Share of a block's pixels that must be moved again and again: less happens by chance
+LEAST_RATE = 0.02  # share of a block's pixels that must be moved again and again: less happens by chance
 
 SURPRISE = 11.3
 """Squared distance over the variance that a pixel in a hundred exceeds by noise (three channels)."""
@@ -254,13 +254,13 @@ def _least_gap(shown, mean, y, x, reach, light, size):
     return least
 
 
-SWAY_REACH = 0.01  # Share of the picture's longer side within which leaves sway
+SWAY_REACH = 0.01  # share of the picture's longer side within which leaves sway
 
 SWAY_TIME = 10.0
 """s for which it is remembered that something swayed: a lull is longer than somebody's passing."""
 
 CALM_TIME = 1.0  # s for which it is taken for granted in the beginning that nothing sways
-LEAST_SEEN = 4  # Pixels of a block that tell how much of it sways
+LEAST_SEEN = 4  # pixels of a block that tell how much of it sways
 
 
 def sway_reach(size: tuple[int, int]) -> int:

@@ -94,7 +94,7 @@ Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-CONTRAST = 0.02  # Of a feature, as OpenCV has it: half of Lowe's, so that matt things have some, too
+CONTRAST = 0.02  # of a feature, as OpenCV has it: half of Lowe's, so that matt things have some, too
 
 LOCALISATION = 0.1
 """Standard deviation of a feature's place along an axis, as a share of its size: measured on a body that
@@ -114,8 +114,8 @@ LEAST_LIKENESS = 0.9
 """Of two features that are matched among few, where the second nearest says little: of pairs that are a pixel
 or two apart, 96 % are right from there on, 80 % from 0.85 on."""
 
-DESCRIPTOR = 128  # Numbers of a descriptor
-UNIT = 255.0  # Length of a descriptor that is stored
+DESCRIPTOR = 128  # numbers of a descriptor
+UNIT = 255.0  # length of a descriptor that is stored
 
 
 @short_repr
@@ -220,14 +220,14 @@ def _ratio(best: NDArray[np.float32], second: NDArray[np.float32]) -> Numbers:
 STEPS = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89)
 """Pictures from one to the next that it is matched with: as many as there is a common view."""
 
-LOOPS = 3  # Pictures that are most alike, which each one is matched with beside its neighbours
-WORDS = 256  # Descriptors by whose shares pictures are compared
+LOOPS = 3  # pictures that are most alike, which each one is matched with beside its neighbours
+WORDS = 256  # descriptors by whose shares pictures are compared
 
 LEAST_MATCHES = 15
 """Matches on which two pictures have to agree: a fundamental matrix takes 7, and chance is to do no more."""
 
 EPIPOLAR = 1.5  # px from the epipolar line, about three standard deviations of usual features
-LEAST_LENGTH = 3  # Pictures that have to show a point, so that one confirms the match of two others
+LEAST_LENGTH = 3  # pictures that have to show a point, so that one confirms the match of two others
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,7 +354,7 @@ def _shares(descriptors: NDArray[np.uint8], words: NDArray[np.float32]) -> Numbe
     return np.sqrt(np.bincount(nearest, minlength=len(words)).astype(np.float64))
 
 
-FIRST_IDENTITY = 1 << 32  # Of points that are matched: trackers number theirs from 0
+FIRST_IDENTITY = 1 << 32  # of points that are matched: trackers number theirs from 0
 
 GATE = 4.0
 """Standard deviations from where others say that a point is, beyond which a feature is another one: one right

@@ -126,9 +126,9 @@ GIVEN_ACCELERATION, GIVEN_SPEED, GIVEN_LIMIT = 3.0, 10.0, 10.0
 leaves its way in 40 ms. The first speed: extents of the whole that a point crosses in a second. The limit:
 noise."""
 
-REFILL = 0.05  # Share of the points that are missing before new ones are sought
+REFILL = 0.05  # share of the points that are missing before new ones are sought
 CORNER_INTERVAL = 0.1  # s between two searches for corners, where there may be no others
-LEAST_POINTS = 8  # Points that show how all of them move
+LEAST_POINTS = 8  # points that show how all of them move
 
 ADAPTATION_TIME, MOST_SURPRISE = 0.18, 3.0
 """s in which the log of the acceleration follows that of the finds, to 1/e; and the most that one picture's
@@ -331,7 +331,7 @@ Duplicates = Mapping[int, int]
 LEAST_NCC = 0.7
 """Normalised correlation of two points that are said to be one, where their patches are most alike."""
 
-LEAST_FRAMES = 5  # Frames in which two points are found on one spot before they are taken for one
+LEAST_FRAMES = 5  # frames in which two points are found on one spot before they are taken for one
 
 
 def duplicates(trajectory: PointTrajectory, others: Sequence[PointMessage]) -> dict[int, int]:
@@ -402,7 +402,7 @@ def coincident_tracks(messages: Sequence[PointMessage], spot: float) -> list[tup
     return sorted(pair for pair, count in times.items() if count >= LEAST_FRAMES)
 
 
-GATE = 3.0  # Standard deviations from where others say that a point is, within which it may begin
+GATE = 3.0  # standard deviations from where others say that a point is, within which it may begin
 
 NOBODY = np.zeros(0, np.int64)
 
@@ -538,7 +538,7 @@ def _plausible(others: GaussianMessage, identities: Identities, positions: Numbe
 
 ACCELERATION_TIME = 0.5  # s, correlation time of what pushes a point out of its straight way
 FIRST_ACCELERATION = 300.0  # px/s^2, standard deviation with which learning begins, where there is a picture
-REMEMBERED = 4  # Lost points that are remembered in filtering, in units of the points that are followed
+REMEMBERED = 4  # lost points that are remembered in filtering, in units of the points that are followed
 
 
 @short_repr

@@ -19,8 +19,8 @@ Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Identities = NDArray[np.int64]
 
-MEDIAN = 2 * np.log(2)  # Of the squared Mahalanobis distance of two numbers from where they are expected
-MOST_TRACKS = 300  # Tracks that count: the longest
+MEDIAN = 2 * np.log(2)  # of the squared Mahalanobis distance of two numbers from where they are expected
+MOST_TRACKS = 300  # tracks that count: the longest
 
 HALVINGS = 24
 """Of the range in which the acceleration's logarithm is sought; the last ones are far below a percent."""

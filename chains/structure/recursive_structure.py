@@ -104,9 +104,9 @@ def learned_noise(
 ) -> Numbers:
     """The motion's noise, `(3, 2)` as in `CameraMotion`, that explains a stretch of frames better.
 
-    `noise` is what to begin with, or `None`; of two frames or more, brought onto a grid of their median
-    distance. `extent` px is about how large the shape appears. No round of the smoother makes the likelihood
-    less.
+    `noise` is what to begin with, or `None`. `evidence` is of two frames or more; their times are brought
+    onto a grid of their median distance. `extent` px is about how large the shape appears. No round of the
+    smoother makes the likelihood less.
     """
     information, vector, times = evidence.information, evidence.vector, evidence.times
     step = float(np.median(np.diff(times)))
@@ -131,7 +131,7 @@ REGISTRATIONS = 5  # rounds in which the camera and the choice of inliers settle
 PRIOR_DEVIATION = 3.0  # standard deviation of a new point's place, in units of the first shape's spread
 MOTION_FRAMES = 48  # last frames from which the noise of the camera's motion is learned
 LEARNING_RATE = 0.05  # share by which a frame with many points changes what is known of the noise
-LEAST_SCALE = 1e-4  # of that scale: a hundredth of the standard deviation that is stated
+LEAST_SCALE = 1e-4  # of `noise_scale`, at least: a hundredth of the standard deviation that is stated
 MOST_CORRELATION = 0.9  # of a point's errors from one frame to the next; then 19 observations are worth one
 MANY = 10  # points of a frame from which on it counts as one with many
 OUTLIER_TIME = 0.2  # s in which the covariance of a point grows by e while it is an outlier

@@ -300,7 +300,8 @@ def associate_tracks(
         association.unite()
         fit, point[kept] = association.soft_assignment()
     except ValueError:  # what is joined is too little to be a structure, or falls apart: nothing is
-        fit, point[kept] = fit.of_points(kept), np.arange(np.count_nonzero(kept))
+        fit = fit.of_points(kept)
+        point[kept] = np.arange(np.count_nonzero(kept))
     return TrackAssociation(fit, point, robust.trusted)
 
 

@@ -44,9 +44,8 @@ class TimeSlices:
         self.trajectories: dict[str, Any] = {}
         self.sent: dict[tuple[str, str], Sequence[Message]] = {}
         self._evidence: dict[str, list[Message | None]] = {}
-        self._found: dict[
-            str, dict[str, list[Message]]
-        ] = {}  # at a feature, by chains that search themselves
+        # at a feature, by chains that search themselves
+        self._found: dict[str, dict[str, list[Message]]] = {}
         self._smoothed: dict[str, int] = {}  # how often a chain's trajectory was worked out
         self._read: dict[str, tuple[int, ...]] = {}  # numbers of all that it was worked out from
 

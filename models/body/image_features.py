@@ -34,9 +34,9 @@ Neither enough says much: cloth in skin's colour has a level without contrast, i
 level. On 16 frames of a real signer, hands had 0.6 and clutter -0.6 on average, both spread by 0.8."""
 
 OF_HEAD = 0.3  # as much does the head's skin count when a hand's middle is worked out
-HIDDEN_BY_HEAD = 6.0  # Nats: the face has such places of its own, and a hand in front of it adds no skin
+HIDDEN_BY_HEAD = 6.0  # nats: the face has such places of its own, and a hand in front of it adds no skin
 ONE_HAND = 0.9  # pi radii^2 in a Gaussian window of one radius: more skin than a hand's 0.55 to 0.8
-HALF_APART = 0.55  # Radii: half the distance of the two hands that such a place may be
+HALF_APART = 0.55  # radii: half the distance of the two hands that such a place may be
 
 SPREAD, ELONGATION = 0.2, 0.15
 """A place's covariance: the first squared, in radii, and this share of the skin's own second moments."""

@@ -168,7 +168,7 @@ discs are mostly seen from aslant."""
 
 BETWEEN_PEOPLE, BETWEEN_FRAMES = 0.2, 0.4  # standard deviations of logs: of people, and of frames
 SURE = 0.02  # probabilities that are less than that, or that far from 1, are taken for 0 and 1
-SKIN_FROM = 1.0  # Nats: log odds from which a pixel counts
+SKIN_FROM = 1.0  # nats: log odds from which a pixel counts
 HEAD_MARGIN = 1.15  # over the ellipses of head and neck: what is left of their rims is no hand
 REACH = 3.2  # head heights from the head's centre: as far as hands are
 

@@ -25,7 +25,7 @@ N_BINS = int(np.prod(BINS))
 
 SMOOTHING = (0.7, 1.5, 1.5)  # of the histograms, bins: one face has too few pixels for 32,768 of them
 FLOOR = 1 / 30  # added to both densities, in units of the uniform one: unseen colours say nothing
-HIGHEST = 4.0  # Nats: as much as one pixel can say for or against skin
+HIGHEST = 4.0  # nats: as much as one pixel can say for or against skin
 LEAST_COLOUR = 4.0  # levels by which one pixel in a hundred differs from grey; compression makes 1 to 3
 
 FACE_CENTRE, FACE_AXES = 0.52, (0.33, 0.42)
@@ -140,7 +140,7 @@ def _regions(shape: tuple[int, ...], box: Array) -> tuple[NDArray[np.bool_], NDA
 
 
 AWAY = 0.2  # share of a clip in which a pixel has to be without skin, so that skin there says anything
-LEAST_FRAMES = 8  # Frames, spread over a clip, from which this can be learned
+LEAST_FRAMES = 8  # frames, spread over a clip, from which this can be learned
 LEVELS = 16  # steps of the log odds per nat, so that many frames fit into memory
 
 

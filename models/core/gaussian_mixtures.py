@@ -14,13 +14,13 @@ from .short_repr import short_repr
 
 Array = NDArray[np.float64]
 
-MOST_COMPONENTS = 32  # Of a part in a product; of more, the lightest are left out
+MOST_COMPONENTS = 32  # of a part in a product; of more, the lightest are left out
 
 NO_LABEL = -1
 LOG_TWO_PI = float(np.log(2 * np.pi))
 
-WORTH_THREADS = 1000  # Points from which several threads are faster than one
-NO_WEIGHT = -1e30  # Log weight of a filler in kernels, where nothing is infinite
+WORTH_THREADS = 1000  # points from which several threads are faster than one
+NO_WEIGHT = -1e30  # log weight of a filler in kernels, where nothing is infinite
 
 
 @short_repr
@@ -273,7 +273,7 @@ def log_sums(values: Array, axis: int = -1) -> Array:
         return np.asarray(np.log(sums) + peaks.squeeze(axis))
 
 
-_BLOCK = 64  # Points that are looked at together
+_BLOCK = 64  # points that are looked at together
 
 
 @inlined

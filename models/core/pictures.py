@@ -17,7 +17,7 @@ Picture = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
 FRACTION_BITS = 4  # OpenCV's fixed-point coordinates: sixteenths of a pixel
-REGION_90 = 4.605  # Squared standard deviations of a Gaussian in two dimensions that hold 90 % of it
+REGION_90 = 4.605  # squared standard deviations of a Gaussian in two dimensions that hold 90 % of it
 
 INK = (40, 40, 40)
 FARTHEST = 10_000  # px

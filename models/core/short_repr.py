@@ -1,4 +1,4 @@
-"""What an object shows and keeps of itself: a `repr` of one line, and pickles of its fields alone.
+"""What dataclasses share: a `repr` of one line, selection and joining of rows, pickles of fields alone.
 
 Arrays are shown by dtype and shape, collections by their length, parameters where they were set.
 """
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 Kind = TypeVar("Kind", bound=type)
 
-WHOLE = 200  # Characters of a `repr` from which no further field is shown
-FIELD = 60  # Characters that a field may have
-SMALL = 4  # Numbers in an array that are shown
+WHOLE = 200  # characters of a `repr` from which no further field is shown
+FIELD = 60  # characters that a field may have
+SMALL = 4  # numbers in an array that are shown
 
 
 def short_repr(kind: Kind) -> Kind:

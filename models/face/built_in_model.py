@@ -78,7 +78,8 @@ RELIEF = np.array(
     ]
 )
 
-SHIELD = np.array([0.42, 0.18, -1.35])  # middle of the right one of two, half a half height off the cheek
+# middle of the right one of two shields, half a half height off the cheek
+SHIELD = np.array([0.42, 0.18, -1.35])
 SHIELD_RADIUS = 0.27
 SHIELD_IN_PLANE, SHIELD_RADIUS_IN_PLANE = np.array([0.93, 1.21]), 0.14  # beyond the rim, in a corner
 

@@ -229,8 +229,8 @@ def sigmoid(x: Any) -> Any:
     return _f4(0.5) + _f4(0.5) * above / below
 
 
-LANES = 16  # Numbers of a vector
-MOST = 256  # Numbers that an array of a loop's own holds
+LANES = 16  # numbers of a vector
+MOST = 256  # numbers that an array of a loop's own holds
 
 _FLOATS = ir.VectorType(ir.FloatType(), LANES)
 

@@ -21,7 +21,7 @@ from .box_message import BOX, HEIGHT, WIDTH, Association, BoxDetector, BoxMessag
 Numbers = NDArray[np.float64]
 
 MOST_ROUNDS = 50
-TOLERANCE = 1e-6  # Belief propagation for assignments ends when no message changes by more
+TOLERANCE = 1e-6  # belief propagation for assignments ends when no message changes by more
 
 NOTICED, UNNOTICED = 0.98, 0.05
 """Probability of finding an object in full sight: in phases in which it is noticed, and in others.
@@ -32,8 +32,8 @@ Misses come in bursts: what a detector does not find in one frame it hardly find
 DOUBLE = np.array([3.0, 3.0, 1.0, 1.0])
 """So many times as far off as its first box may the second one of an object be, in place and size."""
 
-SURELY_NOT = 1e-4  # Probability of a pair below which nothing is learned from it
-SIZES = log(20) * log(40)  # Of log height and log aspect, the range over which false boxes are spread evenly
+SURELY_NOT = 1e-4  # probability of a pair below which nothing is learned from it
+SIZES = log(20) * log(40)  # of log height and log aspect, the range over which false boxes are spread evenly
 
 
 def feet(xyxy: Numbers) -> Numbers:

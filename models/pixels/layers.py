@@ -176,7 +176,7 @@ def shift_of(clear, explained, shift):
 Map = NDArray[np.float32]
 PixelBox = tuple[int, int, int, int]
 
-HIGHEST = 1 + 1e-6  # Of a mask's values: a probability with the rounding of float32
+HIGHEST = 1 + 1e-6  # of a mask's values: a probability with the rounding of float32
 
 
 @short_repr

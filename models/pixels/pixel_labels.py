@@ -20,10 +20,10 @@ from .layers import NO_LAYERS, LayerStack, Region
 
 Map = NDArray[np.float32]
 
-NEVER = -80.0  # Log odds of background that leave nothing of it
+NEVER = -80.0  # log odds of background that leave nothing of it
 
 TINT = 0.6
-TINT_COLOUR = (60, 60, 255)  # What is drawn over the foreground: its share, and BGR
+TINT_COLOUR = (60, 60, 255)  # what is drawn over the foreground: its share, and BGR
 Box = tuple[int, int, int, int]
 Window = tuple[slice, slice]
 

@@ -16,7 +16,7 @@ from ..numerics.compiled import compiled, inlined
 
 _f4 = np.float32
 
-UNKNOWNS = 8  # Offset, gain, rotation, scale and two stretches of a patch, and two by which it moves
+UNKNOWNS = 8  # offset, gain, rotation, scale and two stretches of a patch, and two by which it moves
 
 ROWS = UNKNOWNS + 1
 """Of a system of equations: the unknowns', and the right side, below which sums of squares remain."""
@@ -24,13 +24,13 @@ ROWS = UNKNOWNS + 1
 PIECE = 25
 """Pixels of a patch over which sums are written out; larger patches are several, filled up with zeros."""
 
-LANES = 64  # Patches that are worked on side by side: in all loops over numbers they are the last axis
+LANES = 64  # patches that are worked on side by side: in all loops over numbers they are the last axis
 STEPS = 8  # Gauss-Newton steps at most
 
 SMALL = 0.1
 """px: a step after which there is no other, which would be about a tenth of it: much less than noise does."""
 
-FLAT = 0.02  # Squared grey values: the variance of what has no texture at all
+FLAT = 0.02  # squared grey values: the variance of what has no texture at all
 LONGEST = 0.5  # px of one coordinate in one step: gradients say nothing of what lies farther away
 
 
@@ -372,15 +372,15 @@ def _centred(patches: Pixels) -> Numbers:
     return centred
 
 
-PIXEL_NOISE = 2.0  # Grey values, standard deviation of the noise of a pixel
+PIXEL_NOISE = 2.0  # grey values, standard deviation of the noise of a pixel
 
 LIGHTER, STRONGER, WARPED = 3.0, 0.07, 0.05
 """Standard deviations of how a patch changes from one picture to another: grey values by which it is lighter,
 share by which its contrast is higher, and radians of rotation, shares of scale and stretch. The last ones
 hardly blur a position, but else a patch that turns away slides along its edges."""
 
-SMOOTHED = 1.5  # Variance of residuals over what remains of it when one of both pictures is interpolated
-ROUNDING = 0.5  # Squared grey values by which residuals are off however well a patch fits
+SMOOTHED = 1.5  # variance of residuals over what remains of it when one of both pictures is interpolated
+ROUNDING = 0.5  # squared grey values by which residuals are off however well a patch fits
 
 
 LIGHT = Light((PIXEL_NOISE / np.array([LIGHTER, STRONGER, *[WARPED] * 4])) ** 2, SMOOTHED, ROUNDING)
@@ -424,7 +424,7 @@ def sample_patches(grey: NDArray[np.uint8], positions: Numbers, side: int) -> ND
     return patches
 
 
-QUALITY = 0.01  # Least smaller eigenvalue of the gradients' moments, as a share of the best corner's
+QUALITY = 0.01  # least smaller eigenvalue of the gradients' moments, as a share of the best corner's
 
 CLEAR = 0.25
 """px, standard deviation to which a corner's patch must fix its place, when pixels are as noisy as usual."""

@@ -49,7 +49,7 @@ def check_points(name: str, points: NDArray[np.float64], *, half: bool = False) 
 PLANE = 2
 
 COLOUR = (60, 220, 60)  # BGR, of points that are drawn
-NOWHERE = GivenPoints(np.zeros((0, PLANE)), np.zeros(0, np.int64))  # No points
+NOWHERE = GivenPoints(np.zeros((0, PLANE)), np.zeros(0, np.int64))  # no points
 
 
 @short_repr

@@ -29,7 +29,7 @@ _f4 = np.float32
 
 _at = np.uint64  # a number that is no index from the end, which loops would have to ask of each
 
-PIXELS, SCORE, SQUARES, ACROSS, TOTAL, ENERGY = range(6)  # Rows of the room for a window
+PIXELS, SCORE, SQUARES, ACROSS, TOTAL, ENERGY = range(6)  # rows of the room for a window
 USUAL = 5  # px, side of patches for which loops are written out
 
 REGISTER = 16
@@ -38,8 +38,8 @@ REGISTER = 16
 SHARPNESS, NCC_NOISE = 3.5, 0.02
 """How -log(1 - correlation^2) grows into a log likelihood, and the noise that limits it."""
 
-LEAST_NCC = 0.5  # Normalised correlation from which on anything counts as like a patch
-LEAST_WEIGHT = -1e30  # Log weight of where a patch cannot be
+LEAST_NCC = 0.5  # normalised correlation from which on anything counts as like a patch
+LEAST_WEIGHT = -1e30  # log weight of where a patch cannot be
 
 
 class Windows(NamedTuple):
@@ -254,14 +254,14 @@ def _parabola(before, here, after):
     return off, _f4(-0.25) * (before - after) * off
 
 
-REACH = 3.0  # Standard deviations from where a point should be within which it is searched for
+REACH = 3.0  # standard deviations from where a point should be within which it is searched for
 
 GRID = 0.5
 """px, standard deviation added to what is known of a position: places are compared pixel by pixel, and any
 hand that holds a camera soon moves it by half a pixel more than expected."""
 
-ODDS = 10.0  # By which a place must be likelier than its rival
-DOUBT = 1.0  # By which the log weight of a place may be off before it is known to fractions of a pixel
+ODDS = 10.0  # by which a place must be likelier than its rival
+DOUBT = 1.0  # by which the log weight of a place may be off before it is known to fractions of a pixel
 
 NEAR = 1.0
 """px: places that are nearer to each other are one. So far may fractions of a pixel lead, and the way

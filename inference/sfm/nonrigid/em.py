@@ -15,7 +15,7 @@ integrated out, all frames together. Frames that are left out count as none.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -184,7 +184,9 @@ def pose_step(state: State, sums: PointSums, found: WeightPosterior) -> tuple[St
     reached = e_step(moved, sums)
     better = reached.log_likelihood >= found.log_likelihood
     stay = replace(state, damping=np.minimum(state.damping * 10, MOST_DAMPING))
-    return chosen_poses(better, moved, stay), chosen(better, reached, found, vars(found))
+    return chosen_poses(better, moved, stay), chosen(
+        better, reached, found, [each.name for each in fields(found)]
+    )
 
 
 def moved_poses(state: State, step: Numbers) -> State:

@@ -270,7 +270,7 @@ def _rotations(rows: Numbers) -> Numbers:
 
 
 BASES_OF_POSES = 12
-"""That poses are looked for with at least: what bases leave is else explained by turns never made."""
+"""Poses are looked for with so many at least: what bases leave is else explained by turns never made."""
 FIRST_ROUND, SECOND_ROUND, PRUNING_ROUND = 40, 100, 40  # iterations
 KEPT = 3  # starts that go on to the second round
 SAME = 0.01  # shapes that differ by so little, as `shape_error` measures, are one optimum
@@ -602,7 +602,8 @@ def withheld(positions: Numbers) -> NDArray[np.bool_]:
 
 ALIKE = 3.0
 """Mean squared distance of a coordinate from where the other track expects it, in units of what is stated. It
-is 1 for one point; 3 is the 95 % point where errors are so alike that two of them are free."""
+is 1 for one point; 3 is the 95 % point of the mean of two squares, as few as are free where errors are alike
+over time."""
 SHARP = 0.1  # places are expected to this share of the object's size, or tracks cannot be told apart
 ROUNDS = 3
 

@@ -54,7 +54,7 @@ def test_a_scene_that_stands_still_has_none(tmp_path: Path, capfd: pytest.Captur
         (
             ("--live", "0"),
             "--live and --engine coordinate-ascent: got both, expected one of them "
-            "(the second takes all frames together)",
+            "(the second, which is the default, takes all frames together)",
         ),
         ((*RECURSIVE, "--camera", "affine"), "--camera affine and --engine recursive-bp: got both"),
         (RECURSIVE, "expected a film or a stream"),

@@ -7,16 +7,26 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.face.built_in_model import (
     EXPRESSIONS,
+    MIDDLE,
+    SIDE,
     face_model,
     face_plane,
     front_view,
-    landmarks,
     unit_length,
 )
 from rsmcm.models.face.morphable_model import MorphableModel
 from scipy.spatial import KDTree
 
 Array = NDArray[np.float64]
+
+
+def landmarks() -> dict[str, int]:
+    """Vertex numbers by name, in a model of any fineness; "left" and "right" as the picture shows it."""
+    numbers = {name: number for number, name in enumerate(MIDDLE)}
+    for number, name in enumerate(SIDE):
+        numbers[f"right {name}"] = len(MIDDLE) + number
+        numbers[f"left {name}"] = len(MIDDLE) + len(SIDE) + number
+    return numbers
 
 
 def normals(model: MorphableModel, morphs: Array) -> Array:
