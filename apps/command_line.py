@@ -147,7 +147,7 @@ def demo(*, out: Path = Path("results/demo")) -> int:
     out
         Folder for the scene and the results; results of an earlier demo are replaced.
     """
-    from .background.demo import run_demo
+    from .demo import run_demo
 
     return _ended(run_demo(out))
 

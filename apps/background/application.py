@@ -18,16 +18,16 @@ from ..evaluation.predictions import FILE, write_predictions
 from ..evaluation.scoring import Scoring, scoring_of
 from ..events.page import Happened
 from ..events.watch import EVENTS, EventLog, EventWriter, rounded, write_events
-from ..events.zones import Zones, read_zones
 from ..io.detections import Detections, given_boxes, with_boxes
 from ..io.files import LineWriter, MaskWriter, segment_pattern, write_image
+from ..io.row_log import RowLog
 from ..io.sources.open_source import Source
 from ..io.tracks import HEADER, TABLE, TrackedObject, columns_of, mot_lines, table_lines
+from ..io.zones import Zones, read_zones
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.loop import Application, Columns, Engine, Filter, Output, Sink, Start, run_film
 from ..runs.memory import BACKGROUND
 from ..runs.region import inside, read_region
-from ..runs.row_log import RowLog
 from ..view.film import Film
 from ..view.overlay import Draw, TracksOverlay
 from ..view.page import Page

@@ -12,9 +12,9 @@ from ...models.core.frame import GivenBoxes
 from ...models.numerics.evenly_spaced import evenly_spread
 from ..events.page import Happened
 from ..events.watch import Event
-from ..events.zones import Zones
+from ..io.row_log import RowLog
 from ..io.tracks import TrackedObject
-from ..runs.row_log import RowLog
+from ..io.zones import Zones
 from ..view.film import LONGEST_SIDE, Film, Row
 from ..view.overlay import css_colour, draw_zones, identity_colour
 from ..view.page import (

@@ -34,11 +34,11 @@ from ...models.body.upper_body import JOINTS, PARTS, UpperBody
 from ...models.core.frame import BoundingBox, Frame
 from ..io.film import SeenFrames
 from ..io.keypoints import Keypoints, given_keypoints, with_keypoints
+from ..io.row_log import RowLog
 from ..io.sources.open_source import Source, open_source
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.loop import Application, Columns, Engine, Start, run_film
 from ..runs.memory import BODY, KEPT_IMAGE, KEPT_SAMPLE, SAMPLE
-from ..runs.row_log import RowLog
 from ..view.film import Film
 from ..view.overlay import Draw
 from ..view.page import Page

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...chains.body.hand_labelling import EXCHANGED_PARTS, HandLabels, hand_labels
 from ...chains.body.samples import WORTH_SAYING
 from ...models.body.upper_body import JOINTS, PARTS
-from ..runs.row_log import RowLog
+from ..io.row_log import RowLog
 from ..view.film import Film, Row
 from ..view.overlay import TRUNK, BodyOverlay, Draw, TrackedBody, caption, css_colour, skeleton
 from ..view.page import (

@@ -1,5 +1,16 @@
-from .watch import Event, EventWriter, Kind, Moment, Sighting, Watch, read_events
-from .zones import Line, Zone, Zones, read_zones
+from .watch import (
+    Event,
+    EventWriter,
+    Kind,
+    Line,
+    Moment,
+    Sighting,
+    Watch,
+    Zone,
+    Zones,
+    read_events,
+    read_zones,
+)
 
 __all__ = [
     "Event",

@@ -13,12 +13,12 @@ from markupsafe import Markup
 from ..exports.finished_run import SUMMARY, FinishedRun, read_tracks_table
 from ..io.files import write_json
 from ..io.tracks import TABLE
+from ..io.zones import Line, Zones, read_zones
 from ..runs.output_folder import output_folder
 from ..view import page
 from ..view.overlay import draw_zones
 from ..view.page import BLUE, ORANGE, Page, Plot, Section, paragraph, picture, table, write_page
 from .watch import EVENTS, Event, EventLog, Kind, rounded, write_events
-from .zones import Line, Zones, read_zones
 
 MOST_ROWS = 100  # of a table
 MOST_PLOTS = 12

@@ -27,8 +27,11 @@ from numpy.typing import NDArray
 
 from ...models.files import naming, write_text
 from ..io.files import LineWriter
-from ..runs.row_log import RowLog
-from .zones import Zones
+from ..io.row_log import RowLog
+from ..io.zones import Line as Line
+from ..io.zones import Zone as Zone
+from ..io.zones import Zones as Zones
+from ..io.zones import read_zones as read_zones
 
 ERROR = 0.05
 """Heights: standard deviation of a foot that is seen, along either axis."""

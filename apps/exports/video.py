@@ -12,7 +12,7 @@ from ...models.array_files import read_arrays
 from ...models.core.frame import Frame
 from ...models.files import write_atomically
 from ..body.page import drawing, with_final_names
-from ..events.zones import read_zones
+from ..io.zones import read_zones
 from ..runs.progress import Progress
 from ..view.film import FILM, ROWS, Film, read_film
 from ..view.overlay import Draw, OverlayVideo, PointsOverlay, TracksOverlay, draw_face

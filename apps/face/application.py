@@ -21,11 +21,11 @@ from ...models.face.model_files import read_correspondences, read_model
 from ...models.face.morphable_model import MorphableModel
 from ...models.pixels.pixel_labels import PixelLabels
 from ..io.point_files import read_points
+from ..io.row_log import RowLog
 from ..io.sources.open_source import Source, open_source
 from ..runs.interruption import Outcome
 from ..runs.loop import Application, Columns, Engine, Start, run_film
 from ..runs.memory import EXPERT, FACE, FACE_EXPERT
-from ..runs.row_log import RowLog
 from ..view.film import Film
 from ..view.overlay import Draw, draw_face
 from ..view.page import Page

@@ -9,7 +9,7 @@ from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
 from ...models.face.morphable_model import MorphableModel
-from ..runs.row_log import RowLog
+from ..io.row_log import RowLog
 from ..view.film import Film, Row
 from ..view.page import (
     BLUE,

@@ -8,11 +8,11 @@ from .loop import (
     Output,
     Page,
     Plot,
+    RowLog,
     Sink,
     Start,
     run_film,
 )
-from .row_log import RowLog
 
 __all__ = [
     "Application",

@@ -23,6 +23,7 @@ from ...models.core.frame import Frame
 from ...models.numerics.threads import thread_count
 from ..io.files import segments_of, write_json
 from ..io.film import SeenFrames
+from ..io.row_log import ROWS, RowLog, Values, remove_rows
 from ..io.sources.open_source import Source, describe, open_source
 from ..options.job import FilmJob, read_address
 from ..view.film import ROWS as FILM_ROWS
@@ -33,7 +34,6 @@ from ..view.page import VIEW, FrameRecord, Line, Page, Plot, write_page
 from .interruption import Interrupted, Outcome
 from .memory import check_memory
 from .progress import Progress
-from .row_log import ROWS, RowLog, Values, remove_rows
 from .saved_run import STATE, SavedRun, check_source, save_run
 from .session import OVERLAY, Session
 
@@ -48,6 +48,7 @@ __all__ = [
     "Output",
     "Page",
     "Plot",
+    "RowLog",
     "Sink",
     "Start",
     "run_film",

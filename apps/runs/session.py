@@ -9,11 +9,11 @@ from typing import Any
 
 import cv2
 
-from ..first_use import compiling_ahead
 from ..io.files import segment_pattern
 from ..options.job import Job
 from ..view.film import FILM, ROWS
 from ..view.page import VIEW
+from .first_use import compiling_ahead
 from .interruption import Interrupted, Interruption, Outcome
 from .output_folder import OutputFolder, output_folder
 from .saved_run import STATE

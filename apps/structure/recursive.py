@@ -13,9 +13,9 @@ from ...chains.structure.recursive_structure import RecursiveStructure, Structur
 from ...inference import Belief, MultiChain
 from ...models.core.frame import Frame
 from ...models.points.point_tracks import NOWHERE, PointTracks
+from ..io.row_log import RowLog
 from ..io.sources.open_source import Source
 from ..runs.loop import Application, Columns, Engine, Start
-from ..runs.row_log import RowLog
 from ..view.film import Film, Row
 from ..view.overlay import Draw, PointsOverlay
 from ..view.page import Page

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from ..events.zones import Zones
 from ..io.files import PLAYABLE, SegmentedVideo, Worker
+from ..io.zones import Zones
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -21,7 +21,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from ...models.files import write_text
-from ..runs.row_log import RowLog
+from ..io.row_log import RowLog
 from .film import Film
 
 Array = NDArray[Any]

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 from cyclopts import App
 from rsmcm.apps import command_line
-from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.command_line import main
+from rsmcm.apps.demo import write_scene
 from rsmcm.apps.io.files import PLAYABLE, SegmentedVideo
 from rsmcm.apps.runs.parallel import in_parallel
 from rsmcm.apps.scenes import sleeping_man

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rsmcm.apps.background.demo import SIGNER, write_body, write_cylinder, write_face, write_scene
+from rsmcm.apps.demo import SIGNER, write_body, write_cylinder, write_face, write_scene
 from rsmcm.apps.io import TrackWriter
 from rsmcm.apps.io.files import PLAYABLE, SegmentedVideo
 from rsmcm.apps.io.tracks import TrackedBox

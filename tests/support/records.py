@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 from rsmcm.apps.background.page import RunRecord
+from rsmcm.apps.io.row_log import RowLog, Values
 from rsmcm.apps.io.tracks import TrackedBox, columns_of
-from rsmcm.apps.runs.row_log import RowLog, Values
 
 PICTURE = np.arange(8 * 10 * 3, dtype=np.uint8).reshape(8, 10, 3)
 

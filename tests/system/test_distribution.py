@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 import yaml
-from rsmcm.apps.background.demo import write_scene
+from rsmcm.apps.demo import write_scene
 from rsmcm.apps.scenes import sleeping_man
 
 ROOT = Path(__file__).parents[2]

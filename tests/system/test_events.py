@@ -9,9 +9,9 @@ from typing import Any
 import cv2
 import pytest
 from rsmcm.apps.background.application import run_background
-from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob, Engine
 from rsmcm.apps.command_line import main
+from rsmcm.apps.demo import write_scene
 from rsmcm.apps.events import Event, Kind, Sighting, Watch, read_events, read_zones
 from rsmcm.apps.scenes import Scene, sleeping_man
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.background.demo import write_body
+from rsmcm.apps.demo import write_body
 from rsmcm.apps.io import read_keypoints
 from rsmcm.apps.io.files import PLAYABLE, SegmentedVideo
 from rsmcm.apps.scenes import SignerScene, signer

@@ -1,7 +1,9 @@
-"""Imports run in one direction, and a domain of chains knows no other."""
+"""Imports run in one direction, also between folders, and a domain of chains knows no other."""
 
 import ast
 from pathlib import Path
+
+import networkx as nx
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("models", "inference", "chains", "apps")
@@ -32,6 +34,17 @@ def test_imports_run_in_one_direction() -> None:
         if name[0] not in PACKAGES[: place + 1]
     ]
     assert found == []
+
+
+def test_no_folder_imports_one_that_imports_it() -> None:
+    graph = nx.DiGraph()
+    for path in (path for package in PACKAGES for path in (ROOT / package).rglob("*.py")):
+        folder = path.relative_to(ROOT).parts[:-1]
+        if path.name != "__init__.py":  # which only hands on
+            for name in imports_of(path):
+                known = next(n for n in range(len(name), 0, -1) if (ROOT / Path(*name[:n])).is_dir())
+                graph.add_edge(folder, name[:known])
+    assert [circle for circle in nx.strongly_connected_components(graph) if len(circle) > 1] == []
 
 
 def test_a_domain_of_chains_imports_no_other() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rsmcm.apps.background.demo import N_FRAMES, write_scene
+from rsmcm.apps.demo import N_FRAMES, write_scene
 from rsmcm.apps.experiments import EXPERIMENTS
 from rsmcm.apps.io.tracks import COLUMNS
 from rsmcm.apps.scenes import sleeping_man

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.background.demo import write_scene
+from rsmcm.apps.demo import write_scene
 from rsmcm.apps.scenes import face, signer, sleeping_man
 from rsmcm.models.body.upper_body import JOINTS
 

@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.background.application import ENGINES, build_model, run_background
-from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.background.parameters import SECTIONS, read_parameters, with_defaults
+from rsmcm.apps.demo import write_scene
 from rsmcm.apps.evaluation.scoring import Scoring
 from rsmcm.apps.evaluation.tracks import track_rows
 from rsmcm.apps.exports import read_tracks_table

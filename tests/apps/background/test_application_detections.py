@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from rsmcm.apps.background import application
 from rsmcm.apps.background.application import run_background
-from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob, Engine
+from rsmcm.apps.demo import write_scene
 from rsmcm.apps.experiments.compare import run_compare
 from rsmcm.apps.io.sources.open_source import open_source
 from rsmcm.apps.scenes import sleeping_man

@@ -18,8 +18,8 @@ from rsmcm.apps.background.page import (
 )
 from rsmcm.apps.events.page import Happened
 from rsmcm.apps.events.watch import Event, Kind, Moment
-from rsmcm.apps.events.zones import Zones
 from rsmcm.apps.io.tracks import TrackedBox
+from rsmcm.apps.io.zones import Zones
 from rsmcm.apps.view.film import Film, Row
 from rsmcm.apps.view.overlay import identity_colour
 from rsmcm.apps.view.page import PREDICTED, SEEN, write_page

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from rsmcm.apps.background import parameters
 from rsmcm.apps.background.application import build_model
-from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.parameters import read_parameters, with_defaults
 from rsmcm.apps.command_line import main
+from rsmcm.apps.demo import write_scene
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.inference.engine.protocols import Incoming, Port
 from rsmcm.models import Frame, PixelLabels

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rsmcm.apps.background.application import build_model, run_background
-from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.background.predictions import MOST_FRAMES, PixelScores, Predictions
+from rsmcm.apps.demo import write_scene
 from rsmcm.apps.evaluation.predictions import FILE, PairRecord, ScoreRecord, read_predictions
 from rsmcm.apps.runs.interruption import Interruption
 from rsmcm.apps.scenes import Scene, sleeping_man

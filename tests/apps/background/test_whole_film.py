@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.background.application import Background, run_background
-from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.background.whole_film import warmed_up
+from rsmcm.apps.demo import write_scene
 from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.io.sources.open_source import Source
 from rsmcm.apps.io.tracks import read_tracks

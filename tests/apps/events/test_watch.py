@@ -25,8 +25,8 @@ from rsmcm.apps.events import (
 )
 from rsmcm.apps.events.watch import COLUMNS, ERROR, EventLog, line_of, rounded, write_events
 from rsmcm.apps.exports import read_tracks_table
+from rsmcm.apps.io.row_log import RowLog
 from rsmcm.apps.io.tracks import TrackedBox, columns_of
-from rsmcm.apps.runs.row_log import RowLog
 
 from ...support.tables import TrackTableWriter
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rsmcm.apps.background.application import run_background
-from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob
+from rsmcm.apps.demo import write_scene
 from rsmcm.apps.evaluation.tracks import evaluate_tracks, track_rows
 from rsmcm.apps.experiments import pets as trials
 from rsmcm.apps.experiments import run_experiment

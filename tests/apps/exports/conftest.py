@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.background.demo import write_scene
+from rsmcm.apps.demo import write_scene
 from rsmcm.apps.scenes import face, signer, sleeping_man
 from rsmcm.models.body.upper_body import JOINTS
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from markupsafe import Markup
-from rsmcm.apps.background.demo import write_scene
+from rsmcm.apps.demo import write_scene
 from rsmcm.apps.events import read_events, read_zones
 from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.scenes import sleeping_man

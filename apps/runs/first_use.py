@@ -4,9 +4,9 @@ Both find what the other one has done where numba keeps compiled loops. The list
 application the loops that a usual run calls, with types of arguments, in the order of their first calls. It
 only saves time: what is not on it is compiled when it is called, and what is on it in vain is passed over.
 
-`python -m rsmcm.apps.first_use APPLICATION` is the second process; `python -m rsmcm.apps.first_use --list
-ARGUMENTS` runs the command with these arguments, and lists the loops that it compiles. The list wants to be
-made again when loops have changed much.
+`python -m rsmcm.apps.runs.first_use APPLICATION` is the second process. With `--list ARGUMENTS` it runs the
+command with these arguments, and lists the loops that it compiles. The list wants to be made again when loops
+have changed much.
 """
 
 import json
@@ -25,8 +25,8 @@ from typing import Any
 import numba
 from numba.core import event
 
-from ..models.files import write_text
-from ..models.numerics.threads import thread_count
+from ...models.files import write_text
+from ...models.numerics.threads import thread_count
 
 types: Any = numba.types  # most of which say nothing to type checkers
 
@@ -88,7 +88,7 @@ class _Helper(_Listener):
             with suppress(OSError):  # then without help
                 nothing = subprocess.DEVNULL
                 self._process = subprocess.Popen(
-                    [sys.executable, "-m", f"{PACKAGE}apps.first_use", self._application],
+                    [sys.executable, "-m", f"{PACKAGE}apps.runs.first_use", self._application],
                     stdin=nothing,
                     stdout=nothing,
                     stderr=nothing,
@@ -197,7 +197,7 @@ def main(arguments: Sequence[str]) -> int:
     if arguments[0] == "--list":
         with tempfile.TemporaryDirectory() as nothing:
             environment = {**os.environ, "NUMBA_CACHE_DIR": nothing}
-            again = [sys.executable, "-m", f"{PACKAGE}apps.first_use", "--run", *arguments[1:]]
+            again = [sys.executable, "-m", f"{PACKAGE}apps.runs.first_use", "--run", *arguments[1:]]
             return subprocess.run(again, env=environment).returncode
     if arguments[0] == "--run":
         compiled = Compiled()

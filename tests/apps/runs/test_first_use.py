@@ -10,8 +10,8 @@ import numba
 import numpy as np
 import pytest
 from numba import types
-from rsmcm.apps import first_use
-from rsmcm.apps.first_use import LIST, compile_loop, plain, type_of
+from rsmcm.apps.runs import first_use
+from rsmcm.apps.runs.first_use import LIST, compile_loop, plain, type_of
 from rsmcm.chains.objects.blob_records import RECORD
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from rsmcm.models.pixels.colour import _planes_of_colour as loop
@@ -79,7 +79,7 @@ def test_nobody_is_worked_for_who_is_gone(monkeypatch: pytest.MonkeyPatch) -> No
 def test_both_processes_find_each_others_loops(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A loop that one process has compiled is not compiled again in another one."""
     script = (
-        "import numba.core.event as event, rsmcm.apps.first_use as first_use\n"
+        "import numba.core.event as event, rsmcm.apps.runs.first_use as first_use\n"
         "with event.install_recorder('numba:compile') as found:\n"
         "    first_use.compile_loop('models.pixels.colour:_planes_of_colour', 'array(uint8, 1d, C)',"
         " 'array(float32, 2d, C)')\n"

@@ -12,17 +12,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.body.upper_body import JOINTS
-from ...models.files import write_atomically, write_text
-from ..body.joint_files import COLUMNS
-from ..experiments.compare import run_compare
-from ..io.files import write_image
-from ..runs.interruption import Outcome
-from ..runs.progress import Progress
-from ..scenes import FaceScene, Scene, SignerScene, cylinder, face, signer, sleeping_man
-from ..view.page import VIEW
-from .application import run_background
-from .job import BackgroundJob
+from ..models.body.upper_body import JOINTS
+from ..models.files import write_atomically, write_text
+from .background.application import run_background
+from .background.job import BackgroundJob
+from .body.joint_files import COLUMNS
+from .experiments.compare import run_compare
+from .io.files import write_image
+from .runs.interruption import Outcome
+from .runs.progress import Progress
+from .scenes import FaceScene, Scene, SignerScene, cylinder, face, signer, sleeping_man
+from .view.page import VIEW
 
 N_FRAMES = 400
 FACE_FRAMES = 100
