@@ -114,10 +114,14 @@ class Plot:
 
 
 def rates(seconds: Sequence[float]) -> Array:
-    """Frames a second `(n,)`, each over the 25 frames around, of the seconds that every frame took."""
+    """Frames a second `(n,)`, each over the 25 frames around, of the seconds that every frame took.
+
+    NaN where these took no time: at its end, a run with a lag answers many frames at once.
+    """
     spent, at = np.concatenate([[0.0], np.cumsum(seconds)]), np.arange(len(seconds))
     first, after = np.maximum(at - 12, 0), np.minimum(at + 13, len(seconds))
-    each: Array = (after - first) / np.maximum(spent[after] - spent[first], 1e-9)
+    took = spent[after] - spent[first]
+    each: Array = np.where(took > 1e-9, (after - first) / np.maximum(took, 1e-9), np.nan)
     return each
 
 

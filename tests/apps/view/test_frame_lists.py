@@ -2,9 +2,10 @@
 
 from itertools import pairwise
 
+import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.apps.view.page import listed, listed_periods, periods
+from rsmcm.apps.view.page import listed, listed_periods, periods, rates
 
 
 def test_lists() -> None:
@@ -25,3 +26,11 @@ def test_periods_hold_what_is_chosen(chosen: set[int], step: int) -> None:
     assert inside == [number for number in numbers if number in chosen]
     for (_, last), (first, _) in pairwise(found):
         assert any(last < number < first for number in numbers)
+
+
+def test_frames_that_took_no_time_have_no_rate() -> None:
+    """As those have that are answered at the end of a film."""
+    shown = rates([0.5] * 30 + [0.0] * 40)
+    assert np.allclose(shown[:18], 2)
+    assert np.isfinite(shown[:42]).all()
+    assert np.isnan(shown[42:]).all()
