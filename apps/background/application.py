@@ -1,5 +1,6 @@
 """The background application: from a source of frames to masks, tracks, pictures and a page."""
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -272,12 +273,12 @@ class Background(Application[BackgroundJob]):
         masks = MaskWriter(folder, self.job.masks, output.rate, after)
 
         def lines(name: str, header: Sequence[str], lines_of: Callable[..., list[str]]) -> Sink:
-            earlier = [
+            earlier = (
                 line
                 for row, objects in output.log.frames()
                 for line in lines_of(int(row["number"]), float(row["time"]), objects)
-            ]
-            file = LineWriter(folder / name, [*header, *earlier])
+            )
+            file = LineWriter(folder / name, itertools.chain(header, earlier))
             return Sink(
                 lambda frame, columns: file.append(lines_of(frame.number, frame.time, columns.objects)), file
             )
