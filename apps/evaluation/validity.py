@@ -126,39 +126,39 @@ def noise_ratio(record: PairRecord) -> float:
     return min(ratios)
 
 
-def _row(record: PairRecord, found: Comparison) -> tuple[object, ...]:
+def _row(record: PairRecord, comparison: Comparison) -> tuple[object, ...]:
     return (
         f"{record.first} + {record.second}",
         record.feature,
-        str(found.count),
-        f"{found.rms_first.estimate:.3g} {record.unit}",
-        f"{found.rms_second.estimate:.3g} {record.unit}",
-        f"{found.correlation:.2f}",
-        f"{found.bearable_correlation:.2f}" if np.isfinite(found.bearable_correlation) else "any",
-        f"{found.gain:.2g}",
-        found.verdict if noise_ratio(record) >= 1 else "not sure",
+        str(comparison.count),
+        f"{comparison.rms_first.estimate:.3g} {record.unit}",
+        f"{comparison.rms_second.estimate:.3g} {record.unit}",
+        f"{comparison.correlation:.2f}",
+        f"{comparison.bearable_correlation:.2f}" if np.isfinite(comparison.bearable_correlation) else "any",
+        f"{comparison.gain:.2g}",
+        comparison.verdict if noise_ratio(record) >= 1 else "not sure",
     )
 
 
-def _score_row(record: ScoreRecord, found: ScoreComparison) -> tuple[object, ...]:
+def _score_row(record: ScoreRecord, comparison: ScoreComparison) -> tuple[object, ...]:
     return (
         f"{record.first} + {record.second}",
         record.feature,
-        str(found.count),
-        *(f"{score.estimate:.3f}" for score in (found.first, found.second, found.product)),
-        f"{found.gain:.2g}",
-        found.verdict,
+        str(comparison.count),
+        *(f"{score.estimate:.3f}" for score in (comparison.first, comparison.second, comparison.product)),
+        f"{comparison.gain:.2g}",
+        comparison.verdict,
     )
 
 
-def _scores_in_words(record: ScoreRecord, found: ScoreComparison) -> str:
+def _scores_in_words(record: ScoreRecord, comparison: ScoreComparison) -> str:
     return (
-        f"{record.first} + {record.second} on {record.feature}: {found.verdict}. {found.reason}.\n"
+        f"{record.first} + {record.second} on {record.feature}: {comparison.verdict}. {comparison.reason}.\n"
         f"Scores are log densities of what was then seen, nats {record.unit}."
     )
 
 
-def _in_words(record: PairRecord, found: Comparison) -> str:
+def _in_words(record: PairRecord, comparison: Comparison) -> str:
     pair, ratio = f"{record.first} + {record.second} on {record.feature}", noise_ratio(record)
     if ratio < 1:
         lines = [
@@ -167,10 +167,10 @@ def _in_words(record: PairRecord, found: Comparison) -> str:
             "correlation and gain cannot be told. Scores as stated can."
         ]
     else:
-        lines = [f"{pair}: {found.verdict}. {found.reason}."]
-    if found.theorem_holds and ratio >= 1:
+        lines = [f"{pair}: {comparison.verdict}. {comparison.reason}."]
+    if comparison.theorem_holds and ratio >= 1:
         lines.append("The sufficient condition of Theorem 2 is met.")
-    stated = found.stated
+    stated = comparison.stated
     if stated is not None:
         lines += [
             _honesty(record.first, stated.nis_first),

@@ -93,10 +93,10 @@ class Evaluation:
 Measured = Mapping[str, Sequence[Evaluation]]  # by tracker, one for each seed
 
 
-def vertex_errors(found: Numbers, truth: Numbers) -> tuple[Numbers, Numbers]:
+def vertex_errors(estimated: Numbers, truth: Numbers) -> tuple[Numbers, Numbers]:
     """Mean distance of vertices `(n, n_vertices, 3)`, `(n,)` px: in the picture, and in space without the
     mean offset in depth."""
-    off = found - truth
+    off = estimated - truth
     off[..., 2] -= off[..., 2].mean(axis=1, keepdims=True)
     return np.linalg.norm(off[..., :2], axis=2).mean(axis=1), np.linalg.norm(off, axis=2).mean(axis=1)
 
@@ -337,34 +337,34 @@ def experts() -> Findings:
     )
 
 
-def expected_of_experts(found: Measured) -> list[Expectation]:
+def expected_of_experts(measured: Measured) -> list[Expectation]:
     """What is wanted; of ratios of medians."""
 
     def over(name: str, other: str, measure: str = "error") -> float:
-        return median(found[name], measure) / median(found[other], measure)
+        return median(measured[name], measure) / median(measured[other], measure)
 
-    nees, far = median(found[TAUGHT], "mean_nees"), "flow by patches on three levels"
+    nees, far = median(measured[TAUGHT], "mean_nees"), "flow by patches on three levels"
     lost = "flow by patches: lost runs of 20 experts; half of those of one are wanted"
     return [
         Expectation("flow by patches: error of 20 experts over that of one", over(MANY, ONE), "<=", 0.7),
         Expectation("the same in 3-D", over(MANY, ONE, "error_3d"), "<=", 0.55),
-        Expectation(lost, n_lost(found[MANY]), "<=", n_lost(found[ONE]) // 2),
+        Expectation(lost, n_lost(measured[MANY]), "<=", n_lost(measured[ONE]) // 2),
         Expectation(f"{far}: error of 20 experts over that of one", over(MANY_FAR, ONE_FAR)),
         Expectation("the same in 3-D, on three levels", over(MANY_FAR, ONE_FAR, "error_3d")),
         Expectation("dense, slow: error over the oracle", over(DENSE, ORACLE), "<=", 1.6),
         Expectation("dense, slow: error over one expert's dense flow", over(DENSE, DENSE_FLOW), "<=", 0.5),
         Expectation("dense, slow: error over one expert's flow by patches", over(DENSE, ONE), "<=", 0.2),
         Expectation(f"dense, slow: error over one expert's {far}", over(DENSE, ONE_FAR)),
-        Expectation("dense, slow: lost runs", n_lost(found[DENSE]), "<=", 0),
+        Expectation("dense, slow: lost runs", n_lost(measured[DENSE]), "<=", 0),
         Expectation("texture known: squared error over covariance, per dimension", nees, "<=", 3.0),
         Expectation("the same, from below", nees, ">=", 0.3),
     ]
 
 
-def draw_experts(found: Measured, canvas: Figure) -> None:
+def draw_experts(measured: Measured, canvas: Figure) -> None:
     """Error over time, median over the sequences."""
     axis = canvas.add_subplot()
-    for (name, evaluations), (_, colour) in zip(found.items(), EXPERTS, strict=True):
+    for (name, evaluations), (_, colour) in zip(measured.items(), EXPERTS, strict=True):
         times = evaluations[0].dt * np.arange(len(evaluations[0].errors))
         errors = np.median([evaluation.errors for evaluation in evaluations], axis=0)
         dashed = "--" if "truth" in name or "oracle" in name else "-"
@@ -410,8 +410,8 @@ def gain() -> Findings:
     )
 
 
-def _best_gain(found: Measured) -> float:
-    return min(GAINS, key=lambda gain: median(found[f"{gain:g}"]))
+def _best_gain(measured: Measured) -> float:
+    return min(GAINS, key=lambda gain: median(measured[f"{gain:g}"]))
 
 
 def expected_of_gains(everything: Mapping[str, Measured]) -> list[Expectation]:
@@ -542,9 +542,9 @@ def _recovered(clip: Clip, chain: GFlow) -> Recovery:
     return Recovery(np.array(means), _distances(scene, found[0].poses, 0), np.array(shown))
 
 
-def expected_of_recovery(found: Mapping[str, Sequence[Recovery]]) -> list[Expectation]:
+def expected_of_recovery(runs_of: Mapping[str, Sequence[Recovery]]) -> list[Expectation]:
     """What is wanted, in the worst run; with a blank texture nothing is."""
-    known, blank = found[KNOWN], found[BLANK]
+    known, blank = runs_of[KNOWN], runs_of[BLANK]
     at_start = float(np.mean([run.at_first for run in known]))
     by_then, end = ([float(run.errors[index]) for run in blank] for index in (SOON, -1))
     largest = max(float(run.errors[SOON]) for run in known)
@@ -588,8 +588,8 @@ SEEN, ALL = "self-occlusion handled", "every texel taken for visible"
 class PannedScene(FaceScene):
     """The room moves to the side behind the face."""
 
-    def _drawn(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        picture, covered = super()._drawn(index)
+    def _render(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        picture, covered = super()._render(index)
         moved = np.roll(self._room, round(PAN * self.dt * index), axis=1)
         return picture + (1 - covered) * (moved - self._room), covered
 
@@ -664,11 +664,11 @@ def face_background() -> Findings:
     )
 
 
-def expected_of_backgrounds(found: Mapping[str, Measured]) -> list[Expectation]:
+def expected_of_backgrounds(measured: Mapping[str, Measured]) -> list[Expectation]:
     """What is wanted of ratios of medians."""
 
     def over(condition: str, method: str, other: str) -> float:
-        return median(found[condition][method]) / median(found[condition][other])
+        return median(measured[condition][method]) / median(measured[condition][other])
 
     gains = {condition: over(condition, SEEN, ALL) for condition in TURNING}
     return [

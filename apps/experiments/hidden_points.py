@@ -82,10 +82,10 @@ def hidden_points(frames: Sequence[Frame], seeds: Sequence[int]) -> list[Expecta
     return over_seeds(expectations_of, found)
 
 
-def expectations_of(found: Mapping[str, Sequence[Refound]]) -> list[Expectation]:
+def expectations_of(refound: Mapping[str, Sequence[Refound]]) -> list[Expectation]:
     """Shares over the points of all bars."""
     expectations = []
-    for name, runs in found.items():
+    for name, runs in refound.items():
         again, wrong, false = (
             np.concatenate([getattr(run, what) for run in runs]) for what in ("again", "wrong", "false")
         )
@@ -156,7 +156,7 @@ def tracked(frames: Sequence[Frame], feedback: bool) -> Numbers:
     return places
 
 
-def compared(found: Numbers, truth: Numbers, hidden: Mask) -> Refound:
+def compared(places: Numbers, truth: Numbers, hidden: Mask) -> Refound:
     """Compare what was found behind a bar with where points are without it.
 
     Until the bar comes both runs are the same, and so are the numbers of points. A point is hidden where its
@@ -174,13 +174,13 @@ def compared(found: Numbers, truth: Numbers, hidden: Mask) -> Refound:
             ].any()
         if np.count_nonzero(behind) < LEAST_HIDDEN:
             continue
-        seen = ~np.isnan(found[:, point, 0]) if point < found.shape[1] else np.zeros(len(found), np.bool_)
+        seen = ~np.isnan(places[:, point, 0]) if point < places.shape[1] else np.zeros(len(places), np.bool_)
         false.append(float(seen[behind].mean()))
         end = np.flatnonzero(behind)[-1] + 1
         soon = end + np.flatnonzero(clear[end:])[:SOON]
         if len(soon) < SOON or soon[-1] != soon[0] + SOON - 1:
             continue
-        off = np.linalg.norm(found[soon, point] - truth[soon, point], axis=1) if seen.any() else np.inf
+        off = np.linalg.norm(places[soon, point] - truth[soon, point], axis=1) if seen.any() else np.inf
         right = off < RIGHT
         again.append(bool(np.any(right)))
         wrong.append(float((seen[soon] & ~right).mean()))

@@ -23,7 +23,7 @@ Image = NDArray[np.uint8]
 
 SEEDS = (0, 1, 2)
 
-Found = Mapping[tuple[str, str], Sequence[PixelScore]]  # by method and setting, one for each seed
+ScoresByMethod = Mapping[tuple[str, str], Sequence[PixelScore]]  # by method and setting, one for each seed
 
 
 def sleeping_man(*, long: bool) -> Findings:
@@ -46,7 +46,7 @@ def sleeping_man(*, long: bool) -> Findings:
     return Findings("Sleeping man", [Table(header, lines)], expectations, figures(street(seed=SEEDS[0])))
 
 
-def best_settings(pooled: Found) -> dict[str, tuple[str, Sequence[PixelScore]]]:
+def best_settings(pooled: ScoresByMethod) -> dict[str, tuple[str, Sequence[PixelScore]]]:
     """Of each method, the setting of the greatest F over all scenes, and its scores."""
     best: dict[str, tuple[str, Sequence[PixelScore]]] = {}
     for (name, setting), scores in pooled.items():
@@ -55,7 +55,7 @@ def best_settings(pooled: Found) -> dict[str, tuple[str, Sequence[PixelScore]]]:
     return best
 
 
-def expectations_of(pooled: Found) -> list[Expectation]:
+def expectations_of(pooled: ScoresByMethod) -> list[Expectation]:
     """What is wanted of RSMCM beside the others' best settings."""
     found = {name: total(scores).f_measure for name, (_, scores) in best_settings(pooled).items()}
     return [

@@ -81,9 +81,9 @@ class AnnotatedFilm:
     def frames(self, seed: int, step: int = 1, every: int | None = None) -> Iterator[Frame]:
         """Its frames with noise; with the detector's boxes on every `every`-th, if that is given."""
         with open_source(self.source, step=step) as source:
-            yield from self.known(source, seed, every)
+            yield from self.prepare(source, seed, every)
 
-    def known(self, frames: Iterable[Frame], seed: int, every: int | None) -> Iterator[Frame]:
+    def prepare(self, frames: Iterable[Frame], seed: int, every: int | None) -> Iterator[Frame]:
         """The same of frames that are open."""
         shaken = (noisy(frame, seed) for frame in frames)
         if every is None:
@@ -163,7 +163,7 @@ def model_tracks(film: AnnotatedFilm, engine: Engine, step: int, every: int | No
 def whole_film_tracks(film: AnnotatedFilm, every: int | None, seed: int) -> Tracks:
     """Tracks by the model that reads the film as a whole, with the detector's boxes perhaps."""
     job = BackgroundJob(film.source, out=Path(), engine=WHOLE_FILM)  # nothing is written
-    model, known = build_model(job.engine), partial(film.known, seed=seed, every=every)
+    model, known = build_model(job.engine), partial(film.prepare, seed=seed, every=every)
     with open_source(film.source) as source:
         _, objects = read_whole(job, source, model, known, Interruption())
         count = source.n_frames
@@ -258,14 +258,14 @@ TRACK_AREAS = (100, 200, 400)
 TRACKER_PARAMETERS: Sequence[Parameters] = tuple(product((0.1, 0.3), (3, 5), (10, 20)))
 FIRST_AREA, FIRST_PARAMETERS = 200, (0.1, 5, 20)  # what settings and clean-ups are first compared with
 N_FINALISTS = 2  # so many of each method, by IDF1 and by MOTA, are tried with all areas and parameters
-Found = tuple[int, NDArray[np.float64]]  # a frame's number and its components' boxes and areas `(n, 5)`
+Component = tuple[int, NDArray[np.float64]]  # a frame's number and its components' boxes and areas `(n, 5)`
 
 
 @dataclass(frozen=True)
 class Tried:
     """A subtractor, a clean-up and a tracker's parameters, and how good the tracks are."""
 
-    row: Row[Found]
+    row: Row[Component]
     clean_up: CleanUp
     parameters: Parameters
     scores: TrackScores
@@ -294,16 +294,16 @@ def best_usual(tried: Sequence[Tried]) -> dict[str, Tried]:
 def _tracks_of_usual(film: AnnotatedFilm, settings: Sequence[Setting]) -> list[Tried]:
     """Track measures of subtractors with Kalman filters and assignment behind them, on the film as it is."""
 
-    def found(number: int, mask: Image) -> Found:
+    def detect(number: int, mask: Image) -> Component:
         every = components(mask)
         return number, every[every[:, 4] >= min(TRACK_AREAS)]
 
     frames = film.truth.frames
     with Progress("components", len(frames) * len(settings)) as progress:
         images = partial(_readable, film.source, progress)
-        rows = list(sweep_subtractors(images, frames, found, settings, TRACK_CLEAN_UPS))
+        rows = list(sweep_subtractors(images, frames, detect, settings, TRACK_CLEAN_UPS))
     first = _tried(film.truth, rows, [FIRST_AREA], [FIRST_PARAMETERS])
-    finalists: list[Row[Found]] = []
+    finalists: list[Row[Component]] = []
     for method in ("MOG2", "KNN"):
         own = [tried for tried in first if tried.method == method]
         for measure in ("idf1", "mota"):
@@ -313,7 +313,7 @@ def _tracks_of_usual(film: AnnotatedFilm, settings: Sequence[Setting]) -> list[T
 
 
 def _tried(
-    truth: BoxTruth, rows: Sequence[Row[Found]], areas: Sequence[int], parameters: Sequence[Parameters]
+    truth: BoxTruth, rows: Sequence[Row[Component]], areas: Sequence[int], parameters: Sequence[Parameters]
 ) -> list[Tried]:
     combined = list(product(rows, areas, parameters))
     made = []
@@ -518,11 +518,11 @@ def _expectations_of_errors(errors: Mapping[str, ErrorClasses]) -> list[Expectat
     ]
 
 
-def _expectations_of_tracks(found: BySeed) -> list[Expectation]:
+def _expectations_of_tracks(scores: BySeed) -> list[Expectation]:
     """What is wanted of RSMCM beside the usual trackers with the best IDF1 and the best MOTA."""
-    peers = [found[name] for name in ("MOG2", "KNN", BEST_MOTA) if name in found]
+    peers = [scores[name] for name in ("MOG2", "KNN", BEST_MOTA) if name in scores]
     best = max(peers, key=lambda peer: mean(peer, "idf1"))
-    idf1, mota, switches = (mean(found["RSMCM"], name) for name in ("idf1", "mota", "switches"))
+    idf1, mota, switches = (mean(scores["RSMCM"], name) for name in ("idf1", "mota", "switches"))
     times = ratio(idf1, mean(best, "idf1"))
     over_best = ratio(mota, max(mean(peer, "mota") for peer in peers))
     return [
@@ -544,9 +544,9 @@ def _idf1_of_rates(tracks: Mapping[str, Sequence[Tracks]], truth: BoxTruth) -> d
     }
 
 
-def _expectations_of_rates(found: Mapping[str, Sequence[float]]) -> list[Expectation]:
+def _expectations_of_rates(idf1_of: Mapping[str, Sequence[float]]) -> list[Expectation]:
     """What is wanted of half the frames: the same IDF1 but for what noise changes."""
-    whole, half = np.array(found["RSMCM"]), np.array(found[HALF])
+    whole, half = np.array(idf1_of["RSMCM"]), np.array(idf1_of[HALF])
     spread = float(max(whole.std(ddof=1), half.std(ddof=1)))
     lost = ratio(whole.mean() - half.mean(), spread)
     return [
@@ -558,16 +558,16 @@ def _expectations_of_rates(found: Mapping[str, Sequence[float]]) -> list[Expecta
 
 
 def detector_expectations(
-    film: str, wanted: tuple[float, float], switches: float | None, found: BySeed
+    film: str, wanted: tuple[float, float], switches: float | None, scores: BySeed
 ) -> list[Expectation]:
     """What is wanted of the model with a detector: IDF1 and MOTA, identity switches perhaps."""
-    if DETECTED not in found:
+    if DETECTED not in scores:
         return []
-    ours = found[DETECTED]
-    idf1, mota, plain = mean(ours, "idf1"), mean(ours, "mota"), mean(found[f"{PLAIN}, best IDF1"], "idf1")
-    lost, above_cut = (idf1 - mean(found[name], "idf1") for name in (RARE, CUT))
-    plain_lost = plain - mean(found[f"{RARE_PLAIN}, best IDF1"], "idf1")
-    above = mota - mean(found[f"{PLAIN}, best MOTA"], "mota")
+    ours = scores[DETECTED]
+    idf1, mota, plain = mean(ours, "idf1"), mean(ours, "mota"), mean(scores[f"{PLAIN}, best IDF1"], "idf1")
+    lost, above_cut = (idf1 - mean(scores[name], "idf1") for name in (RARE, CUT))
+    plain_lost = plain - mean(scores[f"{RARE_PLAIN}, best IDF1"], "idf1")
+    above = mota - mean(scores[f"{PLAIN}, best MOTA"], "mota")
     expectations = [
         Expectation(f"{film} with a detector: IDF1", idf1, ">=", wanted[0]),
         Expectation(f"{film} with a detector: MOTA", mota, ">=", wanted[1]),
@@ -583,11 +583,11 @@ def detector_expectations(
     return expectations
 
 
-def _expectations_of_crowd(found: BySeed) -> list[Expectation]:
+def _expectations_of_crowd(scores: BySeed) -> list[Expectation]:
     """What is wanted on TUD-Campus."""
     name = "TUD-Campus without a detector, whole film"
     return [
-        *detector_expectations("TUD-Campus", (0.70, 0.62), None, found),
-        Expectation(f"{name}: IDF1", mean(found[WHOLE], "idf1"), ">=", 0.5),
-        Expectation(f"{name}: MOTA", mean(found[WHOLE], "mota"), ">=", 0.3),
+        *detector_expectations("TUD-Campus", (0.70, 0.62), None, scores),
+        Expectation(f"{name}: IDF1", mean(scores[WHOLE], "idf1"), ">=", 0.5),
+        Expectation(f"{name}: MOTA", mean(scores[WHOLE], "mota"), ">=", 0.3),
     ]

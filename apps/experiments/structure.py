@@ -16,7 +16,7 @@ from ..runs.progress import Progress
 from ..scenes import Cylinder, cylinder
 from ..structure.application import Film, read_film
 from ..structure.job import StructureJob
-from ..structure.page import drawn_of
+from ..structure.page import view_row
 from ..view.overlay import PointsOverlay
 from .datasets import data_folder
 from .experiment import Findings, Picture, Plot, by_seed, in_words
@@ -245,13 +245,13 @@ def draw_shapes(shapes: Mapping[str, Recovered], truth: Cylinder, canvas: Figure
         column[1].set_xlabel("x")
 
 
-def aligned(found: Recovered, truth: Cylinder) -> Numbers:
+def aligned(recovered: Recovered, truth: Cylinder) -> Numbers:
     """The shape `(n_points, 3)` after the affine map that brings it closest to the truth."""
-    taken = found.point_of_track != REJECTED
+    taken = recovered.point_of_track != REJECTED
     best = affine_alignment(
-        found.shape[found.point_of_track[taken]], truth.shape[truth.point_of_track[taken]]
+        recovered.shape[recovered.point_of_track[taken]], truth.shape[truth.point_of_track[taken]]
     )
-    placed: Numbers = found.shape @ best.matrix.T + best.translation
+    placed: Numbers = recovered.shape @ best.matrix.T + best.translation
     return placed
 
 
@@ -303,11 +303,11 @@ def box() -> Findings:
     return Findings("Turning objects", [Table(LINE, lines)], expectations, pictures)
 
 
-def _pictures(film: Film, found: Reconstruction, name: str) -> list[Picture]:
+def _pictures(film: Film, reconstruction: Reconstruction, name: str) -> list[Picture]:
     """The middle frame with its points, and the way that they came."""
     overlay, drawn = PointsOverlay(), None
     for index, frame in enumerate(film.frames[: len(film.frames) // 2 + 1]):
         if frame.image is not None:
-            row = drawn_of(found, index)
+            row = view_row(reconstruction, index)
             drawn = overlay(frame.image, row, frame.number, frame.time, missing=False)
     return [] if drawn is None else [Picture(f"{name}.png", drawn, f"{name}: dots are seen, rings predicted")]

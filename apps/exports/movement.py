@@ -104,12 +104,12 @@ def _boxes(run: FinishedRun) -> "xarray.Dataset":
     return _dataset(run, "bboxes", variables, coordinates)
 
 
-def _times(numbers: range, known: NDArray[np.int64], times: Array, rate: float) -> Array:
+def _times(numbers: range, measured: NDArray[np.int64], times: Array, rate: float) -> Array:
     """`(n,)` s of all frames: between those that are known, with objects, even; beyond them at the rate."""
     frames = np.arange(len(numbers), dtype=np.float64)
-    if not len(known):
+    if not len(measured):
         return (numbers.start - 1 + frames * numbers.step) / (rate * numbers.step)
-    rows, first = np.unique((known - numbers.start) // numbers.step, return_index=True)
+    rows, first = np.unique((measured - numbers.start) // numbers.step, return_index=True)
     times = times[first]
     beyond = np.minimum(frames - rows[0], 0) + np.maximum(frames - rows[-1], 0)
     return np.asarray(np.interp(frames, rows, times) + beyond / rate)

@@ -206,7 +206,7 @@ class Figure:
         belt = [(-8.0, 36.5), (8.4, 36.5), (8.5, 39.0), (-8.1, 39.0)]
 
         def cut(*shapes: tuple[list[tuple[float, float]], tuple[int, int, int]]) -> Sprite:
-            return _drawn([(np.array(points), colour) for points, colour in shapes], unit, 11.0, generator)
+            return _draw([(np.array(points), colour) for points, colour in shapes], unit, 11.0, generator)
 
         return cls(
             height,
@@ -252,7 +252,7 @@ class Figure:
         return compose(parts, (left, top, int(0.8 * self.height) + 2, int(1.1 * self.height) + 2))
 
 
-def _drawn(
+def _draw(
     shapes: Sequence[tuple[NDArray[np.float64], tuple[int, int, int]]],
     unit: float,
     roughness: float,
@@ -304,7 +304,7 @@ def car_sprite(length: float, generator: np.random.Generator) -> Sprite:
         for radius, colour in ((8.6, (24, 24, 26)), (7.8, tyre), (4.4, hub)):
             down = np.minimum(radius * np.sin(turn), 7.8)
             shapes.append((np.column_stack([wheel + radius * np.cos(turn), -7.8 + down]), colour))
-    return _drawn([(np.array(points), colour) for points, colour in shapes], length / 100, 6.0, generator)
+    return _draw([(np.array(points), colour) for points, colour in shapes], length / 100, 6.0, generator)
 
 
 def _shift(x: float, y: float) -> NDArray[np.float64]:

@@ -218,11 +218,11 @@ class FaceScene(GeneratedFilm):
 
     def made(self, index: int) -> Frame:
         """Frame `index` with its time."""
-        return self._seen(self._drawn(index)[0], self.noise, 5, index)
+        return self._seen(self._render(index)[0], self.noise, 5, index)
 
     def foreground(self, index: int) -> Mask:
         """`(height, width)` bool: pixels that the face covers by more than half."""
-        return self._drawn(range(self.n_frames)[index])[1] > 0.5
+        return self._render(range(self.n_frames)[index])[1] > 0.5
 
     # The truth
 
@@ -304,7 +304,7 @@ class FaceScene(GeneratedFilm):
         shade: Array = gains[index] * (AMBIENT + (1.15 - AMBIENT) * lambertian)
         return 1 + self.light * (shade - 1)
 
-    def _drawn(self, index: int) -> tuple[Pixels, Pixels]:
+    def _render(self, index: int) -> tuple[Pixels, Pixels]:
         """The picture before noise, and the share of every pixel that the face covers."""
         places = self._mesh.positions(self.poses[index])[0]
         picture = self._room.copy()

@@ -185,7 +185,7 @@ def _of_searches(what: str, seconds: Mapping[str, float]) -> list[Expectation]:
 
 
 def _searches(
-    first: Grey, second: Grey, corners: NDArray[np.float32], reach: int, known: float
+    first: Grey, second: Grey, corners: NDArray[np.float32], reach: int, predicted_share: float
 ) -> dict[str, Callable[[], Numbers]]:
     """Ways there and back: from `first` to `second`, and from what is found back to `first`.
 
@@ -193,7 +193,7 @@ def _searches(
     way. Each gives places `(n, 2)` px, NaN where a point was not found.
     """
     origin = corners.astype(np.float64)
-    expected = origin + known * SHIFT
+    expected = origin + predicted_share * SHIFT
     deviation = np.sqrt(((reach - 0.5) / REACH) ** 2 - GRID**2)
     covariances = np.tile(deviation**2 * np.eye(2), (len(corners), 1, 1))
     patches = sample_patches(first, origin, SIDE)

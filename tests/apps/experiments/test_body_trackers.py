@@ -173,7 +173,7 @@ def test_the_benchmark_of_bodies_times_one_thread_beside_two(
     one = bench.BodyFilm("generated", film.frames, film.scene.body, film.parts)
     for name, value in {"SAMPLES": 50, "WARM_UP": 1, "TURN": 2}.items():
         monkeypatch.setattr(bench, name, value)
-    monkeypatch.setattr(bench.BodyFilm, "found", lambda: one)
+    monkeypatch.setattr(bench.BodyFilm, "load", lambda: one)
     before, opencv = thread_count(), cv2.getNumThreads()
     try:
         rates = bench.bodies().expectations

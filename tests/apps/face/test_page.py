@@ -99,7 +99,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, scene: FaceScene, drawing: 
     write_pages(
         path,
         scene,
-        lambda index: drawing.drawn(row(scene, index), np.nan if index == 0 else 1.5),
+        lambda index: drawing.view_row(row(scene, index), np.nan if index == 0 else 1.5),
         lambda film: page_of(film, scene, drawing),
     )
     return path
@@ -139,7 +139,7 @@ def test_of_a_fine_model_some_points_are_shown() -> None:
     poses = scene.poses
     made = {**row(scene, 0), "vertices_2d": fine.project(poses)[0]}
     made["covariance"] = np.tile(np.eye(3), (fine.n_vertices, 1, 1))
-    drawn = drawing.drawn(made, np.nan)
+    drawn = drawing.view_row(made, np.nan)
     assert len(drawn["points"]) == MOST_POINTS < fine.n_vertices
     held = drawn["points"][:, :2]
     low, high = (getattr(made["vertices_2d"], name)(axis=0) for name in ("min", "max"))
@@ -156,7 +156,7 @@ def test_a_face_without_landmarks_and_errors(scene: FaceScene, drawing: FaceDraw
         plots.extend(plot.name for plot in page.plots)
         return page
 
-    write_pages(tmp_path, [frame], lambda _: drawing.drawn(made, np.nan), filled)
+    write_pages(tmp_path, [frame], lambda _: drawing.view_row(made, np.nan), filled)
     assert "error" not in plots
     with browsing() as browser, shown_page(browser, tmp_path, SIZE) as shown:
         assert not shown.page.get_by_label("landmarks").count()

@@ -50,7 +50,7 @@ def test_the_skin_is_drawn_where_the_truth_has_it(axis: int, index: int) -> None
     scene = face(200, 3, **PLAIN)
     columns = np.indices(scene._skin.shape, dtype=np.float32)[1 - axis]
     scene.__dict__["_skin"] = columns
-    picture = scene._drawn(index)[0]
+    picture = scene._render(index)[0]
     expected = skin_texels(face_plane(), scene._density)[:, axis]
     inside = cv2.erode(scene.foreground(index).astype(np.uint8), np.ones((7, 7))) > 0
     facing = visible(scene, index) & (normals(scene, index, 4)[:, 2] < -0.5)
@@ -73,7 +73,7 @@ def test_poses_are_those_of_the_trackers_model() -> None:
 def test_the_face_covers_what_its_outline_encloses() -> None:
     # From the front nothing hides anything: the covered area is the sum of the triangles' areas.
     scene = face(1, 0, noise=0)
-    covered = scene._drawn(0)[1]
+    covered = scene._render(0)[1]
     corners = scene._mesh.project(scene.poses)[0][scene._mesh.triangles]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum() / 2
@@ -176,7 +176,7 @@ def test_light_follows_lamberts_law_on_the_true_surface() -> None:
         expected = SKIN * gain * (0.4 + 0.75 * np.maximum(normal @ direction, 0))
         inside = cv2.erode(scene.foreground(index).astype(np.uint8), np.ones((7, 7))) > 0
         chosen = visible(scene, index) & (at(inside, scene.vertices[index]) == 1)
-        error = at(scene._drawn(index)[0], scene.vertices[index]) - expected
+        error = at(scene._render(index)[0], scene.vertices[index]) - expected
         # facets turn by up to 20 degrees about the nose: a few grey levels there, less than 2 on average
         assert np.abs(error[chosen]).mean() < 2
     directions, gains = scene._lights
@@ -189,7 +189,7 @@ def test_light_follows_lamberts_law_on_the_true_surface() -> None:
 @pytest.mark.parametrize("noise", [2.0, 5.0])
 def test_noise_has_the_wanted_deviation_and_is_new_in_every_frame(noise: float) -> None:
     scene = face(2, 0, noise=noise)
-    clean = [scene._drawn(index)[0] for index in range(2)]
+    clean = [scene._render(index)[0] for index in range(2)]
     errors = np.stack([scene.image(index) - clean[index] for index in range(2)])
     # rounding adds 1/12; standard error of the deviation is 1 / sqrt(2 n) of it: 5 of these
     assert errors.std() == pytest.approx(np.sqrt(noise**2 + 1 / 12), rel=5 / np.sqrt(2 * errors.size))
