@@ -14,6 +14,7 @@ from ...inference.validity import (
     compare,
     compare_scores,
 )
+from ...models.core.checks import checked
 from ...models.core.gaussian_message import squared_distances
 from .predictions import FILE, PairRecord, ScoreRecord, read_predictions
 from .text_tables import in_columns
@@ -37,7 +38,8 @@ class TooFewError(ValueError):
     """What was recorded of a pair is too little to be judged."""
 
 
-def report_validity(folder: Path) -> str:
+@checked
+def report_validity(folder: str | Path) -> str:
     """A table of all pairs of chains of a run, and what it means in sentences.
 
     Raises
@@ -47,6 +49,7 @@ def report_validity(folder: Path) -> str:
     OSError
         if there is no such folder.
     """
+    folder = Path(folder)
     if not folder.exists():
         raise FileNotFoundError(errno.ENOENT, "no such folder", str(folder))
     if not folder.is_dir():

@@ -57,17 +57,6 @@ def test_what_counts_as_found_again() -> None:
     np.testing.assert_allclose(result.false, [0.1, 0, 0, 0, 0])
 
 
-def test_a_point_that_is_hidden_in_part_is_neither_hidden_nor_clear() -> None:
-    truth = np.full((N_FRAMES, 1, 2), 20.0)
-    hidden = np.zeros((N_FRAMES, 50, 80), bool)
-    hidden[ENTER + 2 : ENTER + 12, 10:30] = True
-    hidden[ENTER + 12 : ENTER + 20, 22:30] = True
-    found = np.where(np.arange(N_FRAMES)[:, None, None] < ENTER + 20, np.nan, truth)
-    assert compared(found, truth, hidden).again.tolist() == [True]
-    found[: ENTER + 25] = np.nan
-    assert compared(found, truth, hidden).again.tolist() == [False]
-
-
 def test_the_command_prints_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for number, grey in enumerate(film(sliding(ENTER + 12)), 1):
         assert grey.shape == (HEIGHT, WIDTH)
