@@ -11,7 +11,7 @@ from ...inference.validity import (
     Comparison,
     Interval,
     ScoreComparison,
-    compare,
+    compare_predictions,
     compare_scores,
 )
 from ...models.core.checks import checked
@@ -97,7 +97,7 @@ def judge(record: PairRecord) -> Comparison:
             f"{record.first} + {record.second}: got {len(record.predictions)} predictions of one track "
             "in one frame, expected more"
         )
-    comparisons = [compare(record.predictions, labels) for labels in several]
+    comparisons = [compare_predictions(record.predictions, labels) for labels in several]
     return max(comparisons, key=lambda comparison: comparison.gain.high - comparison.gain.low)
 
 

@@ -19,7 +19,7 @@ from ...chains.body.condensation import Condensation
 from ...chains.body.dynamics import BodyDynamics
 from ...chains.body.fixed_lag import FixedLag
 from ...chains.body.flesh_tracker import FleshTracker
-from ...chains.body.samples import BodySamples, moments
+from ...chains.body.samples import BodySamples, body_moments
 from ...inference import MultiChain, RecursiveBP
 from ...inference.engine.recursive_bp import RunState
 from ...models.body.parts import BodyParts
@@ -180,7 +180,7 @@ class _EstimateLog:
     def _of_samples(self, index: int, after: BodySamples) -> tuple[Numbers, Numbers]:
         """Means and covariances of the joints; poses are drawn if they are shown."""
         body = self._scene.body
-        found = moments(body, after)
+        found = body_moments(body, after)
         if index in self._shown:
             samples = body.joints(after.drawn(N_SHOWN, self._random))
             self._pictures[index] = TrackedBody(samples, found.joints, found.joint_covariances)

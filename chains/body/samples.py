@@ -132,7 +132,7 @@ class BodyMoments:
     angle_covariances: Array
 
 
-def moments(body: UpperBody, samples: BodySamples) -> BodyMoments:
+def body_moments(body: UpperBody, samples: BodySamples) -> BodyMoments:
     """Means and covariances of joints and angles."""
     weights = samples.weights
     mean, covariance = weighted_moments(body.joints(samples.poses), weights)

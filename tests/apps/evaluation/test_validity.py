@@ -23,7 +23,7 @@ from rsmcm.inference.validity import (
     Comparison,
     PredictionErrors,
     RecordedPredictions,
-    compare,
+    compare_predictions,
     cost,
     product_of,
 )
@@ -278,7 +278,7 @@ def test_estimates_are_near_the_truth() -> None:
     cross = np.array([[0.3, 0.0], [0.2, 0.1]])
     errors = without_process(MOMENT, 2 * MOMENT, cross, np.array([[0.5, 0.1], [0.1, 0.3]]))
     predictions, groups = recorded(errors, np.random.default_rng(0), 400, 10, memory=0.0)
-    found = compare(predictions, groups)
+    found = compare_predictions(predictions, groups)
     assert found.first.estimate == pytest.approx(MOMENT, abs=0.15)
     assert found.second.estimate == pytest.approx(2 * MOMENT, abs=0.3)
     assert found.cross.estimate == pytest.approx(cross, abs=0.2)
@@ -302,7 +302,7 @@ def test_intervals_hold_the_truth() -> None:
     hits = np.zeros(3)
     for seed in range(60):
         random = np.random.default_rng(seed)
-        result = compare(*recorded(errors, random), random, resamples=200)
+        result = compare_predictions(*recorded(errors, random), random, resamples=200)
         intervals = (result.gain_first, result.gain_second, result.correlation)
         hits += [i.low <= value <= i.high for i, value in zip(intervals, truth, strict=True)]
     assert (hits / 60 >= 0.8).all()
@@ -311,7 +311,7 @@ def test_intervals_hold_the_truth() -> None:
 def judged(cross: Numbers | float, n_tracks: int = 200, second: float = 1.0) -> Comparison:
     of_both = cross * np.eye(2) if np.isscalar(cross) else np.asarray(cross)
     errors = without_process(np.eye(2), second * np.eye(2), of_both, 0.5)
-    return compare(*recorded(errors, np.random.default_rng(4), n_tracks))
+    return compare_predictions(*recorded(errors, np.random.default_rng(4), n_tracks))
 
 
 def test_verdicts_and_their_reasons() -> None:
@@ -335,7 +335,7 @@ def test_verdicts_and_their_reasons() -> None:
 def test_errors_that_vanish_in_the_noise_give_no_verdict() -> None:
     """Both chains are right to a thousandth of the observation's noise: nothing can be said of them."""
     errors = without_process(1e-6 * np.eye(2), 1e-6 * np.eye(2), np.zeros((2, 2)), 1.0)
-    found = compare(*recorded(errors, np.random.default_rng(5)))
+    found = compare_predictions(*recorded(errors, np.random.default_rng(5)))
     assert np.isfinite([found.gain.low, found.gain.high]).all()
     assert found.verdict == "not sure"
 
@@ -356,9 +356,9 @@ def test_wrong_arrays() -> None:
         RecordedPredictions(ones, ones, ones, noise, np.tile(noise, (3, 1, 1)))
     predictions = RecordedPredictions(ones, ones, ones, noise)
     with pytest.raises(ValueError, match=r"groups: got \(2,\) for 3 predictions"):
-        compare(predictions, [1, 2])
+        compare_predictions(predictions, [1, 2])
     with pytest.raises(ValueError, match="groups: got 1 of 3 rows, expected two or more"):
-        compare(predictions, [7, 7, 7])
+        compare_predictions(predictions, [7, 7, 7])
 
 
 # --- files and command --------------------------------------------------------------------------------------

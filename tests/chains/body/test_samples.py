@@ -11,8 +11,8 @@ from rsmcm.chains.body.samples import (
     LEAST_SPREAD,
     MISTAKEN,
     BodySamples,
+    body_moments,
     first,
-    moments,
     part_message,
     predicted,
     stationary,
@@ -84,7 +84,7 @@ def test_message_does_not_vanish_where_no_sample_is() -> None:
 
 def test_moments_are_those_of_weighted_joints_and_angles() -> None:
     state = samples(some(80))
-    found = moments(BODY, state)
+    found = body_moments(BODY, state)
     joints = BODY.joints(state.poses)
     assert found.joints.shape == (len(JOINTS), 3)
     for joint in range(len(JOINTS)):
