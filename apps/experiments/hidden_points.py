@@ -1,31 +1,24 @@
 """Points that go behind something: how many are found again in the pictures, frame by frame.
 
-`python -m rsmcm.apps.experiments.hidden_points [FILM]`
-
 A textured bar is painted over the film; where points are behind it, the same run on the film without it says.
 """
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
-from cyclopts import App
 from numpy.typing import NDArray
 
 from ...chains import PointTracker, RecursiveStructure
 from ...inference import MultiChain, RecursiveBP
 from ...models import PointTracks
 from ...models.core.frame import Frame
-from ..evaluation.text_tables import in_columns
 from ..io import open_source
-from ..runs.parallel import chosen_workers, working
 from ..scenes.random_fields import mottle
 from .datasets import data_folder
-from .experiment import by_seed
-from .record import HEADER, Expectation, over_seeds
+from .experiment import Findings, by_seed
+from .record import Expectation, over_seeds
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -40,7 +33,7 @@ SPEED, THICKNESS, LENGTH = (2.0, 8.0), (50.0, 150.0), (120.0, 500.0)
 
 MODELS = {"tracker and shape": True, "feed-forward": False}  # by name, whether the shape speaks to the points
 
-app = App(name="hidden_points", help=__doc__.splitlines()[0])
+SEEDS = range(10)  # of bars, each of its own size, way and texture
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,31 +48,19 @@ class Refound:
     false: Numbers
 
 
-@app.default
-def main(film: Path | None = None, *, seeds: int = 10, jobs: int | None = None) -> None:
-    """Run the models on the film with and without bars, and print what they find again.
+def hidden_points() -> Findings:
+    """Run both models on CMU's hotel with and without bars.
 
-    Parameters
-    ----------
-    film
-        Any source of images; CMU's hotel if not given.
-    seeds
-        How many bars, each of its own size, way and texture.
-    jobs
-        Runs at once; as many as there are cores if not given.
+    Raises
+    ------
+    OSError
+        if the sequence cannot be found.
     """
-    with open_source(str(film or data_folder("cmu-hotel"))) as source:
+    with open_source(str(data_folder("cmu-hotel"))) as source:
         frames = list(source)
-    with working(chosen_workers(jobs, None)):
-        expectations = hidden_points(frames, range(seeds))
-    print(in_columns(HEADER, [expectation.cells for expectation in expectations]))
-
-
-def hidden_points(frames: Sequence[Frame], seeds: Sequence[int]) -> list[Expectation]:
-    """What is wanted of a film with bars, over all of these, and what was found."""
     truth = {name: tracked(frames, feedback) for name, feedback in MODELS.items()}
-    (found,) = by_seed("bars", partial(behind_a_bar, frames, truth), [None], seeds).values()
-    return over_seeds(expectations_of, found)
+    (refound,) = by_seed("bars", partial(behind_a_bar, frames, truth), [None], SEEDS).values()
+    return Findings("Points behind a bar", [], over_seeds(expectations_of, refound))
 
 
 def expectations_of(refound: Mapping[str, Sequence[Refound]]) -> list[Expectation]:
@@ -185,11 +166,3 @@ def compared(places: Numbers, truth: Numbers, hidden: Mask) -> Refound:
         again.append(bool(np.any(right)))
         wrong.append(float((seen[soon] & ~right).mean()))
     return Refound(np.array(again, np.bool_), np.array(wrong), np.array(false))
-
-
-if __name__ == "__main__":
-    try:
-        app()
-    except (ValueError, OSError) as error:
-        print(f"hidden_points: {error}", file=sys.stderr)
-        sys.exit(2)

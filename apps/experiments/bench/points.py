@@ -1,5 +1,6 @@
 """Points beside filterpy, simdkalman and OpenCV, structure beside bundle adjustment, all on one thread."""
 
+import math
 import statistics
 import time
 from collections.abc import Callable, Mapping
@@ -428,5 +429,6 @@ def start_expectations() -> list[Expectation]:
         errors = np.array([factorise(positions, start=each).rmse for each in cameras])
         reached = float(np.mean(errors <= errors.min() * (1 + SAME)))
         what = f"{what}: share of {N_STARTS} random starts at the optimum"
-        expectations.append(Expectation(what, reached, ">=", bound))
+        error = math.sqrt(reached * (1 - reached) / N_STARTS)
+        expectations.append(Expectation(what, reached, ">=", bound, error, N_STARTS))
     return expectations

@@ -76,6 +76,7 @@ def test_plain_association_follows_what_is_detected(film: AnnotatedFilm, every: 
     assert evaluate_tracks(associated(film, every, 0.0, ONE_HIT), film.truth).idf1 < scores.idf1
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_the_best_association_is_the_best(film: AnnotatedFilm, monkeypatch: pytest.MonkeyPatch) -> None:
     quantiles, parameters = (0.0, 0.34), (ONE_HIT, (0.1, 5, 10))
     monkeypatch.setattr(trials, "SCORE_QUANTILES", quantiles)
@@ -108,11 +109,8 @@ def test_a_method_that_sees_every_second_frame_is_judged_in_these(film: Annotate
     assert (scores.n_frames, scores.misses) == (N_FRAMES // 2, 0)
 
 
-def test_every_seed_of_a_trial_is_run(film: AnnotatedFilm, monkeypatch: pytest.MonkeyPatch) -> None:
-    def in_turn(label: str, work: list) -> list:
-        return [function(*arguments) for function, arguments in work]
-
-    monkeypatch.setattr(trials, "in_parallel", in_turn)
+@pytest.mark.usefixtures("in_this_process")
+def test_every_seed_of_a_trial_is_run(film: AnnotatedFilm) -> None:
     run = partial(model_tracks, film, "recursive-bp", 1, 1)
     plain = Trial("plain", "", partial(associated, film, 1, 0.0, ONE_HIT), (0,))
     tracks = run_trials("test", [Trial("model", "", run, (3, 4)), plain])

@@ -73,6 +73,7 @@ def test_the_methods_on_one_sequence() -> None:
     assert dual.n_points <= 46
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_tables_and_pictures_of_turning_objects(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -80,6 +81,7 @@ def test_tables_and_pictures_of_turning_objects(
     film.mkdir()
     write_film(film, n_frames=8)
     monkeypatch.setattr(experiment, "SEQUENCES", ("film",))
+    monkeypatch.setattr(experiment, "NOISE_SEEDS", range(1))
     monkeypatch.setattr(experiment, "data_folder", lambda name: film)
     run_experiment("box", out)
     printed = capsys.readouterr().out
