@@ -7,21 +7,11 @@ from .engine.protocols import (
     Chain,
     FeatureNode,
     Incoming,
-    LazyFrames,
     Message,
     Port,
     Smoothed,
-    Trajectory,
 )
 from .engine.recursive_bp import Belief, RecursiveBP, RunState
-from .validity import (
-    PredictionErrors,
-    RecordedPredictions,
-    compare_predictions,
-    compare_scores,
-    cost,
-    product_of,
-)
 
 __all__ = [
     "BatchChain",
@@ -32,19 +22,11 @@ __all__ = [
     "CoordinateAscent",
     "FeatureNode",
     "Incoming",
-    "LazyFrames",
     "Message",
     "MultiChain",
     "Port",
-    "PredictionErrors",
-    "RecordedPredictions",
     "RecursiveBP",
     "RunState",
     "Smoothed",
     "Solution",
-    "Trajectory",
-    "compare_predictions",
-    "compare_scores",
-    "cost",
-    "product_of",
 ]

@@ -15,18 +15,18 @@ from ...chains.body.articulated_pose import ArticulatedPose
 from ...chains.body.dynamics import BodyDynamics
 from ...chains.body.fixed_lag import BLOCK, FixedLag, SmoothedBelief, Smoother, WaitingFrame
 from ...chains.body.flesh_tracker import FleshTracker
-from ...chains.body.hand_labelling import relabelled
-from ...chains.body.samples import body_moments, hypotheses
+from ...chains.body.hand_labelling import relabel_hands
+from ...chains.body.samples import hypotheses, moments
 from ...chains.body.start import (
     BodyStart,
     ClickedJoints,
     SavedPerson,
-    followed,
-    shows_whom,
+    fit_lengths,
+    follow_person,
+    shows_person,
     start_from_faces,
     start_from_head,
     start_from_keypoints,
-    with_lengths,
 )
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models.body.parts import CALIBRATION_FRAMES
@@ -165,7 +165,7 @@ class Body(Application[BodyJob]):
             images = [frame.image for frame in beginning if frame.image is not None]
         by_keypoints = self._keypoints is not None and self._head is None and job.detector is None
         for first in start.frames:
-            if first.image is not None and (not by_keypoints or shows_whom(first)):
+            if first.image is not None and (not by_keypoints or shows_person(first)):
                 break
             start.before.append(first.number)
         else:
@@ -191,7 +191,7 @@ class Body(Application[BodyJob]):
             person = start_from_faces(source.name, [*at_first, *images], job.detector, clicked, self._head)
             found = str(job.detector or "OpenCV's cascades of faces")
         if keypoints is not None and clicked is None:
-            person = with_lengths(person, followed(keypoints, first.number, person.head_in(first)))
+            person = fit_lengths(person, follow_person(keypoints, first.number, person.head_in(first)))
         return person, found
 
     def _looked_at(self, start: Start) -> list[Image]:
@@ -213,8 +213,8 @@ class Body(Application[BodyJob]):
         frame, body, states = belief.frame, self._start.body, belief.states
         detected = states[self._flesh.name].unseen == 0
         filtered, samples = states[self._pose.name], belief.samples.samples
-        found = body_moments(body, samples)
-        drawn = body.joints(samples.drawn(N_DRAWN, self._draws))
+        found = moments(body, samples)
+        drawn = body.joints(samples.resample(N_DRAWN, self._draws))
         seen = detected & ~_before_face(found.joints[PART_JOINTS, :2], body.head_height)
         answers = hypotheses(body, samples, self._draws)
         row = {
@@ -263,7 +263,7 @@ class Body(Application[BodyJob]):
         """Write the poses by the final names of the hands; what was seen, and what is assumed."""
         start, given = self._start, None
         self._record = record = BodyRecord(log)
-        self._poses = relabelled(start.body, {name: log[name] for name in POSES}, record.labels.exchanged)
+        self._poses = relabel_hands(start.body, {name: log[name] for name in POSES}, record.labels.exchanged)
         known = lengths(start.body)
         constants = {
             "joint_names": np.array(JOINTS),

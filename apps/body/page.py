@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains.body.hand_labelling import EXCHANGED_PARTS, HandLabels, hand_labels
+from ...chains.body.hand_labelling import EXCHANGED_PARTS, HandLabels, label_hands
 from ...chains.body.samples import WORTH_SAYING
 from ...models.body.upper_body import JOINTS, PARTS
 from ..io.row_log import RowLog
@@ -143,7 +143,7 @@ class BodyRecord(FrameRecord):
     def labels(self) -> HandLabels:
         """Which hand is left, by the whole film; to be asked for when all frames are there."""
         numbers, times = np.array(self.numbers, np.int64), np.array(self.times)
-        return hand_labels(numbers, times, self.exchange_log_odds, self.confusable)
+        return label_hands(numbers, times, self.exchange_log_odds, self.confusable)
 
     @property
     def exchanged(self) -> Array:

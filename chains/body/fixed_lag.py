@@ -10,7 +10,7 @@ using Markov chain Monte Carlo" (2013), move each pose x_t where it is
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import Annotated, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,30 +22,31 @@ from ...inference.smc import copied, normalised, systematic
 from ...models.body.image_features import BodyImage
 from ...models.body.parts import BodyParts, PartMessage
 from ...models.body.upper_body import BodyPoses
+from ...models.core.checks import CountFrom0, at_least, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
-from .dynamics import Ancestors, BodyDynamics, around, concentration
+from .dynamics import Ancestors, BodyDynamics, concentration, draw_directions
 from .flesh_state import FleshTracks
-from .hand_labelling import NOTHING_SAID, ExchangeEvidence, Labelling, both_names, hand_labels
+from .hand_labelling import NO_EVIDENCE, ExchangeEvidence, Labelling, exchange_evidence, label_hands
 from .likelihood import BodyLikelihood, PoseLikelihood
 from .samples import LONGEST, BodySamples
-from .tempering import LogDensity, perturbed
+from .tempering import LogDensity, perturb
 
 Array = NDArray[np.float64]
 State = TypeVar("State")
 
 SCALES = np.array([0.1, 0.3, 0.7, 1.2])  # of an arm's move from the next frame's, over the dynamics'
 CENTRES = 64  # poses of the filter about whose arms others are drawn
-BREADTH = 0.5  # how far from these, over what the dynamics move it
-NEXT = 0.3  # share of arms drawn near the next frame's: so a found hand goes back to where it was lost
+BREADTH = 0.5  # standard deviation about these, over the dynamics'
+NEXT = 0.3  # share of arms drawn near the next frame's: a recovered hand is traced back to its loss
 
 LEAST_DENSITY, IMPOSSIBLE = 1e-30, -1e300
-"""Of an arm that is drawn; nats of a pose that joints do not allow, which any other replaces."""
+"""Floor of a proposal's density; nats of a pose that joints forbid, which any other one replaces."""
 
 
 @dataclass(frozen=True, eq=False)
 class ArmProposal:
-    """Arms drawn near those that the filter has, as they fit what comes next, or near the next frame's.
+    """Proposal of arms: near the filter's, weighted by the dynamics to the next frame, or near the next's.
 
     p(arm) = NEXT mean_s vMF(arm; next, s) + (1 - NEXT) sum_k v_k vMF(arm; arm_k, BREADTH),
     v_k ~ p(next | arm_k)
@@ -61,7 +62,7 @@ class ArmProposal:
 
     @classmethod
     def of(cls, dynamics: BodyDynamics, elapsed: float, centres: Array, near: Array) -> "ArmProposal":
-        """What is to be drawn `elapsed` s before `near`."""
+        """Return the proposal of arms `elapsed` s before `near`."""
         rates = np.array([dynamics.upper_arm, dynamics.forearm]) ** 2 * elapsed
         walk = _log_kernels(near, centres, concentration(rates))
         shares = np.exp(np.maximum(walk - walk.max(axis=1, keepdims=True), -20.0))
@@ -70,7 +71,7 @@ class ArmProposal:
         return cls(centres, near, shares, concentration(BREADTH**2 * rates), scaled)
 
     def draw(self, random: np.random.Generator) -> Array:
-        """`(n, 2, 3)`: one arm for each of the next frame."""
+        """Draw `(n, 2, 3)`: one arm for each of the next frame."""
         n = len(self.near)
         ends = np.cumsum(self.shares, axis=1)
         chosen = (random.random((n, 1)) * ends[:, -1:] >= ends[:, :-1]).sum(axis=1)
@@ -79,7 +80,8 @@ class ArmProposal:
         kappas = np.where(
             follows[:, None], self.scaled[random.integers(len(SCALES), size=n)], self.concentrations
         )
-        return np.stack([around(middles[:, part], kappas[:, part], random) for part in (0, 1)], axis=1)
+        arms = [draw_directions(middles[:, part], kappas[:, part], random) for part in (0, 1)]
+        return np.stack(arms, axis=1)
 
     def log_density(self, arms: Array) -> Array:
         """`(n,)` nats, of one arm for each of the next frame."""
@@ -89,7 +91,7 @@ class ArmProposal:
         return np.asarray(np.log(NEXT * near + (1 - NEXT) * about + LEAST_DENSITY))
 
 
-def moved_between(
+def move_between(
     dynamics: BodyDynamics,
     poses: BodyPoses,
     past: Ancestors,
@@ -100,13 +102,12 @@ def moved_between(
     moves: int,
     random: np.random.Generator,
 ) -> BodyPoses:
-    """Move each pose between a past that all share and a next pose of its own.
+    """Apply Metropolis moves to poses between a common past and one later pose each.
 
-    Half of the moves are of whole arms, half are small ones.
+    Half of the moves are of whole arms, half are those of `perturb`.
 
-    `poses`: n of them, which may have been drawn from `samples`; `past`: of the frame before; `samples`: what
-    the filter knows of this frame; `later`: n poses of the next frame; `elapsed`: s from this one to it;
-    `log_likelihood`: of this frame's image; `moves`: of every pose.
+    `poses`: n of them; `past`: of the frame before; `samples`: the filter's, of this frame; `later`: n poses
+    of the next frame, `elapsed` s later; `log_likelihood`: of this frame's image; `moves`: of every pose.
     """
     n = len(poses)
 
@@ -124,19 +125,19 @@ def moved_between(
     value = np.maximum(log_target(poses), IMPOSSIBLE)
     for move in range(moves):
         if move % 2:
-            tried, correction = perturbed(dynamics, poses, random)
+            tried, correction = perturb(dynamics, poses, random)
         else:
-            tried, correction = _with_arms(poses, proposals, random)
+            tried, correction = _propose_arms(poses, proposals, random)
         new = log_target(tried)
         takes = np.log(random.random(n)) < new - value + correction
         poses, value = poses.replaced(takes, tried), np.where(takes, new, value)
     return poses
 
 
-def _with_arms(
+def _propose_arms(
     poses: BodyPoses, proposals: list[ArmProposal], random: np.random.Generator
 ) -> tuple[BodyPoses, Array]:
-    """Left, right or both arms drawn anew, and the log of the densities' ratio, backwards over forwards."""
+    """Draw left, right or both arms; return the log of the proposal's ratio, backwards over forwards."""
     n = len(poses)
     which = random.integers(3, size=n)
     arms, correction = poses.arms.copy(), np.zeros(n)
@@ -150,7 +151,7 @@ def _with_arms(
 
 
 def _log_kernels(arms: Array, centres: Array, concentrations: Array) -> Array:
-    """`(n, k)` nats: von Mises and Fisher's densities of both segments of `arms` about `centres`."""
+    """`(n, k)` nats: log von Mises-Fisher densities of both segments of `arms` about `centres`."""
     n, k = len(arms), len(centres)
     scaled = (centres * concentrations[:, None]).reshape(k, 6)
     cosines = arms.reshape(n, 6) @ scaled.T - concentrations.sum()
@@ -158,14 +159,14 @@ def _log_kernels(arms: Array, centres: Array, concentrations: Array) -> Array:
 
 
 def _peak(concentrations: Array) -> float:
-    """Of both segments' densities."""
+    """Peak of the product of both segments' densities."""
     return float(np.prod(concentrations / (2 * np.pi * -np.expm1(-2 * concentrations))))
 
 
-CLOUD = 400  # poses of a frame that are kept until later ones have spoken
-BLOCK = 6  # frames that are answered at a time: a pass over all that wait costs the same for one
-LEAST_EXCHANGED = 1e-3  # probability at least that hands have each other's name, or their own
-MOVES, MOVES_AHEAD = 8, 2  # of every pose in a frame that is answered, and in one that only leads there
+CLOUD = 400  # poses of a frame that are kept until it is smoothed
+BLOCK = 6  # frames that are smoothed at a time: a backward pass costs the same for one
+LEAST_EXCHANGED = 1e-3  # probability of exchanged hands, and of the opposite, at least
+MOVES, MOVES_AHEAD = 8, 2  # Metropolis moves in frames that are returned, and in later ones
 
 
 @short_repr
@@ -173,35 +174,31 @@ MOVES, MOVES_AHEAD = 8, 2  # of every pose in a frame that is answered, and in o
 class TimedSamples:
     """Weighted poses of a frame."""
 
-    # of the frame; s
-    number: int
-    time: float
-    samples: BodySamples  # its poses
-    # of an answer, what the frame says of which hand is which (see `Labelling`)
-    evidence: ExchangeEvidence = NOTHING_SAID
+    number: int  # of the frame
+    time: float  # s
+    samples: BodySamples
+    evidence: ExchangeEvidence = NO_EVIDENCE  # of smoothed poses, see `Labelling`
 
     def ancestors(self, time: float) -> Ancestors:
-        """What may have become poses at `time`, s."""
+        """Return the poses as ancestors of those at `time`, s."""
         return Ancestors(self.samples.poses, self.samples.weights, min(time - self.time, LONGEST))
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class WaitingFrame:
-    """What is remembered of a frame."""
+    """A frame that waits to be smoothed."""
 
-    # of the frame; s
-    number: int
-    time: float
-    samples: BodySamples  # what the filter knew, thinned
-    exchanged: BodyPoses  # some of the same poses with the names of the hands exchanged
-    evidence: ExchangeEvidence  # whether these are right
-    # what the likelihood asks of it; `None` for a missing one, and once it is answered
-    image: BodyImage | None = None
-    log_odds: float | None = None  # nats, once it is answered: that these are right, by all frames up to it
+    number: int  # of the frame
+    time: float  # s
+    samples: BodySamples  # the filter's, thinned
+    exchanged: BodyPoses  # some of the same poses with exchanged hands
+    evidence: ExchangeEvidence  # for these
+    image: BodyImage | None = None  # for the likelihood; `None` if missing, and once it is smoothed
+    log_odds: float | None = None  # nats, once it is smoothed: of exchanged hands, given all frames up to it
 
-    def named(self, share: float) -> BodySamples:
-        """The samples, with names exchanged in a share of them."""
+    def mixed(self, share: float) -> BodySamples:
+        """Return the samples with exchanged hands in a share of them."""
         extra = len(self.exchanged)
         if not extra:
             return self.samples
@@ -217,53 +214,45 @@ class WaitingFrame:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class WaitingFrames:
-    """What fixed-lag smoothing has to remember: the frames that are not answered yet."""
+    """State of fixed-lag smoothing: the frames that are not smoothed yet."""
 
     frames: tuple[WaitingFrame, ...]  # in the order of time
-    past: WaitingFrame | None  # the frame before them, which is answered; `None` at the beginning
+    past: WaitingFrame | None  # the last smoothed frame; `None` at the beginning
     random: np.random.Generator  # generator of the draws to come
 
 
 class FixedLag:
-    """Gives poses when later frames have spoken.
+    """Fixed-lag smoother of a filter's poses.
 
     Parameters
     ----------
     dynamics
-        of the filter whose poses these are.
+        of the filter.
     lag
-        frames by which answers are late, at least, and at most 5 more; 0 for none: the filter's own answers.
+        later frames that are waited for, and at most 5 more; 0: poses are the filter's own.
     likelihood
-        of images; that of the body, unless given.
+        of images; that of the body if `None`.
     trajectories
-        that are drawn; so many poses answer for a frame.
+        that are drawn: the number of smoothed poses of a frame.
     seed
         of the random numbers.
 
     Attributes
     ----------
     waiting
-        all that it remembers, a value: put back, it goes on in the same way.
-
-    Raises
-    ------
-    ValueError
-        for a lag below 0, or fewer than 2 trajectories.
+        the whole state, a value that can be saved and restored.
     """
 
+    @checked
     def __init__(
         self,
         dynamics: BodyDynamics,
-        lag: int = 12,
+        lag: CountFrom0 = 12,
         *,
         likelihood: PoseLikelihood | None = None,
-        trajectories: int = 64,
-        seed: int = 0,
+        trajectories: Annotated[int, at_least(2)] = 64,
+        seed: CountFrom0 = 0,
     ) -> None:
-        if lag < 0:
-            raise ValueError(f"lag: got {lag} frames, expected 0 or more")
-        if trajectories < 2:
-            raise ValueError(f"trajectories: got {trajectories}, expected 2 or more")
         self.dynamics = dynamics
         self.lag = lag
         self.likelihood = likelihood or BodyLikelihood(dynamics.body)
@@ -272,7 +261,7 @@ class FixedLag:
         self._likelihoods: dict[int, LogDensity] = {}
 
     def add(self, frame: Frame, samples: BodySamples, image: BodyImage | None = None) -> list[TimedSamples]:
-        """Take in what a filter knows after a frame, and answer for frames that waited long enough.
+        """Add a filtered frame, and return the frames that are smoothed by now.
 
         Parameters
         ----------
@@ -281,8 +270,8 @@ class FixedLag:
         samples
             the filter's posterior, or its prediction.
         image
-            what the filter was told of the frame: the `image` of the parts' message. Without it, of a frame
-            that is not missing, poses are chosen among the filter's own.
+            the image's features: `image` of the parts' message. Without it, poses are chosen among the
+            filter's own.
         """
         if not self.lag:
             return [TimedSamples(frame.number, frame.time, samples)]
@@ -290,20 +279,20 @@ class FixedLag:
         if image is not None:
             self._likelihoods[frame.number] = self.likelihood(image)
         likelihood = self._likelihoods.get(frame.number)
-        evidence, exchanged = both_names(self.dynamics, samples, likelihood, random)
-        few = thinned(samples, CLOUD, random)
+        evidence, exchanged = exchange_evidence(self.dynamics, samples, likelihood, random)
+        few = thin(samples, CLOUD, random)
         new = WaitingFrame(frame.number, frame.time, few, exchanged, evidence, image)
         self.waiting = replace(self.waiting, frames=(*self.waiting.frames, new), random=random)
         if len(self.waiting.frames) < self.lag + BLOCK:
             return []
-        return self._answers(BLOCK)
+        return self._smooth(BLOCK)
 
     def rest(self) -> list[TimedSamples]:
-        """Answers for all frames that wait, after the last one."""
-        return self._answers(len(self.waiting.frames))
+        """Smooth all frames that wait, after the last one."""
+        return self._smooth(len(self.waiting.frames))
 
-    def _answers(self, count: int) -> list[TimedSamples]:
-        """Answers for the first frames that wait, which are then forgotten."""
+    def _smooth(self, count: int) -> list[TimedSamples]:
+        """Smooth the first `count` frames that wait, and remove them from the state."""
         if not count:
             return []
         waiting, random = self.waiting, copied(self.waiting.random)
@@ -314,27 +303,27 @@ class FixedLag:
         }
         before = 0 if waiting.past is None else 1
         frames = [*waiting.frames] if waiting.past is None else [waiting.past, *waiting.frames]
-        labels = hand_labels(
+        labels = label_hands(
             np.array([frame.number for frame in frames]),
             np.array([frame.time for frame in frames]),
             np.array([frame.evidence.log_odds for frame in frames]),
             np.array([frame.evidence.confusable for frame in frames]),
-            known=frames[0].log_odds,
+            first_log_odds=frames[0].log_odds,
         )
         pairs = zip(frames, labels.shares, strict=True)
-        clouds = [TimedSamples(each.number, each.time, each.named(share)) for each, share in pairs]
+        clouds = [TimedSamples(each.number, each.time, each.mixed(share)) for each, share in pairs]
         smoothed = self._trajectories(clouds, before, before + count, random)
         last = before + count - 1
-        past = replace(frames[last], image=None, log_odds=float(labels.so_far[last]))
+        past = replace(frames[last], image=None, log_odds=float(labels.filtered_log_odds[last]))
         self.waiting = WaitingFrames(waiting.frames[count:], past, random)
         return smoothed
 
     def _trajectories(
         self, clouds: list[TimedSamples], first: int, stop: int, random: np.random.Generator
     ) -> list[TimedSamples]:
-        """Draw trajectories backwards through clouds; their poses from `first` up to before `stop`."""
+        """Draw trajectories backwards through clouds; return their poses from `first` up to before `stop`."""
         newest = len(clouds) - 1
-        poses = clouds[newest].samples.drawn(self.trajectories, random)
+        poses = clouds[newest].samples.resample(self.trajectories, random)
         smoothed = []
         past = None
         for index in range(newest, first - 1, -1):
@@ -346,24 +335,26 @@ class FixedLag:
             likelihood = self._likelihoods.get(cloud.number)
             if index < newest and past is not None and likelihood is not None:
                 moves = MOVES if index < stop else MOVES_AHEAD
-                poses = moved_between(
+                poses = move_between(
                     self.dynamics, poses, past, cloud.samples, later, elapsed, likelihood, moves, random
                 )
             if index < stop:
-                smoothed.append(self._answer(cloud, poses, random))
+                smoothed.append(self._with_evidence(cloud, poses, random))
         return smoothed[::-1]
 
-    def _answer(self, cloud: TimedSamples, poses: BodyPoses, random: np.random.Generator) -> TimedSamples:
+    def _with_evidence(
+        self, cloud: TimedSamples, poses: BodyPoses, random: np.random.Generator
+    ) -> TimedSamples:
         n, likelihood = len(poses), self._likelihoods.get(cloud.number)
         samples = replace(cloud.samples, poses=poses, log_weights=np.full(n, -np.log(n)))
-        evidence = both_names(self.dynamics, samples, likelihood, random)[0]
+        evidence = exchange_evidence(self.dynamics, samples, likelihood, random)[0]
         return replace(cloud, samples=samples, evidence=evidence)
 
 
-def thinned(samples: BodySamples, n: int, random: np.random.Generator) -> BodySamples:
-    """At most `n` of the samples, with weights, and without what a prediction remembers.
+def thin(samples: BodySamples, n: int, random: np.random.Generator) -> BodySamples:
+    """Reduce to `n` weighted samples at most, without the origin of a prediction.
 
-    They are drawn in proportion to the roots of their weights, so that what is improbable is still there.
+    They are drawn by the square roots of their weights, so that improbable ones remain.
     """
     kept, log_weights = np.arange(len(samples.poses)), samples.log_weights
     if len(kept) > n:
@@ -378,11 +369,11 @@ def thinned(samples: BodySamples, n: int, random: np.random.Generator) -> BodySa
     )
 
 
-FILM_LAG = 25  # frames that are heard before one is answered: a second and more
+FILM_LAG = 25  # later frames that are waited for in films: a second and more
 
 
 class PartFilter(Chain[State], Protocol[State]):
-    """A filter that meets the parts of a body and nothing else."""
+    """A filter on `BodyParts` alone."""
 
     def message(self, state: State, feature: BodyParts, incoming: Incoming, /) -> PartMessage:
         """As of `Chain`."""
@@ -396,7 +387,7 @@ class PoseTrajectory:
 
     samples: list[BodySamples | None]  # of each frame; `None` before the first one with an image
     times: Array  # `(n,)` s
-    exchanged: Array  # `(n,)`: probability that the names of the hands are still exchanged, by the whole film
+    exchanged: Array  # `(n,)`: probability of exchanged hands, given the whole film
     log_prior: float  # mean log density of a frame's poses under those of the frame before
 
 
@@ -413,7 +404,7 @@ class FleshTrajectory:
 def filtered(
     chain: PartFilter[State], incoming_over_time: Sequence[BatchIncoming]
 ) -> Iterator[tuple[Frame, State | None, BodyImage | None]]:
-    """Frame by frame, what a filter knows after it, and what the image says of the body."""
+    """Filter the frames; yield each with its posterior and the image's features."""
     state, time = None, 0.0
     for incoming in incoming_over_time:
         frame, (node,) = incoming.frame, incoming
@@ -435,25 +426,25 @@ def smoothed_poses(
     likelihood: PoseLikelihood | None,
     incoming_over_time: Sequence[BatchIncoming],
 ) -> PoseTrajectory:
-    """Poses in all frames of a film, with the names of the hands as later frames have them."""
-    hindsight, labelling = FixedLag(dynamics, FILM_LAG, likelihood=likelihood), Labelling()
-    answers, unknown = [], 0
+    """Filter and smooth the poses of all frames of a film."""
+    smoother, labelling = FixedLag(dynamics, FILM_LAG, likelihood=likelihood), Labelling()
+    frames, before_start = [], 0
     for frame, state, image in filtered(chain, incoming_over_time):
         if state is None:
-            unknown += 1
+            before_start += 1
         else:
-            answers += hindsight.add(frame, state, image)
-    answers += hindsight.rest()
+            frames += smoother.add(frame, state, image)
+    frames += smoother.rest()
     total = 0.0
-    for index, answer in enumerate(answers):
-        labelling.add(answer.number, answer.time, answer.evidence)
+    for index, each in enumerate(frames):
+        labelling.add(each.number, each.time, each.evidence)
         if index:
-            past = answers[index - 1].ancestors(answer.time)
-            total += float(answer.samples.weights @ dynamics.log_density(answer.samples.poses, past))
+            past = frames[index - 1].ancestors(each.time)
+            total += float(each.samples.weights @ dynamics.log_density(each.samples.poses, past))
     return PoseTrajectory(
-        [None] * unknown + [answer.samples for answer in answers],
+        [None] * before_start + [each.samples for each in frames],
         np.array([incoming.time for incoming in incoming_over_time]),
-        np.concatenate([np.zeros(unknown), labelling.result().probabilities]),
+        np.concatenate([np.zeros(before_start), labelling.result().probabilities]),
         total,
     )
 
@@ -461,7 +452,7 @@ def smoothed_poses(
 def predicted_messages(
     chain: PartFilter[State], states: Sequence[State | None], times: Array, node: BodyParts
 ) -> list[PartMessage]:
-    """What a filter would say in each frame, from what is known of the frame before; at first, nothing."""
+    """Return a filter's message in each frame, predicted from the frame before; the first is uniform."""
     messages = [node.uniform()]
     for state, elapsed in zip(states[:-1], np.diff(times), strict=True):
         if state is None:
@@ -473,26 +464,26 @@ def predicted_messages(
 
 
 class SmoothedBelief(Belief):
-    """What is known of a frame when later ones have spoken: `samples` are poses given these as well."""
+    """Belief of a smoothed frame: `samples` are its poses given later frames as well."""
 
     samples: TimedSamples
 
 
 class Smoother:
-    """Filters frame after frame, and answers for each when it has seen some later ones.
+    """Engine that filters frame after frame and returns each with fixed-lag smoothing.
 
     Parameters
     ----------
     engine
         of the filter.
     state
-        to go on from.
+        to start from.
     smoothing
         of the filter's poses.
     pose, parts
-        the chain whose poses these are, and the node by which it hears the image.
+        the chain of the poses, and its feature node.
     seed
-        of what smoothing draws.
+        of the smoother's draws.
     """
 
     def __init__(
@@ -509,29 +500,29 @@ class Smoother:
         self._waiting: deque[SmoothedBelief] = deque()
 
     def step(self, frame: Frame) -> list[Belief]:
-        """Take in a frame, and answer for those that have waited long enough."""
+        """Filter a frame, and return the beliefs of the frames that are smoothed by now."""
         belief = self._engine.step(self._newest, frame)
         self._newest = belief.state
-        # without what else is believed of the frame, which is large
+        # without messages, which are large
         self._waiting.append(SmoothedBelief(belief.frame, belief.state, None))
         self._begin_draws(frame.number)
         image = belief.evidence(self._parts).image
-        return self._answered(self.smoothing.add(belief.frame, belief[self._pose], image))
+        return self._beliefs(self.smoothing.add(belief.frame, belief[self._pose], image))
 
     def rest(self) -> list[Belief]:
-        """Of the last frames, fewer later ones are known."""
+        """Return the beliefs of the last frames, after which there are fewer."""
         self._begin_draws(0)
-        return self._answered(self.smoothing.rest())
+        return self._beliefs(self.smoothing.rest())
 
-    def _answered(self, poses: Sequence[TimedSamples]) -> list[Belief]:
-        answered: list[Belief] = []
+    def _beliefs(self, poses: Sequence[TimedSamples]) -> list[Belief]:
+        beliefs: list[Belief] = []
         for each in poses:
             belief = self._waiting.popleft()
             belief.samples, self.state = each, belief.state
-            answered.append(belief)
-        return answered
+            beliefs.append(belief)
+        return beliefs
 
     def _begin_draws(self, number: int) -> None:
-        """Let what is drawn depend on the frame alone: a run that is resumed takes in frames again."""
+        """Seed the draws by the frame: a resumed run adds some frames again."""
         random = np.random.default_rng((self._seed, number))
         self.smoothing.waiting = replace(self.smoothing.waiting, random=random)

@@ -1,8 +1,8 @@
-"""Tracker of head and hands in the picture, by several hypotheses of what is what (RSMCM §4.1).
+"""Multi-hypothesis tracker of head and hands in the image (RSMCM paper §4.1).
 
-It knows nothing of bodies but that hands are within an arm's length of the shoulders. Alone it coasts where a
-hand is not seen, and tells left from right only by how they move; a chain of whole bodies over the same
-feature knows better.
+Its only model of the body is that hands are within an arm's length of the shoulders. Alone it coasts where a
+hand is not detected, and tells left from right by their motion; a pose chain on the same feature adds the
+rest.
 """
 
 from collections.abc import Sequence
@@ -14,109 +14,106 @@ from numpy.typing import NDArray
 from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ...models.body.parts import FALSE_HANDS, BodyParts, PartMessage
 from ...models.body.upper_body import UpperBody
+from ...models.core.checks import Positive, PositiveOrInfinite, checked
 from ...models.core.frame import Frame
 from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures, log_sums
 from ...models.core.short_repr import short_repr
 from .fixed_lag import FleshTrajectory, filtered, predicted_messages
 from .flesh_assignment import (
     VISIBLE,
-    Answers,
+    JointAssignments,
     MovingParts,
+    PartDetections,
     PartOptions,
-    Things,
     log_joint_overlaps,
     log_overlaps,
     log_sides,
     ratios_beside,
 )
-from .flesh_state import HANDS, HEAD, Clutter, ClutterMatch, FleshTracks, anywhere, within_reach
+from .flesh_state import HANDS, HEAD, Clutter, ClutterMatch, FleshTracks, lost_parts, within_reach
 
 Array = NDArray[np.float64]
 
-EXCHANGE_TIME = 60.0  # s, time constant with which it is forgotten which hand is which
-MOST_TRUST = 0.8  # however long it goes well, the tracker may be wrong about a part, as others are told
-LEAST_PROBABILITY = 1e-6  # that a part is where it should be, or that it is not
-HIDDEN_TIME = 0.28  # s for which a part is hidden on average
-NEW_CLUTTER = 0.5  # of the false blobs in a picture: those that were not there before
-DRIFT = 0.15  # head heights a root of a second, by which clutter moves
+EXCHANGE_TIME = 60.0  # s, time constant of exchanges of left and right hand
+MOST_TRUST = 0.8  # probability in messages that a part is where the tracker has it, at most
+LEAST_PROBABILITY = 1e-6  # of either case in messages
+HIDDEN_TIME = 0.28  # s for which a part is hidden on average: 7 frames, as those of generated signers
+NEW_CLUTTER = 0.5  # share of an image's false blobs that were not there before
+DRIFT = 0.15  # head heights per square root of a second, by which clutter moves
 
 JITTER = 0.5
-"""Hand radii: standard deviation with which clutter is found again. It is about that of a place at which a
-hand is expected, or else a hand that rests would be clutter."""
+"""Hand radii: standard deviation with which clutter is detected again; about that of the prediction of a
+hand, so that a hand at rest is no clutter."""
 
-BESIDE, ABOUT = 2.0, 0.6  # other things that a hand or face shows as; their deviation about it, hand radii
-TOUCHING = 0.8  # hand radii: two places that are closer are one hand
-WITHIN = 0.5  # hand radii: standard deviation, at least, of a part in a thing that it shares with another one
+BESIDE, ABOUT = 2.0, 0.6  # further detections of a hand or face; their standard deviation, hand radii
+TOUCHING = 0.8  # hand radii: two detections that are closer are one hand
+WITHIN = 0.5  # hand radii: standard deviation, at least, of a part that shares its detection with another one
 FACE_RADIUS = 0.42  # head heights: standard deviation of the window in which a face hides a hand
-OWN_SHARE = 0.5  # of its own weights' logarithms, where another chain says how probable hypotheses are
-FLATTENED = 0.5  # power of the weights that others are told
+OWN_SHARE = 0.5  # power of its own weights where another chain weighs the hypotheses
+FLATTENED = 0.5  # power of the weights in messages
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class FleshTracker:
-    """Low-level chain over head and hands.
+    """Multi-hypothesis tracker of head and hands in the image.
 
-    Each of up to 16 hypotheses says which thing in the picture was head, left and right hand all along. Given
-    that, each part has a position x and a velocity v, z = (x, v), and may jump:
+    Each of up to 16 hypotheses says which detections were head, left and right hand so far. Given that, each
+    part has a position x and a velocity v, z = (x, v), and may jump:
 
-        p(z_t | z_t-1) = c N(z_t; A z_t-1, Q) + (1 - c) N(z_t; m, S),    c = exp(-dt / patience)
+        p(z_t | z_t-1) = c N(z_t; A z_t-1, Q) + (1 - c) N(z_t; m, S),    c = exp(-dt / max_coast_time)
         p(F | X)       = sum_h w_h prod_part delta(F_part - x_h,part)
 
-    A and Q are those of a velocity that is an Ornstein-Uhlenbeck process: hands stop. m and S are anywhere in
-    reach. Hands are hidden for a while, or behind something, and exchange their states at a slow rate. What
-    is no part is clutter, which stays where it is, or new. In every frame each hypothesis goes on in all
-    ways to assign the detections; weights add up what each of them makes of the pictures, and the best are
-    kept.
+    A and Q are those of an Ornstein-Uhlenbeck velocity, m and S the moments of all positions in reach. A part
+    may be hidden, by itself or by another detection; hands exchange their states at a low rate. A detection
+    of no part is clutter, which rests, or new. In every frame each hypothesis is continued by all assignments
+    of the detections, and the best are kept.
 
     Parameters
     ----------
     body
         whose head's height is the unit of length, and whose arms are the reach of the hands.
     hand_speed, head_speed
-        head heights/s, standard deviation of a velocity's components in the long run.
+        head heights/s, stationary standard deviation of each component of the velocity.
     velocity_time
         s, time constant of velocities.
-    patience
-        s, time constant of the trust in a part that nothing confirms; after so long it is lost.
+    max_coast_time
+        s, time constant of the probability that a part without detections has not jumped; after so long it
+        is lost.
     """
 
     body: UpperBody
-    hand_speed: float = 2.5
-    head_speed: float = 0.7
-    velocity_time: float = 0.3
-    patience: float = 2.0
+    hand_speed: Positive = 2.5
+    head_speed: Positive = 0.7
+    velocity_time: Positive = 0.3
+    max_coast_time: PositiveOrInfinite = 2.0
     name: str = "flesh"
 
     ports = (Port(BodyParts),)
 
-    def __post_init__(self) -> None:
-        for name in ("hand_speed", "head_speed", "velocity_time", "patience"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
-
     def initial(self, frame: Frame) -> FleshTracks:
-        """Nothing known: parts are anywhere."""
+        """Return the prior of lost parts."""
         if frame.image is None:
             raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
         height, width = frame.image.shape[:2]
         nothing = FleshTracks(
             size=(height, width),
-            patience=self.patience,
+            max_coast_time=self.max_coast_time,
             log_weights=np.zeros(1),
             means=np.zeros((1, 3, 4)),
             covariances=np.zeros((1, 3, 4, 4)),
             visible=np.full((1, 3), VISIBLE),
             since=np.full((1, 3), np.inf),
-            things=np.full((1, 3), NO_LABEL, np.int64),
+            detections=np.full((1, 3), NO_LABEL, np.int64),
             clutter=Clutter.none(1),
         )
-        lost = self._anywhere(nothing)
+        lost = self._lost_parts(nothing)
         return replace(nothing, means=lost.means, covariances=lost.covariances)
 
     def predict(self, state: FleshTracks, dt: float) -> FleshTracks:
-        """Parts move on, but for random pushes; what was hidden may be visible again, and the other way."""
-        parts = MovingParts(state.means, state.covariances).moved(dt, self._speeds, self.velocity_time)
+        """Predict the state `dt` seconds ahead."""
+        parts = MovingParts(state.means, state.covariances).predict(dt, self._speeds, self.velocity_time)
         forgotten = np.exp(-dt / (HIDDEN_TIME * VISIBLE))
         return replace(
             state,
@@ -124,21 +121,20 @@ class FleshTracker:
             covariances=parts.covariances,
             visible=VISIBLE + (state.visible - VISIBLE) * forgotten,
             since=state.since + dt,
-            clutter=state.clutter.moved(dt, DRIFT * self.body.head_height),
+            clutter=state.clutter.predict(dt, DRIFT * self.body.head_height),
             elapsed=state.elapsed + dt,
         )
 
     def message(self, state: FleshTracks, feature: BodyParts, incoming: Incoming) -> PartMessage:
-        """Where each part should be under each hypothesis (mu_{X -> F}) or, as far as that is not trusted,
-        anywhere in reach. It integrates to 1.
+        """Return the predicted positions under each hypothesis (mu_{X -> F}), which integrate to 1.
 
-        Weights are flattened. Each of two chains that see the same pictures has gathered what all of them
-        say; multiplied with each other in every frame, it would count again and again.
+        Each part is a mixture of its prediction and the prior of lost parts. Weights are flattened: both
+        chains have seen the same images, and their product would count these again in every frame.
         """
-        state = within_reach(state, self._anywhere(state)).exchanged_now_and_then(EXCHANGE_TIME)
-        lost, trust = self._anywhere(state), MOST_TRUST * state.trust
+        state = within_reach(state, self._lost_parts(state)).with_exchanges(EXCHANGE_TIME)
+        lost, trust = self._lost_parts(state), MOST_TRUST * state.trust
         shares = np.log(np.maximum(np.stack([trust, 1 - trust], axis=2), LEAST_PROBABILITY)).reshape(-1, 2)
-        means, spreads = (
+        means, covariances = (
             np.stack(both, axis=2).reshape(*shares.shape, *both[0].shape[2:])
             for both in (
                 (state.means[..., :2], lost.means[..., :2]),
@@ -146,14 +142,14 @@ class FleshTracker:
             )
         )
         no_labels = np.full(shares.shape, NO_LABEL, np.int64)
-        mixtures = GaussianMixtures(shares, means, spreads, np.zeros(shares.shape, np.bool_), no_labels)
+        mixtures = GaussianMixtures(shares, means, covariances, np.zeros(shares.shape, np.bool_), no_labels)
         flat = FLATTENED * state.log_weights
         return PartMessage(mixtures, None, flat - log_sums(flat))
 
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: FleshTrajectory | None = None
     ) -> Smoothed[FleshTrajectory]:
-        """Parts in all frames, forwards, given what other chains say with hindsight."""
+        """Filter all frames, given the other chains' smoothed messages."""
         tracks = [state for _, state, _ in filtered(self, incoming_over_time)]
         times = np.array([incoming.time for incoming in incoming_over_time])
         return Smoothed(FleshTrajectory(tracks, times))
@@ -164,70 +160,70 @@ class FleshTracker:
         feature: BodyParts,
         incoming_over_time: Sequence[BatchIncoming] = (),
     ) -> list[PartMessage]:
-        """Where each part should be, by the frames before (mu_{X -> F})."""
+        """Return the predicted positions of the parts in each frame (mu_{X -> F})."""
         return predicted_messages(self, trajectory.tracks, trajectory.times, feature)
 
     def update(self, state: FleshTracks, incoming: Incoming) -> FleshTracks:
-        """Hypotheses go on in all ways in which they explain the picture, of which the best are kept.
+        """Continue each hypothesis by the assignments that explain the image best.
 
-        Other chains are not followed themselves, as the product of messages would have it: a chain of poses
-        predicts from the same pictures that the parts have been seen in, and a part that nothing confirms
-        would grow ever surer. They decide between hypotheses: each weighs as much as it overlaps with what
-        they say, which holds what they know of the past; of its own weight, a root is left, since it is of
-        the same pictures.
+        Other chains' messages weigh the hypotheses and do not move the parts, as their product with the
+        state would: a pose chain predicts from the same images, and a part without detections would become
+        ever more certain. Where there are such messages the own weights are flattened, for the same reason.
         """
         message = incoming[BodyParts]
-        things = Things.of(None if message.image is None else message.image.mixtures, 3)
-        heard = bool(message.stacked.informative.any())
-        if not len(things.labels) and not heard:
-            return replace(state, things=np.full_like(state.things, NO_LABEL))
-        state = within_reach(state, self._anywhere(state)).exchanged_now_and_then(EXCHANGE_TIME)
-        with_head = self._with_head_seen(state, things)
-        went_on, elsewhere = MovingParts(state.means, state.covariances), self._anywhere(with_head)
-        of_hands = np.asarray(np.isfinite(things.log_ratios[HANDS]).any(axis=0))
+        detections = PartDetections.from_mixtures(
+            None if message.image is None else message.image.mixtures, 3
+        )
+        informed = bool(message.stacked.informative.any())
+        if not len(detections.labels) and not informed:
+            return replace(state, detections=np.full_like(state.detections, NO_LABEL))
+        state = within_reach(state, self._lost_parts(state)).with_exchanges(EXCHANGE_TIME)
+        with_head = self._with_head_detected(state, detections)
+        continued, jumped = MovingParts(state.means, state.covariances), self._lost_parts(with_head)
+        of_hands = np.asarray(np.isfinite(detections.log_ratios[HANDS]).any(axis=0))
         radii = np.where(of_hands, self.body.hand, FACE_RADIUS * self.body.head_height)
-        options = PartOptions.of(went_on, elsewhere, state.trust, state.visible, things, radii)
-        clutter, beside = self._clutter(state, things, of_hands)
+        options = PartOptions.of(continued, jumped, state.trust, state.visible, detections, radii)
+        clutter, beside = self._clutter(state, detections, of_hands)
 
-        k = len(things.labels)
+        k, places = len(detections.labels), detections.means
         masses = options.log_masses.copy()
         masses[:, HANDS, :k] -= np.log(NEW_CLUTTER)
-        right = things.means[:, 0] - with_head.means[:, HEAD, :1]
+        right = places[:, 0] - with_head.means[:, HEAD, :1]
         masses[:, HANDS, :k] += log_sides(right, state.since[:, HANDS], self.body.shoulder_width)
-        own = (OWN_SHARE if heard else 1.0) * state.log_weights + clutter.log_absent
-        fit = log_overlaps(options, message) if heard else np.zeros(masses.shape)
-        close = np.linalg.norm(things.means[:, None] - things.means, axis=2) < TOUCHING * self.body.hand
+        own = (OWN_SHARE if informed else 1.0) * state.log_weights + clutter.log_absent
+        fit = log_overlaps(options, message) if informed else np.zeros(masses.shape)
+        close = np.linalg.norm(places[:, None] - places, axis=2) < TOUCHING * self.body.hand
         close &= of_hands & of_hands[:, None]
-        answers = Answers.best(own, masses + fit, clutter.log_known, clutter.gains, beside, close)
-        parts, log_weights = answers.parts(options, went_on, elsewhere), answers.log_masses
-        if heard:
-            chosen = answers.hypotheses[:, None], np.arange(3), answers.options
+        best = JointAssignments.best(own, masses + fit, clutter.log_old, clutter.gains, beside, close)
+        parts, log_weights = best.parts(options, continued, jumped), best.log_masses
+        if informed:
+            chosen = best.hypotheses[:, None], np.arange(3), best.options
             log_weights = log_weights - fit[chosen].sum(axis=1) + log_joint_overlaps(parts, message)
-        return self._after(state, things, answers, parts, clutter, log_weights).reduced(self.body.hand)
+        return self._continued(state, detections, best, parts, clutter, log_weights).reduced(self.body.hand)
 
-    def _after(
+    def _continued(
         self,
         state: FleshTracks,
-        things: Things,
-        answers: Answers,
+        detections: PartDetections,
+        assignments: JointAssignments,
         parts: MovingParts,
         clutter: ClutterMatch,
         log_weights: Array,
     ) -> FleshTracks:
-        """The state with a hypothesis for every answer."""
-        k = len(things.labels)
-        seen, hidden = answers.options < k, answers.options > k
-        labels = answers.labels(things)
+        """Return the state with one hypothesis for each assignment."""
+        k = len(detections.labels)
+        seen, hidden = assignments.options < k, assignments.options > k
+        labels = assignments.labels(detections)
         shared = ((labels[:, :, None] == labels[:, None]) & (labels != NO_LABEL)[:, None]).sum(axis=2) > 1
-        # Where in a thing a part is that shares it does not become clearer with more pictures.
+        # the position within a shared detection does not become more certain with more images
         narrower = (WITHIN * self.body.hand) ** 2 - 0.5 * np.trace(
             parts.covariances[..., :2, :2], axis1=-2, axis2=-1
         )
         narrower = np.where(shared | hidden, np.maximum(narrower, 0.0), 0.0)
         covariances = parts.covariances.copy()
         covariances[..., :2, :2] += narrower[..., None, None] * np.eye(2)
-        before = state.take(answers.hypotheses)
-        missed = before.visible * (1 - things.chances) / (1 - before.visible * things.chances)
+        before, detected = state.take(assignments.hypotheses), detections.visible_probabilities
+        missed = before.visible * (1 - detected) / (1 - before.visible * detected)
         hands = np.where(seen[..., None], parts.means[..., :2], np.nan)[:, HANDS]
         return replace(
             before,
@@ -236,21 +232,21 @@ class FleshTracker:
             covariances=covariances,
             visible=np.where(seen, 1.0, np.where(hidden, before.visible, missed)),
             since=np.where(seen | hidden, 0.0, before.since),
-            things=labels,
-            clutter=clutter.updated(answers.hypotheses, hands, self.body.hand),
+            detections=labels,
+            clutter=clutter.updated(assignments.hypotheses, hands, self.body.hand),
             elapsed=0.0,
         )
 
-    def _with_head_seen(self, state: FleshTracks, things: Things) -> FleshTracks:
-        """The same with each hypothesis' most probable head after the picture, which hands are about."""
-        rows, k = np.arange(len(state.log_weights)), len(things.labels)
-        head, lost = slice(HEAD, HEAD + 1), self._anywhere(state)
+    def _with_head_detected(self, state: FleshTracks, detections: PartDetections) -> FleshTracks:
+        """Update the head of each hypothesis by its most probable detection: hands are in reach of it."""
+        rows, k = np.arange(len(state.log_weights)), len(detections.labels)
+        head, lost = slice(HEAD, HEAD + 1), self._lost_parts(state)
         options = PartOptions.of(
             MovingParts(state.means[:, head], state.covariances[:, head]),
             MovingParts(lost.means[:, head], lost.covariances[:, head]),
             state.trust[:, head],
             state.visible[:, head],
-            things.take([HEAD]),
+            detections.take([HEAD]),
             np.ones(k),
         )
         best = options.log_masses[:, 0, : k + 1].argmax(axis=1)
@@ -262,21 +258,20 @@ class FleshTracker:
         return replace(state, means=means, covariances=covariances, since=since)
 
     def _clutter(
-        self, state: FleshTracks, things: Things, of_hands: NDArray[np.bool_]
+        self, state: FleshTracks, detections: PartDetections, of_hands: NDArray[np.bool_]
     ) -> tuple[ClutterMatch, Array]:
-        """What things are if they are no part: clutter, or more of some part (`ratios_beside`)."""
+        """Explain detections that are no part: by clutter, or as further ones of a part (`ratios_beside`)."""
         hand, head = self.body.hand, self.body.head_height
         densities = np.where(of_hands, NEW_CLUTTER * FALSE_HANDS / (state.size[0] * state.size[1]), np.inf)
-        variances = 0.5 * np.trace(things.covariances, axis1=1, axis2=2)
-        match = ClutterMatch.of(state.clutter, things.means, variances, densities, JITTER * hand)
+        variances = 0.5 * np.trace(detections.covariances, axis1=1, axis2=2)
+        match = ClutterMatch.of(state.clutter, detections.means, variances, densities, JITTER * hand)
         radii = np.array([FACE_RADIUS * head, ABOUT * hand, ABOUT * hand])
-        return match, ratios_beside(things.means, radii, BESIDE, densities)
+        return match, ratios_beside(detections.means, radii, BESIDE, densities)
 
     @property
     def _speeds(self) -> Array:
         return self.body.head_height * np.array([self.head_speed, self.hand_speed, self.hand_speed])
 
-    def _anywhere(self, state: FleshTracks) -> MovingParts:
-        """Parts of which nothing is known."""
+    def _lost_parts(self, state: FleshTracks) -> MovingParts:
         heads = MovingParts(state.means[:, HEAD], state.covariances[:, HEAD])
-        return anywhere(self.body, state.size, self._speeds, heads, state.trust[:, HEAD])
+        return lost_parts(self.body, state.size, self._speeds, heads, state.trust[:, HEAD])

@@ -1,17 +1,15 @@
-"""Which hand is left, decided by the evidence of a whole film, and results with the names of hands exchanged.
+"""Left and right hand, decided by a whole film, and results with exchanged hands.
 
-A filter may take the hands for each other where they meet or are hidden, and then go on with the wrong
-names: hands never exchange in the world. Whether they are exchanged in a frame, z_t, is a Markov chain of two
-states,
+A filter may mistake the hands for each other where they meet or are hidden, and keep the wrong labels.
+Whether they are exchanged in a frame, z_t, is a Markov chain of two states,
 
     p(z_t != z_t-1) = (1 - exp(-2 r dt)) / 2,    r = APART + c_t TOGETHER,
-    p(I_t | z_t) ~ mean over arms of p(I_t | hands where they are in the picture, by the names of z_t; arms)
+    p(I_t | z_t) ~ mean over arms of p(I_t | positions of the hands in the image, labelled by z_t; arms)
 
-with c_t the chance that the hands could be confused. Arms are any that joints allow and that bring the hands
-there: both names are treated alike, as a filter's own arms have been chosen for its own names by this very
-image. How usual a posture is does not count: the dynamics have weighed it, and a hand that stays on the other
-side would say it anew in every frame. Forward-backward gives the probability of each frame, Viterbi's
-algorithm the best sequence (Rabiner, "A tutorial on hidden Markov models", 1989).
+with c_t the probability that the hands could be confused. Arms are drawn from all that joints allow, for both
+labellings alike: the filter's own arms were chosen by this very image for its own labels. The prior of
+postures is left out, since the dynamics have counted it already. Forward-backward gives the probability of
+each frame, Viterbi's algorithm the best sequence (Rabiner, "A tutorial on hidden Markov models", 1989).
 """
 
 from collections.abc import Mapping
@@ -41,78 +39,74 @@ from .tempering import LogDensity
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-POSES, ARMS, LOOKED_AT = 32, 64, 256
-"""Poses of a frame whose hands are given both names, pairs of arms that are tried for each, and how many of
-those that are possible are compared with the image, at most: as many for either names, since the logarithm of
-a mean over few is too small on average."""
+POSES, ARMS, COMPARED = 32, 64, 256
+"""Poses of a frame that are tried with both labellings, pairs of arms drawn for each, and how many possible
+ones are compared with the image, at most: as many of either, since the log of a mean over few is biased."""
 
-PAIRS = 50  # of left and right hands that are compared; so many poses with exchanged names are kept, too
+PAIRS = 50  # of left and right hands that are compared; number of poses with exchanged hands that are kept
 
 MOST = 3.0
-"""Nats: one look at the picture says no more than this, odds of 20; the likelihood is not right to a greater
-degree, as arms and clothes are not quite what it takes them for."""
+"""Nats: bound of one frame's evidence, odds of 20: the likelihood's arms and clothes are not exact."""
 
-LOOK = 0.2
-"""s: frames of so short a time count as one look. Signing hands go from one place to the next in about so
-long; until then an arm is as it was, and where the likelihood errs it errs again."""
+CORRELATION_TIME = 0.2
+"""s: frames of so short a time count as one observation. Signing hands move to the next position in about so
+long; until then the likelihood's errors are the same."""
 
 SURE = 0.99
-"""Probability that has to be reached somewhere in a stretch before its names are exchanged: what a filter
-says is the better answer until then, since it has weighed more than arms."""
+"""Probability that has to be reached somewhere in a stretch of frames before its hands are exchanged: until
+then the filter's labels are the better ones, since it has used more than arms."""
 
-MOST_DOUBT = 0.3  # most share of poses with exchanged names where that is not sure
-APART, TOGETHER = 0.01, 0.3  # exchanges in a second by mistake, of hands apart and of confusable ones
-MISTAKEN = 0.05  # probability that a filter has begun with the wrong names: it has weighed both
-NEAR = 3.0  # hand radii: hands that are so near could be confused
+MOST_DOUBT = 0.3  # share of poses with exchanged hands, at most, where that is not sure
+APART, TOGETHER = 0.01, 0.3  # rates of mistaken exchanges, 1/s, of hands apart and of confusable ones
+MISTAKEN = 0.05  # probability that a filter has started with exchanged hands
+NEAR = 3.0  # hand radii: hands that are so near each other could be confused
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class HandLabels:
-    """Whether left and right are exchanged in each frame of a film."""
+    """Whether left and right hand are exchanged in each frame of a film."""
 
     numbers: NDArray[np.int64]  # `(n,)` of the frames
-    probabilities: Array  # `(n,)`, of an exchange: given the whole film
+    probabilities: Array  # `(n,)`: of an exchange, given the whole film
     exchanged: Mask  # `(n,)`: the most probable sequence, without stretches that are not sure
-    so_far: Array  # `(n,)` nats: log odds of an exchange given the film up to the frame
+    filtered_log_odds: Array  # `(n,)` nats: of an exchange, given the film up to the frame
 
     @property
     def shares(self) -> Array:
-        """`(n,)`: of an exchange, as probabilities; no more than a doubt where it is not sure."""
+        """`(n,)`: `probabilities`, but `MOST_DOUBT` at most in frames that are not `exchanged`."""
         return np.where(self.exchanged, self.probabilities, np.minimum(self.probabilities, MOST_DOUBT))
 
 
 @short_repr
 @dataclass(frozen=True)
 class ExchangeEvidence:
-    """What one frame says of the names of the hands."""
+    """Evidence of one frame that left and right hand are exchanged."""
 
-    log_odds: float = 0.0  # nats: that they are exchanged against that they are not
-    # probability that the hands are so near each other in the picture that they could be confused
-    confusable: float = 0.0
+    log_odds: float = 0.0  # nats: exchanged against not
+    confusable: float = 0.0  # probability that the hands are near enough in the image to be confused
 
 
-NOTHING_SAID = ExchangeEvidence()
+NO_EVIDENCE = ExchangeEvidence()
 
 
 @dataclass(eq=False)
 class Labelling:
-    """Gathers what frames say of the names of the hands: a few numbers each."""
+    """Collects the evidence of a film's frames and labels the hands."""
 
-    # of the frames so far; s
-    numbers: list[int] = field(default_factory=list)
-    times: list[float] = field(default_factory=list)
-    evidence: list[ExchangeEvidence] = field(default_factory=list)  # of each
+    numbers: list[int] = field(default_factory=list)  # of the frames so far
+    times: list[float] = field(default_factory=list)  # s
+    evidence: list[ExchangeEvidence] = field(default_factory=list)
 
     def add(self, number: int, time: float, evidence: ExchangeEvidence) -> None:
-        """Take in a frame, later than those before."""
+        """Add a frame, later than those before."""
         self.numbers.append(number)
         self.times.append(time)
         self.evidence.append(evidence)
 
     def result(self) -> HandLabels:
-        """Labels of all frames so far."""
-        return hand_labels(
+        """Label the hands in all frames so far."""
+        return label_hands(
             np.array(self.numbers, np.int64),
             np.array(self.times),
             np.array([each.log_odds for each in self.evidence]),
@@ -120,54 +114,59 @@ class Labelling:
         )
 
 
-def both_names(
+def exchange_evidence(
     dynamics: BodyDynamics,
     samples: BodySamples,
     log_likelihood: LogDensity | None,
     random: np.random.Generator,
 ) -> tuple[ExchangeEvidence, BodyPoses]:
-    """What a frame says of the names of the hands, and poses with exchanged ones, evenly weighted.
+    """Return a frame's evidence of exchanged hands, and poses with exchanged hands, equally weighted.
 
-    Hands stay where they are in the picture; their depths and the elbows are drawn anew, for both names in
-    the same way. There are no poses where that is impossible. Without a likelihood, the frame says nothing.
+    Hands keep their positions in the image; depths and elbows are drawn again, for both labellings alike.
+    There may be no possible pose. Without a likelihood the log odds are 0.
     """
     body = dynamics.body
-    some = samples.drawn(2 * PAIRS, random)
-    hands = body.parts(some)[random.permutation(2 * PAIRS), 1:]  # far from each other if nobody knows where
+    some = samples.resample(2 * PAIRS, random)
+    hands = body.parts(some)[
+        random.permutation(2 * PAIRS), 1:
+    ]  # of different poses: uncertain hands are apart
     squares = np.square(hands[:PAIRS, 0] - hands[PAIRS:, 1]).sum(axis=1)
     near = float((squares < (NEAR * body.hand) ** 2).mean())
     few = some.take(random.permutation(2 * PAIRS)[:POSES].repeat(ARMS))
-    own, other = (_with_any_arms(body, few, swap, random) for swap in (False, True))
-    # as trajectories go through these, hands stay where they are in space if they can
-    poses = _with_any_arms(body, few, True, random, deep=True) or other
+    own, other = (_draw_arms(body, few, swap, random) for swap in (False, True))
+    # trajectories go through these: hands keep their depths if they can
+    poses = _draw_arms(body, few, True, random, deep=True) or other
     if log_likelihood is None or not (len(own) or len(other)):
         return ExchangeEvidence(0.0, near), poses.take(slice(PAIRS))
-    compared = min(len(own), len(other), LOOKED_AT) or LOOKED_AT
+    compared = min(len(own), len(other), COMPARED) or COMPARED
     kept, exchanged = (_log_mean(each, compared, log_likelihood) for each in (own, other))
     if len(poses):
-        poses = poses.take(slice(LOOKED_AT))
+        poses = poses.take(slice(COMPARED))
         poses = poses.take(systematic(log_likelihood(poses), PAIRS, random))
     if np.isneginf([kept, exchanged]).all():
         return ExchangeEvidence(0.0, near), poses
     return ExchangeEvidence(float(np.clip(exchanged - kept, -MOST, MOST)), near), poses
 
 
-def hand_labels(
-    numbers: NDArray[np.int64], times: Array, log_odds: Array, confusable: Array, known: float | None = None
+def label_hands(
+    numbers: NDArray[np.int64],
+    times: Array,
+    log_odds: Array,
+    confusable: Array,
+    first_log_odds: float | None = None,
 ) -> HandLabels:
-    """Labels of all frames by what each says.
+    """Label the hands of frames in the order of time by the `ExchangeEvidence` of each, arrays `(n,)`.
 
-    `numbers`, `times`, `log_odds`, `confusable` `(n,)`, of frames in the order of time, and their
-    `ExchangeEvidence`; `known` nats: log odds of the first frame, given all up to it; `None` where it is the
-    first of all.
+    `first_log_odds` nats: of the first frame, given all up to it; `None` if the film begins there.
     """
     n = len(times)
     if not n:
         return HandLabels(numbers, np.zeros(0), np.zeros(0, np.bool_), np.zeros(0))
-    steps = np.diff(times, prepend=times[0] - LOOK)
+    steps = np.diff(times, prepend=times[0] - CORRELATION_TIME)
     evidence = np.zeros((n, 2))
-    evidence[:, 1] = log_odds * np.minimum(steps / LOOK, 1.0)
-    evidence[0, 1] = evidence[0, 1] + np.log(MISTAKEN / (1 - MISTAKEN)) if known is None else known
+    evidence[:, 1] = log_odds * np.minimum(steps / CORRELATION_TIME, 1.0)
+    begun = evidence[0, 1] + np.log(MISTAKEN / (1 - MISTAKEN))
+    evidence[0, 1] = begun if first_log_odds is None else first_log_odds
     # a frame in which they could be confused lasts from the one before to the one after
     rates = APART + TOGETHER * np.maximum(confusable[1:], confusable[:-1])
     changes = -0.5 * np.expm1(-2 * rates * steps[1:])
@@ -189,21 +188,21 @@ def hand_labels(
         labels[index] = best[-1].argmax() if index == n - 1 else origins[index + 1, labels[index + 1]]
     odds = np.clip(both[:, 1] - both[:, 0], -700, 700)
     probabilities = 1 / (1 + np.exp(-odds))
-    exchanged = _sure(labels == 1, probabilities)
+    exchanged = _keep_sure(labels == 1, probabilities)
     return HandLabels(numbers, probabilities, exchanged, forward[:, 1] - forward[:, 0])
 
 
-def _sure(exchanged: Mask, probabilities: Array) -> Mask:
-    """Without the stretches in which an exchange is sure nowhere."""
+def _keep_sure(exchanged: Mask, probabilities: Array) -> Mask:
+    """Drop the stretches in which an exchange is sure nowhere."""
     stretches = np.cumsum(np.diff(exchanged, prepend=exchanged[:1]))
     certain = np.unique(stretches[exchanged & (probabilities > SURE)])
     return np.asarray(exchanged & np.isin(stretches, certain))
 
 
-def _with_any_arms(
+def _draw_arms(
     body: UpperBody, poses: BodyPoses, swap: bool, random: np.random.Generator, *, deep: bool = False
 ) -> BodyPoses:
-    """Possible ones of the poses, shuffled, with hands in place or swapped, elbows (and depths) anywhere."""
+    """Draw elbows, and depths unless `deep`, with hands in place or swapped; return possible poses."""
     n, joints = len(poses), body.joints(poses)
     arms, within = np.empty_like(poses.arms), np.ones(n, np.bool_)
     for side in (0, 1):
@@ -217,7 +216,7 @@ def _with_any_arms(
 
 
 def _log_mean(poses: BodyPoses, n: int, log_likelihood: LogDensity) -> float:
-    """Log of the mean likelihood of all that were tried, from `n` of those that are possible."""
+    """Estimate the log of the mean likelihood over all draws from `n` of the possible poses."""
     if not len(poses):
         return -np.inf
     few = poses.take(slice(n))
@@ -237,11 +236,11 @@ ROWS = {
 EXCHANGED_PARTS = [0, 2, 1]
 
 
-def with_names_exchanged(body: UpperBody, row: Row) -> dict[str, NDArray[Any]]:
-    """A row of `poses.npz` with each hand where the other one was.
+def exchange_hands(body: UpperBody, row: Row) -> dict[str, NDArray[Any]]:
+    """Exchange the hands in a row of `poses.npz`.
 
-    Arms lead there with their elbows turned as they were; one that is too short ends on its way. Elbows and
-    angles of arms are then those of the poses that were drawn, whose arms no longer say anything of the rest.
+    Arms reach there with their old swivels, as far as they can. Elbows and angles of arms become those of the
+    drawn poses, without correlation with the other angles.
     """
     samples, arms = _exchanged(body, row["samples"].astype(np.float64))
     others, _ = _exchanged(body, row["hypothesis_joints"])
@@ -271,22 +270,22 @@ def with_names_exchanged(body: UpperBody, row: Row) -> dict[str, NDArray[Any]]:
     }
 
 
-def relabelled(
+def relabel_hands(
     body: UpperBody, poses: Mapping[str, NDArray[Any]], exchanged: NDArray[np.bool_]
 ) -> dict[str, NDArray[Any]]:
-    """Columns of `poses.npz` with the names exchanged in these rows `(n,)`, and `relabelled`, which are."""
+    """Exchange the hands in some rows `(n,)` of the columns of `poses.npz`; add the column `relabelled`."""
     columns = {**poses, "relabelled": np.zeros(len(exchanged), np.bool_)}
     if exchanged.any():
         columns |= {name: columns[name].copy() for name in ROWS}
     for index in np.flatnonzero(exchanged).tolist():
-        row = with_names_exchanged(body, {name: columns[name][index] for name in ROWS})
+        row = exchange_hands(body, {name: columns[name][index] for name in ROWS})
         for name in ROWS:
             columns[name][index] = row[name]
     return columns
 
 
 def _exchanged(body: UpperBody, joints: Array) -> tuple[Array, Array]:
-    """Joints `(n, 8, 3)` px with exchanged hands, and arms `(n, 2, 2, 3)` that lead there."""
+    """Return joints `(n, 8, 3)` px with exchanged hands, and arms `(n, 2, 2, 3)` that reach them."""
     joints, hands = joints.copy(), joints[:, HANDS[::-1]]
     lengths = np.array([body.upper_arm, body.forearm])
     arms = np.full((len(joints), 2, 2, 3), np.nan)

@@ -36,12 +36,11 @@ OUTLINE_PARTS = (
 """Parts that have outlines of their own."""
 
 _COUNTS = {"head": 18, "torso": 24, "upper_arm": 12, "forearm": 12, "hand": 9}
-"""Points of each part, so that they are about a quarter of a head apart."""
+"""Outline points of each part, so that they are about a quarter of a head apart."""
 
 N_POINTS = (
     _COUNTS["head"] + _COUNTS["torso"] + 2 * (_COUNTS["upper_arm"] + _COUNTS["forearm"] + _COUNTS["hand"])
 )
-"""Of a whole outline."""
 
 _HEAD_DEPTH = 0.85  # depth of a head over its height
 _RIM = np.float32(0.06)  # share of a part's squared radius that hides nothing: ends may touch
@@ -49,7 +48,7 @@ _RIM = np.float32(0.06)  # share of a part's squared radius that hides nothing: 
 
 @lru_cache(maxsize=8)
 def solid_of(body: UpperBody) -> Solid:
-    """The body as compiled loops take it."""
+    """Return the solid of a body, for compiled loops."""
     lengths = np.array(
         [
             body.neck,
@@ -119,69 +118,69 @@ WINDOWS = (0.4, 1.6)
 widths these had the least error, 0.03 head heights on hands of a synthetic signer."""
 
 SKIN_SCORES = (11.0, -1.0, 0.2)
-"""Nats of a place that looks all like a hand, and of one that does not; probability of a hand without skin.
-With these a hand's place is known to about 0.07 head heights, as real hands are off their model by. Skin is
-hidden in bursts, where frame after frame says the same: the second must not drive a hand to the face."""
+"""Nats of a place with all the skin of a hand, and of one without any; probability of a hand without skin.
+With these a hand's posterior has a standard deviation of about 0.07 head heights, as real hands differ from
+the model. Skin is hidden in bursts of dependent frames, so the second must not drive a hand to the face."""
 
 BARE_SCORES, BARE_HAND_SCORES = (14.0, -4.0, 0.2), (8.0, -1.0, 0.2)
-"""The same of a bare forearm across the line of sight, and of the hand at its end. A forearm is as much skin
-as one hand and a little more. Skin speaks less for a hand there, since a forearm that goes on shows two
-thirds of it: otherwise hands that are hidden would be drawn to their wrists."""
+"""The same of a bare forearm across the line of sight, which shows a little more skin than a hand, and of the
+hand at its end. Skin counts less for that hand, since a longer forearm would show two thirds of it: otherwise
+hidden hands would be drawn to their wrists."""
 
 WORTH_THREADS = 300  # poses from which several threads are faster than one
 LEVELS = 256  # entries of tables over distances and directions
-HEAD_WINDOWS = (0.5, 1.2)  # half widths and heights of the head: deviations of the windows for its skin
+HEAD_WINDOWS = (0.5, 1.2)  # half widths and heights of the head: standard deviations of its skin's windows
 
 HEAD_SCORES = (5.0, 0.2)
 """Nats of a place with all the skin of a head, where no face is detected; probability of a head without."""
 
 NECK_RADIUS, NO_NECK = 0.28, -9.0  # head heights: of bare skin above the shoulders; of none
-BLOB_COST = 4.0  # nats: of what looks like a hand and is neither hand nor head
+BLOB_COST = 4.0  # nats of a blob that looks like a hand and that no part explains
 BLOB_REACH = (0.6, 0.35, 0.35, 0.25)  # head heights: within which parts and bare forearms explain a blob
-EDGE_SPREAD = 0.05  # head heights: standard deviation of an edge about the outline of a nearly right body
-EDGE_WINDOW = 0.5  # head heights: standard deviation of the window in which an image's own edges are counted
-COUNTED = 5.0  # entries of the map of these counts in that length
+EDGE_STD = 0.05  # head heights: standard deviation of an edge about the outline of a nearly right body
+EDGE_WINDOW = 0.5  # head heights: standard deviation of the window of the density of edges
+DENSITY_CELLS = 5.0  # entries of the map of that density per such length
 
 LEAST_EDGES, LEAST_ALIKE = 0.2, 0.25
-"""Share of places near an edge that is assumed at least; share of edges of one direction, of an even one."""
+"""Density of edges at least; share of edges of one direction at least, over an even one."""
 
-EDGE_SHARPNESS = 4.0  # concentration (von Mises) of twice the angle between an edge and the outline
+EDGE_SHARPNESS = 4.0  # von Mises concentration of twice the angle between an edge and the outline
 EDGE_DIRECTIONS = np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)])  # that, and the density's divisor
 NO_EDGE = 0.4  # probability that a point of the outline shows no edge of its own
-EDGE_POINTS = 20.0  # independent points of a whole outline: neighbours on it err together
+EDGE_POINTS = 20.0  # independent points of a whole outline: errors of neighbours are correlated
 
 
 ARM_POINTS = np.array([[0.25, 0.5, 0.75, 1.0], [0.2, 0.4, 0.6, 0.75]])
-"""Places on upper arm and forearm where their colours are looked at, from the shoulder and from the elbow."""
+"""Points of upper arm and forearm whose colours are compared: shares of their lengths from the body."""
 
 ARM_WEIGHTS = np.array([0.25, 0.5])
-"""What the colour of each of them counts: neighbours are alike, and upper arms are mostly known anyway."""
+"""Weight of the colour of each: neighbours are correlated, and upper arms are mostly known anyway."""
 
 TRUNK, TRUNK_BLUR = (0.45, 0.12), 0.05
-"""Of the shoulders' distance: half the width of the trunk, and how far above the shoulders it reaches; head
-heights over which its border is blurred."""
+"""Shoulder widths: half the width of the trunk, and its height above the shoulders; head heights over which
+its border is blurred."""
 
-NO_SLEEVE = 0.1  # chance that an arm has other colours than the trunk
+NO_SLEEVE = 0.1  # probability that an arm has other colours than the trunk
 
 
 PoseLikelihood = Callable[[BodyImage], Callable[[BodyPoses], Array]]
-"""Of an image, and then of poses `(n,)`: log p(image | pose) in nats, up to a constant of the image."""
+"""Returns for an image the function of poses log p(image | pose), `(n,)` nats, up to a constant."""
 
 
 @dataclass(frozen=True)
 class BodyLikelihood:
     """Log likelihood of an image given poses, up to a constant of the image.
 
-    The image speaks through a face detector for the head, through skin colour for the hands and through
-    edges for the outline, as in the paper, which gives no formulas. Here each term is the log ratio of how
-    likely the cue is under the pose to how likely it is anywhere in the picture, with a chance that the cue
-    fails: a hand without skin, as is expected in every fifth frame, loses a few nats and no more.
+    The cues are a face detector for the head, skin colour for the hands and edges for the outline, as in the
+    paper, which gives no formulas. Each term is the log likelihood ratio of a cue under the pose against
+    anywhere in the image, mixed with a probability that the cue fails: a hand without skin, one frame in
+    five, costs a few nats at most.
     """
 
     body: UpperBody  # lengths and widths
 
     def __call__(self, image: BodyImage) -> "ImageLikelihood":
-        """The likelihood of this image, ready for any number of poses; its maps are worked out once."""
+        """Return the likelihood of an image, whose maps are computed once."""
         return image.once(self, self._of)
 
     def _of(self, image: BodyImage) -> "ImageLikelihood":
@@ -190,19 +189,18 @@ class BodyLikelihood:
             skin = skin_maps(image.moving_skin, self.body.hand)
             if not image.mixtures.informative[0]:
                 head = head_map(image.skin, self.body)
-        edges = edge_ratios(image, EDGE_SPREAD * unit, EDGE_WINDOW * unit)
+        edges = edge_ratios(image, EDGE_STD * unit, EDGE_WINDOW * unit)
         return ImageLikelihood(self.body, image, skin, head, edges)
 
 
 @dataclass(frozen=True, eq=False)
 class ImageLikelihood:
-    """The maps of one image in which poses are looked up."""
+    """Log likelihood of one image, with its maps."""
 
-    # which are compared
     body: UpperBody
     image: BodyImage
     skin: tuple[Map, Map] | None  # of hands, see `skin_maps`; `None` without colour
-    head: Map | None  # skin of the head, if no face is detected, see `head_map`
+    head: Map | None  # skin of the head if no face is detected, see `head_map`
     edges: Map  # see `edge_ratios`
 
     def __call__(self, poses: BodyPoses) -> Array:
@@ -210,12 +208,12 @@ class ImageLikelihood:
         return self.first(poses) + self.rest(poses)
 
     def first(self, poses: BodyPoses) -> Array:
-        """`(n,)` nats: what is found out of it with little work, all but the outline's."""
+        """`(n,)` nats of the cheap terms: all but the outline's."""
         total: Array = self.inner_terms(poses).sum(axis=0)
         return total
 
     def rest(self, poses: BodyPoses) -> Array:
-        """`(n,)` nats: what the edges say of the outline, up to a constant."""
+        """`(n,)` nats of the outline's edges, up to a constant."""
         total, solid = np.zeros(len(poses)), solid_of(self.body)
 
         def work(first: int, end: int) -> None:
@@ -239,7 +237,7 @@ class ImageLikelihood:
         return terms
 
     def _inner_terms(self, poses: BodyPoses) -> Array:
-        """All terms but the outline's; where no face is found, its skin stands in for it."""
+        """Terms of some poses in one thread; without a detected face, the head's skin replaces it."""
         body, image = self.body, self.image
         joints = body.joints(poses)[:, :, :2]
         parts = joints[:, [0, 4, 7]]
@@ -260,11 +258,11 @@ class ImageLikelihood:
         return terms
 
     def _skin_terms(self, skin: tuple[Map, Map], parts: Array, roots: Array, elbows: Array) -> Array:
-        """`(n,)` nats of hands and blobs: log of the mixture of bare forearms and such in sleeves."""
+        """`(n,)` nats of hands and blobs: log of the mixture of bare and covered forearms."""
         body, image = self.body, self.image
         neck_radius = NECK_RADIUS if image.moving_skin is image.skin else NO_NECK
         scales = _scales(skin[0], image)
-        # the odds that a blob is a hand; what is hardly one need not be explained
+        # weighted by the probability that a blob is a hand
         costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
         reach = body.head_height * np.array(BLOB_REACH)
         ratios = np.full((2, len(parts)), -np.inf)
@@ -281,7 +279,7 @@ class ImageLikelihood:
 
 
 def hand_model(body: UpperBody, neck_radius: float = NECK_RADIUS, bare: bool = False) -> HandModel:
-    """What a hand of this body looks like, in a sleeve or not; the neck's radius is in head heights."""
+    """Return the model of this body's hands, in sleeves or not; the neck's radius is in head heights."""
     return HandModel(
         body.hand,
         body.hand * np.array(WINDOWS),
@@ -294,10 +292,9 @@ def hand_model(body: UpperBody, neck_radius: float = NECK_RADIUS, bare: bool = F
 
 
 def skin_maps(skin: Map, hand: float) -> tuple[Map, Map]:
-    """Mean skin, from 0 to 1, in Gaussian windows of a hand's size and around it.
+    """Return the mean skin, from 0 to 1, in Gaussian windows of a hand's size and around it.
 
-    It grows with the log odds from where they are even: what is only rather like skin, such as beige
-    trousers, counts for little, and what is unlike it for nothing, however much.
+    Skin is the positive part of the log odds: colours that are hardly like skin count for little.
 
     `skin` `(height, width)` float32 nats: log odds. `hand` px: radius. The maps have an entry each fifth of
     it, or each px.
@@ -311,7 +308,7 @@ def skin_maps(skin: Map, hand: float) -> tuple[Map, Map]:
 
 
 def head_map(skin: Map, body: UpperBody) -> Map:
-    """How much more skin there is in a head's place than around it, 1 for an ellipse of nothing else.
+    """Return the contrast of skin in a head's ellipse with that around it, 1 for a full ellipse alone.
 
     `skin` `(height, width)` float32 nats: log odds; `body`: of the head.
     """
@@ -326,7 +323,7 @@ def head_map(skin: Map, body: UpperBody) -> Map:
 
 
 def _share(skin: Map, shrink: float) -> Map:
-    """Skin from 0 to 1, in a picture that is `shrink` times as large."""
+    """Skin from 0 to 1, in an image that is `shrink` times as large."""
     height, width = (max(round(shrink * length), 2) for length in skin.shape)
     coarse = cv2.resize(skin, (width, height), interpolation=cv2.INTER_AREA)
     return np.maximum(coarse, np.float32(0)) * np.float32(1 / HIGHEST)
@@ -337,24 +334,23 @@ def _scales(coarse: Map, image: BodyImage) -> Array:
     return np.divide(coarse.shape[::-1], image.size[::-1])
 
 
-def edge_ratios(image: BodyImage, spread: float, around: float) -> Map:
-    """How much more likely the edge near a pixel is at an outline than thereabouts, and its direction.
+def edge_ratios(image: BodyImage, std: float, window: float) -> Map:
+    """Return likelihood ratio (at an outline against nearby) and direction of the edge near each pixel.
 
-    What is likely thereabouts is counted in the image itself: on a striped sleeve or before a bookcase one
-    more edge says little, one across the stripes much. Of the density of directions there, its first
-    harmonic is taken.
+    The density of edges nearby is the image's own: before a bookcase one more edge is little evidence, one
+    across its boards much. The density of directions is taken to its first harmonic.
 
-    `spread` px: standard deviation of edges about an outline; `around` px: standard deviation of the window
-    in which edges are counted. Returns `(height, width, 3)` float32: the ratio, cosine and sine of twice the
-    angle of the edge's normal.
+    `std` px: standard deviation of edges about an outline; `window` px: standard deviation of the window of
+    the density. Returns `(height, width, 3)` float32: the ratio, cosine and sine of twice the angle of the
+    edge's normal.
     """
     height, width = image.size
     reach = max(float(image.edges.max()), 1.0)
     levels = np.linspace(0, 1, LEVELS)
-    near = np.exp(-0.5 * (levels * reach / spread) ** 2)
+    near = np.exp(-0.5 * (levels * reach / std) ** 2)
     near[-1] = 0  # distances are capped: the last one stands for any beyond
     turns = 2 * np.pi * levels
-    block = max(round(around / COUNTED), 1)
+    block = max(round(window / DENSITY_CELLS), 1)
     ratios = np.empty((height, width, 3), np.float32)
     coarse = np.empty((max(-(-height // block), 2), max(-(-width // block), 2), 3), np.float32)
     edge_features(
@@ -362,6 +358,6 @@ def edge_ratios(image: BodyImage, spread: float, around: float) -> Map:
         near.astype(np.float32), np.cos(turns).astype(np.float32), np.sin(turns).astype(np.float32),
         (LEVELS - 1) / np.array([reach, np.pi]), block, ratios, coarse,
     )  # fmt: skip
-    coarse = np.asarray(cv2.GaussianBlur(coarse, (0, 0), around / block), np.float32)
+    coarse = np.asarray(cv2.GaussianBlur(coarse, (0, 0), window / block), np.float32)
     over_density(ratios, coarse, block, LEAST_EDGES, LEAST_ALIKE)
     return ratios

@@ -1,11 +1,11 @@
 """Proposals of poses: completed from positions of head and hands, or guided by them from the frame before.
 
 Likelihood sampling (RSMCM paper §4.1; Taycher and Darrell, "Bayesian articulated tracking using single frame
-pose sampling", 2003): positions of head and hands are drawn from their mixtures. Once torso, neck and hands
-are given, an arm has two degrees of freedom left, which inverse kinematics completes.
+pose sampling", 2003): head and hands are drawn from their mixtures. Given torso, neck and hands, an arm has
+two degrees of freedom left, which are drawn and completed by inverse kinematics.
 
-Guided sampling (Isard and Blake, "ICondensation", 1998): most poses are moved by the dynamics alone. In the
-others one hand is drawn at a place that its message names, from a pose that had it near there.
+Guided sampling (Isard and Blake, "ICondensation", 1998): most poses are drawn from the dynamics alone. In the
+others one hand is drawn from its mixture, given an ancestor with the hand near there.
 """
 
 from collections.abc import Sequence
@@ -25,11 +25,8 @@ from .tempering import Strata
 
 Array = NDArray[np.float64]
 
-MOST_ROUNDS = 40
-"""Of drawing again what the joints do not allow, which is left out before it costs much. The density of what
-is left is the same but for a factor that is common to all."""
-
-LEAST_DEPTH = 1.0  # px: smallest half range of a hand's depth, so that a stretched arm has a density
+MOST_ROUNDS = 40  # of rejection sampling of possible poses, whose density changes by a constant only
+LEAST_DEPTH = 1.0  # px: half range of a hand's depth at least, so that a stretched arm has a density
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,27 +45,27 @@ def draw_from_likelihood(
     random: np.random.Generator,
     rounds: int = MOST_ROUNDS,
 ) -> Proposal:
-    """Draw `n` poses, or as many as turn out to be possible in so many rounds of `n`.
+    """Draw `n` possible poses, or as many as there are in so many rounds of `n` draws.
 
-    Torso and neck are as in the long run; depth of a hand, from its shoulder, and swivel of an elbow evenly
-    over all that the arm can reach. `mixtures`: of head, left and right hand; without flat components.
+    Torso and neck have their stationary distribution; the depth of a hand and the swivel of an elbow are
+    uniform within reach. `mixtures`: of head, left and right hand; without flat components.
     """
-    found: list[BodyPoses] = []
-    while sum(map(len, found)) < n and len(found) < rounds:
-        found.append(_possible(dynamics, mixtures, n, random))
-    every = BodyPoses.concatenated(found)
+    drawn: list[BodyPoses] = []
+    while sum(map(len, drawn)) < n and len(drawn) < rounds:
+        drawn.append(_possible(dynamics, mixtures, n, random))
+    every = BodyPoses.concatenated(drawn)
     poses = every.take(slice(n))
-    tried = len(found) * n * len(poses) / max(len(every), 1)
+    tried = len(drawn) * n * len(poses) / max(len(every), 1)
     return Proposal(poses, _log_density(dynamics, poses, mixtures), tried)
 
 
 def _possible(
     dynamics: BodyDynamics, mixtures: GaussianMixtures, n: int, random: np.random.Generator
 ) -> BodyPoses:
-    """At most `n` poses within reach and limits, of as many draws."""
+    """Draw `n` poses and return those within reach and joint limits."""
     body = dynamics.body
     places = np.stack([draw_mixture(mixtures, part, n, random) for part in range(3)], axis=1)
-    turns = dynamics.turn_spreads * random.standard_normal((n, 6))
+    turns = dynamics.turn_stds * random.standard_normal((n, 6))
     torsos, necks = turns[:, :3].copy(), turns[:, 3:].copy()
     trunks = BodyPoses(np.zeros((n, 2)), torsos, necks, np.zeros((n, 2, 2, 3)))
     roots = places[:, 0] - body.parts(trunks)[:, 0]
@@ -88,9 +85,9 @@ def _possible(
 def _log_density(dynamics: BodyDynamics, poses: BodyPoses, mixtures: GaussianMixtures) -> Array:
     body = dynamics.body
     joints = body.joints(poses)
-    spreads = dynamics.turn_spreads
+    stds = dynamics.turn_stds
     total = mixtures.log_values(joints[:, [0, 4, 7], :2]).sum(axis=1) - mixtures.log_masses.sum()
-    total -= 0.5 * ((poses.turns / spreads) ** 2).sum(axis=1) + np.log(spreads).sum() + 3 * np.log(2 * np.pi)
+    total -= 0.5 * ((poses.turns / stds) ** 2).sum(axis=1) + np.log(stds).sum() + 3 * np.log(2 * np.pi)
     for side in (0, 1):
         offsets = joints[:, 4 + 3 * side] - joints[:, 2 + 3 * side]
         total += log_volume(body, offsets) - np.log(4 * np.pi * half_range(body, offsets))
@@ -104,31 +101,31 @@ def half_range(body: UpperBody, offsets: Array) -> Array:
 
 
 def draw_mixture(mixtures: GaussianMixtures, part: int, n: int, random: np.random.Generator) -> Array:
-    """`(n, 2)` px: positions of one part, whose components are all proper, in random order."""
+    """Draw `(n, 2)` px of one part, whose components are all proper, in random order."""
     chosen = random.permutation(systematic(mixtures.log_weights[part], n, random))
     roots = np.linalg.cholesky(mixtures.covariances[part])[chosen]
     steps = np.einsum("nxy,ny->nx", roots, random.standard_normal((n, 2)))
     return np.asarray(mixtures.means[part][chosen] + steps)
 
 
-GUIDED = 0.35  # share of the poses of which a hand is drawn where it is seen
-ANYWHERE = 0.2  # share of these whose depth and swivel are drawn without the past, which may be wrong
-FARAWAY = 1e-3  # how readily a pose is chosen whose hand is far away, over one whose hand is there: arms jump
+GUIDED = 0.35  # share of the poses of which a hand is drawn from its mixture
+ANYWHERE = 0.2  # share of these whose depth and swivel ignore the ancestor, which may be wrong
+FARAWAY = 1e-3  # weight of an ancestor whose hand is far from the target, over one at it: arms jump
 HANDS = (4, 7)  # of `models.body.upper_body.JOINTS`
 
 
 @dataclass(frozen=True, eq=False)
 class Guided:
-    """Draws of poses."""
+    """Guided draws, with importance weights."""
 
-    poses: BodyPoses  # n of them, all possible; none, if no draw was
-    log_weights: Array  # `(n,)`, normalised: p(x_t | past) of pose and ancestor over their draw's density
-    ancestors: NDArray[np.int64]  # `(n,)` int64: of each, the pose of the past that it was drawn from
+    poses: BodyPoses  # n possible ones, maybe 0
+    log_weights: Array  # `(n,)`, normalised: p(x_t, ancestor | past) over the density of the draw
+    ancestors: NDArray[np.int64]  # `(n,)`: index of the past pose that each was drawn from
 
 
 @dataclass(frozen=True, eq=False)
 class _Targets:
-    """Places, of all hands together, that something is said of: Gaussians in the picture."""
+    """Gaussians in the image at which hands are drawn, of both hands together."""
 
     sides: NDArray[np.int64]  # (k,) 0 left, 1 right
     shares: Array  # (k,) of all draws, with sum `GUIDED`
@@ -136,20 +133,20 @@ class _Targets:
     covariances: Array  # (k, 2, 2) px^2
 
     @classmethod
-    def of(cls, said: Sequence[tuple[GaussianMixtures, float]]) -> "_Targets":
-        """All components that are not flat; half by their weights, half evenly."""
+    def of(cls, guides: Sequence[tuple[GaussianMixtures, float]]) -> "_Targets":
+        """Collect the components that are not flat, with shares half by weight, half even."""
         sides, shares, means, covariances = [], [], [], []
-        for mixtures, share in said:
+        for mixtures, share in guides:
             for side in (0, 1):
                 part = 1 + side
-                known = np.flatnonzero(np.isfinite(mixtures.log_weights[part]) & ~mixtures.flat[part])
-                if not len(known):
+                proper = np.flatnonzero(np.isfinite(mixtures.log_weights[part]) & ~mixtures.flat[part])
+                if not len(proper):
                     continue
-                weights = np.exp(normalised(mixtures.log_weights[part, known]))
-                sides.append(np.full(len(known), side))
-                shares.append(0.5 * GUIDED * share * (0.5 * weights + 0.5 / len(known)))
-                means.append(mixtures.means[part, known])
-                covariances.append(mixtures.covariances[part, known])
+                weights = np.exp(normalised(mixtures.log_weights[part, proper]))
+                sides.append(np.full(len(proper), side))
+                shares.append(0.5 * GUIDED * share * (0.5 * weights + 0.5 / len(proper)))
+                means.append(mixtures.means[part, proper])
+                covariances.append(mixtures.covariances[part, proper])
         if not sides:
             return cls(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2, 2)))
         return cls(*map(np.concatenate, (sides, shares, means, covariances)))
@@ -158,14 +155,14 @@ class _Targets:
 def draw_guided(
     dynamics: BodyDynamics,
     past: Ancestors,
-    said: Sequence[tuple[GaussianMixtures, float]],
+    guides: Sequence[tuple[GaussianMixtures, float]],
     n: int,
     random: np.random.Generator,
 ) -> Guided:
     """Draw `n` poses and leave out those that are impossible.
 
-    `past`: k weighted poses of the frame before, which are drawn from all `Strata`; `said`: of head and
-    hands, with the shares, of sum 1, of the poses that these guide; flat components guide nobody.
+    `past`: k weighted poses of the frame before, resampled over all `Strata`; `guides`: mixtures of head and
+    hands, with the shares, of sum 1, of the poses that they guide; flat components are ignored.
     """
     body, elapsed = dynamics.body, past.elapsed
     with np.errstate(divide="ignore"):
@@ -173,7 +170,7 @@ def draw_guided(
     log_choice = Strata.of(body, past.poses).balanced(log_weights)
     joints = body.joints(past.poses)
     hidden = _HiddenCoordinates.of(dynamics, past.poses, joints, elapsed)
-    targets = _Targets.of(said)
+    targets = _Targets.of(guides)
     choice = np.exp(log_choice)
     closeness = _closeness(targets, joints, hidden.step, choice)
     chosen, target = _chosen(choice, targets.shares, closeness, n, random)
@@ -190,7 +187,7 @@ def draw_guided(
 
 
 def _closeness(targets: _Targets, joints: Array, step: float, choice: Array) -> Array:
-    """`(k_targets, k_past)`: how readily a pose is chosen for a target, over how it is chosen else."""
+    """`(k_targets, k_past)`: weight of each past pose for a target, over its weight without one."""
     wide = np.linalg.inv(targets.covariances + step**2 * np.eye(2))
     closeness = np.empty((len(targets.sides), len(joints)))
     hands = np.ascontiguousarray(joints[:, HANDS, :2])
@@ -207,7 +204,7 @@ def _guide(
     hidden: "_HiddenCoordinates",
     random: np.random.Generator,
 ) -> NDArray[np.bool_]:
-    """Put arms of `poses` in place to their targets; the result, `(n,)`, is whether they reach them."""
+    """Move arms of `poses`, in place, to draws from their targets; return whether they reach, `(n,)`."""
     possible = np.ones(len(poses), np.bool_)
     shoulders = body.shoulders(poses)[:, :, :2]
     roots = np.linalg.cholesky(targets.covariances)
@@ -247,7 +244,7 @@ def _log_drawn(
     hidden: "_HiddenCoordinates",
     walks: Array,
 ) -> Array:
-    """`(n,)` nats: density of a draw given its ancestor, over what all draws have in common."""
+    """`(n,)` nats: log density of the arms of a draw given its ancestor, up to factors that all share."""
     joints = body.joints(poses)
     completions = np.empty((len(poses), 2))
     for side in (0, 1):
@@ -269,12 +266,12 @@ def _log_drawn(
 
 @dataclass(frozen=True, eq=False)
 class _HiddenCoordinates:
-    """Of each arm what a hand's place in the picture does not tell: its depth, and the elbow's swivel."""
+    """Coordinates of arms that a hand's position in the image leaves open: its depth, the elbow's swivel."""
 
     depths: Array  # (k, 2) px, from the shoulder
     swivels: Array  # (k, 2) rad
-    step: float  # px that a hand moves along an axis, standard deviation
-    concentration: float  # of a swivel around another
+    step: float  # px: standard deviation of a hand's step along an axis
+    concentration: float  # of a swivel's von Mises density about the ancestor's
 
     @classmethod
     def of(
@@ -284,12 +281,12 @@ class _HiddenCoordinates:
         angles = np.stack([swivels(side, poses.arms[:, side], body) for side in (0, 1)], axis=1)
         scale = np.sqrt(elapsed)
         step = scale * np.hypot(body.upper_arm * dynamics.upper_arm, body.forearm * dynamics.forearm)
-        # an elbow turns about the line to the hand, from which it is half an upper arm away, say
+        # an elbow turns about the line to the hand, from which it is about half an upper arm away
         turn = scale * 2 * dynamics.upper_arm
         return cls(joints[:, [4, 7], 2] - joints[:, [2, 5], 2], angles, float(step), 1 / turn**2)
 
     def log_density(self, rows: NDArray[np.int64], side: int, depths: Array, angles: Array) -> Array:
-        """`(n,)` nats, of a depth and a swivel around those of the poses `rows`."""
+        """`(n,)` nats: log density of depths and swivels about those of the poses `rows`."""
         away = (depths - self.depths[rows, side]) / self.step
         turned = self.concentration * (np.cos(angles - self.swivels[rows, side]) - 1)
         normal = np.sqrt(2 * np.pi) * self.step * 2 * np.pi * i0e(self.concentration)
@@ -299,7 +296,7 @@ class _HiddenCoordinates:
 def _chosen(
     choice: Array, shares: Array, closeness: Array, n: int, random: np.random.Generator
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """`(n,)` ancestors and `(n,)` targets, -1 for none."""
+    """Draw `(n,)` ancestors and their targets `(n,)`, -1 for none."""
     ends = np.floor(n * np.cumsum(shares) + random.random()).astype(np.int64)
     counts = np.diff(ends, prepend=0)
     counts = np.append(counts, n - counts.sum())
@@ -308,34 +305,33 @@ def _chosen(
     return chosen, np.repeat(np.append(np.arange(len(shares)), -1), counts)
 
 
-ANEW = 0.1  # least share of candidates without a past: who comes back elsewhere must be drawn to be found
+RESTARTED = 0.1  # share of candidates without a past, at least: a body that reappears elsewhere needs them
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Weighted samples of p(x_t | past), each with the pose it goes back to."""
+    """n weighted samples of p(x_t | past), each with the pose it descends from."""
 
-    # of the body; `(height, width)` px of the picture; s since the frame before
-    dynamics: BodyDynamics
-    size: tuple[int, int]
-    elapsed: float
-    poses: BodyPoses  # n of them, all possible
-    log_weights: Array  # `(n,)`; they sum to 1 once others have `weighed` them
-    ancestors: BodyPoses  # n poses of the frame before; those that begin anew are their own
-    anew: NDArray[np.bool_]  # `(n,)`: which ones do
+    dynamics: BodyDynamics  # of the body
+    size: tuple[int, int]  # `(height, width)` px of the image
+    elapsed: float  # s since the frame before
+    poses: BodyPoses  # all possible
+    log_weights: Array  # `(n,)`; normalised after `weighted`
+    ancestors: BodyPoses  # n poses of the frame before; restarted poses are their own
+    restarted: NDArray[np.bool_]  # `(n,)`: which ones were drawn without a past
 
     @classmethod
-    def at_first(
+    def of_first_frame(
         cls,
         dynamics: BodyDynamics,
         size: tuple[int, int],
-        said: GaussianMixtures,
+        starts: GaussianMixtures,
         n: int,
         random: np.random.Generator,
         rounds: int = MOST_ROUNDS,
     ) -> Self:
-        """Of somebody of whom nothing is known, drawn from proper mixtures of head and hands."""
-        proposal = draw_from_likelihood(dynamics, said, n, random, rounds)
+        """Draw poses without a past, from proper mixtures `starts` of head and hands."""
+        proposal = draw_from_likelihood(dynamics, starts, n, random, rounds)
         log_weights = dynamics.log_density_anywhere(proposal.poses, size) - proposal.log_density
         log_weights -= np.log(max(proposal.tried, 1.0))
         count = len(proposal.poses)
@@ -344,44 +340,44 @@ class Candidates:
         )
 
     @classmethod
-    def after(
+    def of_next_frame(
         cls,
         dynamics: BodyDynamics,
         size: tuple[int, int],
         past: Ancestors,
         guides: Sequence[tuple[GaussianMixtures, float]],
-        said: GaussianMixtures,
+        starts: GaussianMixtures,
         n: int,
         random: np.random.Generator,
     ) -> Self:
-        """Of somebody who was seen before: most go on, guided (`draw_guided`), some begin anew."""
+        """Draw most poses from the past, guided (`draw_guided`), and some without, from `starts`."""
         log_elsewhere, log_stays = dynamics.log_returns(past.elapsed)
-        anew = round(max(ANEW, np.exp(log_elsewhere)) * n)
-        begun = cls.at_first(dynamics, size, said, anew, random, rounds=1)
-        went_on = draw_guided(dynamics, past, guides, max(n - anew, 1), random)
+        n_restarted = round(max(RESTARTED, np.exp(log_elsewhere)) * n)
+        fresh = cls.of_first_frame(dynamics, size, starts, n_restarted, random, rounds=1)
+        continued = draw_guided(dynamics, past, guides, max(n - n_restarted, 1), random)
         return cls(
             dynamics,
             size,
             past.elapsed,
-            BodyPoses.concatenated([begun.poses, went_on.poses]),
-            np.concatenate([begun.log_weights + log_elsewhere, went_on.log_weights + log_stays]),
-            BodyPoses.concatenated([begun.poses, past.poses.take(went_on.ancestors)]),
-            np.arange(len(begun.poses) + len(went_on.poses)) < len(begun.poses),
+            BodyPoses.concatenated([fresh.poses, continued.poses]),
+            np.concatenate([fresh.log_weights + log_elsewhere, continued.log_weights + log_stays]),
+            BodyPoses.concatenated([fresh.poses, past.poses.take(continued.ancestors)]),
+            np.arange(len(fresh.poses) + len(continued.poses)) < len(fresh.poses),
         )
 
-    def weighed(self, log_factors: Array) -> Self:
-        """With factors `(n,)` that others say; weights are normalised."""
+    def weighted(self, log_factors: Array) -> Self:
+        """Multiply the weights by factors `(n,)` nats, and normalise them."""
         return replace(self, log_weights=normalised(self.log_weights + log_factors))
 
     def log_prior(self, poses: BodyPoses, owners: NDArray[np.int64]) -> Array:
-        """`(m,)` nats of poses that go back to what candidates `owners` `(m,)` go back to, up to a constant
-        of each; minus infinity where joints forbid them."""
-        dynamics, anew = self.dynamics, self.anew[owners]
+        """`(m,)` nats: log prior of poses given the ancestors of candidates `owners` `(m,)`, up to a constant
+        of each; minus infinity where joints forbid a pose."""
+        dynamics, restarted = self.dynamics, self.restarted[owners]
         prior = np.full(len(poses), -np.inf)
-        begun, gone_on = np.flatnonzero(anew), np.flatnonzero(~anew)
-        if len(begun):
-            prior[begun] = dynamics.log_density_anywhere(poses.take(begun), self.size)
-        if len(gone_on):
-            before = self.ancestors.take(owners[gone_on])
-            prior[gone_on] = dynamics.log_step(poses.take(gone_on), before, self.elapsed)
+        fresh, continued = np.flatnonzero(restarted), np.flatnonzero(~restarted)
+        if len(fresh):
+            prior[fresh] = dynamics.log_density_anywhere(poses.take(fresh), self.size)
+        if len(continued):
+            before = self.ancestors.take(owners[continued])
+            prior[continued] = dynamics.log_step(poses.take(continued), before, self.elapsed)
         return np.where(dynamics.body.allowed(poses), prior, -np.inf)

@@ -1,4 +1,4 @@
-"""Who is to be tracked: size, skin colour and lengths of a person, from some frames."""
+"""Initialisation of a body tracker: size, skin colour and lengths of a person, from some frames."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class ClickedJoints:
-    """Where joints are in a few frames."""
+    """Joints clicked in a few frames."""
 
     path: Path  # of their file
     frames: NDArray[np.int64]  # `(n_frames,)` int64: numbers of the frames, from 1, in order
@@ -30,32 +30,32 @@ class ClickedJoints:
 
 @dataclass(frozen=True, eq=False)
 class MarkedFace:
-    """A face that somebody has marked in one frame, as a detector that finds it there and nowhere else."""
+    """A detector that returns a face marked by hand, in its own frame only."""
 
     box: Array  # `(4,)` px: x, y, width, height
     number: int  # of the frame
 
     def __call__(self, frame: Frame) -> Array:
-        """Boxes `(1, 4)` px in that frame, `(0, 4)` in all others."""
+        """Return boxes `(1, 4)` px in that frame, `(0, 4)` in all others."""
         return self.box[None] if frame.number == self.number else np.zeros((0, 4))
 
 
 @dataclass(frozen=True, eq=False)
 class BodyStart:
-    """What is known of a person before the track starts."""
+    """A person to be tracked."""
 
     parts: BodyParts  # the feature node, with the person's skin colour and a detector
     body: UpperBody  # lengths of the segments
     origin: str  # where the lengths come from, in a sentence
 
     def head_in(self, frame: Frame) -> Array | None:
-        """`(2,)` px: the centre of the face that the detector finds in a frame; `None` if there is none."""
-        found = np.zeros((0, 4)) if self.parts.detector is None else self.parts.detector(frame)
-        return found[0, :2] + found[0, 2:] * (0.5, CENTRE_OF_BOX) if len(found) else None
+        """Detect the head in a frame: its centre `(2,)` px, or `None`."""
+        boxes = np.zeros((0, 4)) if self.parts.detector is None else self.parts.detector(frame)
+        return boxes[0, :2] + boxes[0, 2:] * (0.5, CENTRE_OF_BOX) if len(boxes) else None
 
     @property
     def notes(self) -> list[str]:
-        """What is out of the ordinary, a sentence each."""
+        """Warnings, a sentence each."""
         if self.parts.skin is None:
             return [
                 "The video is grey: there is no skin colour. Hands are followed by edges only, and in "
@@ -66,15 +66,15 @@ class BodyStart:
 
 @dataclass(frozen=True, eq=False)
 class SavedPerson:
-    """A `BodyStart` as it is saved: detectors of faces are made anew from their settings."""
+    """A `BodyStart` that can be saved: face detectors are created from their settings again."""
 
     person: BodyStart  # without a detector
-    face_height: float | None  # px, size for which a detector of faces searches; `None` for any
-    marked: MarkedFace | None  # the face that somebody has marked in place of a detector
+    face_height: float | None  # px, size that the face detector searches for; `None` for any
+    marked: MarkedFace | None  # the face marked by hand in place of a detector
 
     @classmethod
     def of(cls, start: BodyStart) -> Self:
-        """As it can be saved."""
+        """Replace the detector by its settings."""
         detector = start.parts.detector
         return cls(
             replace(start, parts=replace(start.parts, detector=None)),
@@ -83,13 +83,13 @@ class SavedPerson:
         )
 
     def elsewhere(self) -> Self:
-        """The same person in another film, in which nobody has marked a face, and with whom is not known."""
+        """Return the same person for another film, without a marked face and without other people's faces."""
         marked = None if self.marked is None else replace(self.marked, number=0)
         person = replace(self.person, parts=replace(self.person.parts, others=None))
         return replace(self, person=person, marked=marked)
 
     def start(self, detector: Path | None) -> BodyStart:
-        """The start again, with a model file of a detector if there was one."""
+        """Return the `BodyStart`; `detector` is the model file of its face detector, if any."""
         faces: PartDetector | None = self.marked
         if faces is None or detector is not None:
             faces = default_faces(detector)
@@ -105,13 +105,13 @@ def start_from_faces(
     clicked: ClickedJoints | None,
     head: BoundingBox | None = None,
 ) -> BodyStart:
-    """Find a person's face in some images, and learn size and colour from it.
+    """Detect a person's face in some images, and learn size and colour from it.
 
-    `name`: of the source; `images` `(height, width[, 3])` uint8 BGR, one at least; `detector`: model file of
-    YuNet; OpenCV's cascade without it; `clicked`: joints from which the lengths are taken; `head`: x, y,
-    width, height px of the person's head in the first image; without it, it is the person whose face is
-    largest. Raises `ValueError` if there is no face or no detector, or the joints do not tell lengths that a
-    person has; `FileNotFoundError` if there is no such model file.
+    `name`: of the source; `images` `(height, width[, 3])` uint8 BGR, at least one; `detector`: model file of
+    YuNet; OpenCV's cascade without it; `clicked`: joints that give the lengths; `head`: x, y, width, height
+    px of the person's head in the first image; the person with the largest face without it. Raises
+    `ValueError` if there is no face or no detector, or the joints give impossible lengths;
+    `FileNotFoundError` if there is no such model file.
     """
     try:
         faces = default_faces(detector)
@@ -134,12 +134,11 @@ def start_from_faces(
 def start_from_head(
     first: Frame, head: BoundingBox, images: Sequence[Image], clicked: ClickedJoints | None
 ) -> BodyStart:
-    """Learn size and colour from the head that somebody has marked in a frame.
+    """Learn size and colour from a head marked by hand.
 
-    `first`: the frame, which has an image; `head`: x, y, width, height px: from chin to the top of the skull,
-    and across; `images`: of the same size, from all over the clip; `clicked`: joints from which the lengths
-    are taken. Raises `ValueError` if the head is not in the picture, or the joints do not tell lengths that a
-    person has.
+    `first`: its frame, which has an image; `head`: x, y, width, height px, from chin to the top of the skull;
+    `images`: of the same size, from all over the clip; `clicked`: joints that give the lengths. Raises
+    `ValueError` if the head is not in the image, or the joints give impossible lengths.
     """
     image = first.image
     if image is None:
@@ -161,7 +160,7 @@ def start_from_head(
 
 
 def _face_of(head: BoundingBox) -> BoundingBox:
-    """The box that a detector would give of a head."""
+    """Box that a face detector would return for a head."""
     x, y, width, height = head
     side = height / HEAD_OF_BOX
     return x + (width - side) / 2, y + height / 2 - CENTRE_OF_BOX * side, side, side
@@ -184,7 +183,7 @@ def _start(parts: BodyParts, origin: str, clicked: ClickedJoints | None) -> Body
     return BodyStart(parts, body, origin)
 
 
-MOST_FRAMES = 200  # from which lengths are taken, evenly spread over all
+MOST_FRAMES = 200  # that lengths are fitted to, evenly spread over all
 
 
 class FilmKeypoints(Protocol):
@@ -195,11 +194,11 @@ class FilmKeypoints(Protocol):
         """File from which they are."""
 
     def frames(self) -> Iterable[tuple[int, GivenKeypoints]]:
-        """Numbers of frames with the persons found there, in order."""
+        """Iterate over numbers of frames with the persons detected there, in order."""
 
 
-def shows_whom(frame: Frame) -> bool:
-    """Whether head, neck or both shoulders of the largest person in a frame were found."""
+def shows_person(frame: Frame) -> bool:
+    """Whether head, neck or both shoulders of the largest person in a frame were detected."""
     given = frame.keypoints
     return (
         given is not None
@@ -211,16 +210,15 @@ def shows_whom(frame: Frame) -> bool:
 def start_from_keypoints(
     first: Frame, keypoints: FilmKeypoints, images: Sequence[NDArray[np.uint8]], clicked: ClickedJoints | None
 ) -> BodyStart:
-    """Learn size, lengths and colour from the points of the largest person in a frame.
+    """Learn size, lengths and colour from the key points of the largest person in a frame.
 
-    `first`: the frame, which has an image, and of which `shows_whom` holds; `keypoints`: of the whole film;
-    `images`: of the same size, from all over the film; `clicked`: joints from which the lengths are taken, if
-    there are any. Raises `ValueError` if the points do not tell how large the person is, or the head is not
-    in the picture.
+    `first`: the frame, which has an image and `shows_person`; `keypoints`: of the whole film; `images`: of
+    the same size, from all over the film; `clicked`: joints that give the lengths, if any. Raises
+    `ValueError` if the points do not give the person's size, or the head is not in the image.
     """
     given = first.keypoints
     assert given is not None
-    joints = followed(keypoints, first.number)
+    joints = follow_person(keypoints, first.number)
     try:
         height = UpperBody.fit(joints).head_height
     except ValueError as error:
@@ -230,11 +228,11 @@ def start_from_keypoints(
         start = start_from_head(first, (x - width / 2, y - height / 2, width, height), images, clicked)
     except ValueError as error:
         raise ValueError(f"{keypoints.path}, frame {first.number}: {error}") from None
-    return start if clicked else with_lengths(start, joints)
+    return start if clicked else fit_lengths(start, joints)
 
 
-def with_lengths(start: BodyStart, joints: Array) -> BodyStart:
-    """The same person with lengths from joints `(n, 8, 2)` px, if these tell lengths that a person has."""
+def fit_lengths(start: BodyStart, joints: Array) -> BodyStart:
+    """Fit the lengths to joints `(n, 8, 2)` px; unchanged if they give impossible ones."""
     try:
         body = UpperBody.fit(joints, np.full(len(joints), start.parts.head_height))
     except ValueError:
@@ -244,13 +242,13 @@ def with_lengths(start: BodyStart, joints: Array) -> BodyStart:
     return replace(start, body=body, origin=origin)
 
 
-def followed(keypoints: FilmKeypoints, first: int, head: Array | None = None) -> Array:
-    """Joints of one person in some frames, from a frame on: of who is nearest to where the head was before.
+def follow_person(keypoints: FilmKeypoints, first: int, head: Array | None = None) -> Array:
+    """Return joints of one person in some frames: of the person nearest to the head's last position.
 
-    `keypoints`: of the film; `first`: number of the first frame; `head` `(2,)` px: where the person's head is
-    there; the largest person, if it is not known. Returns `(n, 8, 2)` px, NaN where a joint was not found.
+    `keypoints`: of the film; `first`: number of the first frame; `head` `(2,)` px: the person's head there,
+    of the largest person if `None`. Returns `(n, 8, 2)` px, NaN where a joint was not detected.
     """
-    found = []
+    own = []
     for number, given in keypoints.frames():
         if number < first:
             continue
@@ -259,7 +257,7 @@ def followed(keypoints: FilmKeypoints, first: int, head: Array | None = None) ->
         apart = np.where(np.isnan(apart), np.inf, apart)
         person = largest(given) if head is None else int(apart.argmin())
         if head is None or np.isfinite(apart[person]):
-            found.append(GivenKeypoints(given.positions[person, None], given.scores[person, None]))
+            own.append(GivenKeypoints(given.positions[person, None], given.scores[person, None]))
             head = places[person] if np.isfinite(places[person]).all() else head
-    chosen = np.unique(np.linspace(0, len(found) - 1, min(len(found), MOST_FRAMES)).round().astype(int))
-    return np.concatenate([np.zeros((0, 8, 2)), *(joints_of(found[number]) for number in chosen)])
+    chosen = np.unique(np.linspace(0, len(own) - 1, min(len(own), MOST_FRAMES)).round().astype(int))
+    return np.concatenate([np.zeros((0, 8, 2)), *(joints_of(own[number]) for number in chosen)])

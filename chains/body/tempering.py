@@ -1,9 +1,8 @@
 """Resampling that keeps improbable modes (strata), and tempering of weighted poses with Metropolis moves.
 
-Poses whose hands are in about the same places are a stratum. Each keeps its weight, but has a share of the
-samples that does not follow it: a mode of one in a thousand goes on to be followed, with all that speaks for
-it added up from frame to frame (Vermaak, Doucet and Perez, "Maintaining multi-modality through mixture
-tracking", 2003).
+Poses with hands in about the same positions are a stratum, which keeps its weight but gets a share of the
+samples of its own: a mode of probability 0.001 survives and collects evidence from frame to frame (Vermaak,
+Doucet and Perez, "Maintaining multi-modality through mixture tracking", 2003).
 """
 
 from collections.abc import Callable
@@ -15,18 +14,17 @@ from numpy.typing import NDArray
 
 from ...inference.smc import log_sum, normalised, systematic
 from ...models.body.upper_body import BodyPoses, UpperBody, arm_at, log_volume, swivels
-from .dynamics import BodyDynamics, around
+from .dynamics import BodyDynamics, draw_directions
 from .kernels import cut
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-MOST_STRATA = 12
-
-NARROW = 0.3  # head heights: standard deviation of hands within which poses say the same
+MOST_STRATA = 12  # at 1000 samples, each has 40 or more
+NARROW = 0.3  # head heights: standard deviation of hands below which a stratum is not cut
 EVENLY = 0.5  # share of the samples that is divided evenly among strata
-LEAST_MASS = 1e-9  # of a stratum's weight: less is forgotten
-ROUNDS = 4  # of finding the middle between two halves
+LEAST_MASS = 1e-9  # weight below which a stratum is dropped
+ROUNDS = 4  # iterations of 2-means along an axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,18 +35,14 @@ class Strata:
 
     @classmethod
     def of(cls, body: UpperBody, poses: BodyPoses) -> "Strata":
-        """The widest stratum is cut in two, again and again, across the axis along which it is widest: of
-        the places of both hands in the picture."""
+        """Cut the widest stratum in two, repeatedly, across its widest axis of both hands' positions."""
         points = body.parts(poses)[:, 1:].reshape(len(poses), 4) / body.head_height
         numbers = np.empty(len(points), np.int64)
         cut(points, NARROW**2, MOST_STRATA, ROUNDS, numbers)
         return cls(numbers)
 
     def balanced(self, log_weights: Array) -> Array:
-        """Log probabilities `(n,)` by which samples with `log_weights` are to be drawn.
-
-        Half of the draws go by weight, the others evenly to all strata.
-        """
+        """Return log probabilities `(n,)` of resampling: half by weight, half evenly over the strata."""
         shares = np.bincount(self.numbers, np.exp(normalised(log_weights)))
         alive = shares > LEAST_MASS
         wanted = np.where(alive, (1 - EVENLY) * shares + EVENLY / alive.sum(), 0.0)
@@ -59,20 +53,20 @@ class Strata:
 
 LogDensity = Callable[[BodyPoses], Array]
 
-KEPT = 0.3  # effective share of the samples that a step of tempering leaves
-MOST_STEPS = 3  # of tempering; the last one goes all the way
+KEPT = 0.3  # share of effective samples that is left by a step of tempering
+MOST_STEPS = 3  # of tempering; the last one reaches power 1
 MOVES = 4  # Metropolis moves of every sample after each step
-SCALES = (0.1, 0.25, 0.6, 1.2)  # of moves over the dynamics' in a frame: peaks may be narrow
-A_FRAME = 0.04  # s
+SCALES = (0.1, 0.25, 0.6, 1.2)  # of moves over the dynamics' in `MOVE_TIME`: peaks may be narrow
+MOVE_TIME = 0.04  # s
 
 BLOCKS = 6
-"""What moves at a time: place and neck; left or right arm; either arm while its hand is seen where it was;
-the torso while both hands and the swivels of the elbows stay."""
+"""Coordinates that move together: position and neck; left or right arm; either arm with its hand fixed in the
+image; the torso with both hands and the swivels of the elbows fixed."""
 
 
 @runtime_checkable
 class StagedLikelihood(Protocol):
-    """The log likelihood of poses, `(n,)` nats, as a sum of two terms, of which the second is expensive."""
+    """Log likelihood of poses, `(n,)` nats, as a sum of two terms, of which the second is expensive."""
 
     def __call__(self, poses: BodyPoses, /) -> Array: ...  # noqa: D102
     def first(self, poses: BodyPoses, /) -> Array: ...  # noqa: D102
@@ -96,24 +90,23 @@ def temper(
     log_likelihood: LogDensity | StagedLikelihood,
     n: int,
     random: np.random.Generator,
-    looked_at: int | None = None,
+    preselected: int | None = None,
 ) -> Tempered:
-    """Bring weighted samples of a prior to the posterior in a few steps.
+    """Draw samples of the posterior from weighted samples of the prior, by a few steps of tempering.
 
-    In each step the likelihood is taken to a power b that grows to 1, by as much as leaves enough samples
-    with weight; samples are drawn again, from all `Strata`, and moved by Metropolis steps that keep prior
-    times likelihood^b as it is.
+    Each step raises the likelihood's power b towards 1, as far as enough effective samples are left;
+    resamples over all `Strata`; and applies Metropolis moves that leave prior x likelihood^b invariant.
 
     `poses`, `log_weights`: m samples of the prior, with weights of sum 1; `log_prior`: of poses and the
-    numbers of the samples, 0 to m - 1, that they go back to: up to a constant of such a number, minus
-    infinity where a pose is impossible; `log_likelihood`: of poses; `n`: samples that are left; `looked_at`:
-    samples of the prior for which all of a likelihood in stages is worked out, chosen by the first one
-    (`preselected`); without, all of them.
+    indices, 0 to m - 1, of the samples that they descend from: up to a constant of each index, minus infinity
+    where a pose is impossible; `log_likelihood`: of poses; `n`: samples that are returned; `preselected`:
+    samples of the prior for which the second term of a `StagedLikelihood` is computed, chosen by the first
+    one (`preselect`); `None` for all.
     """
     owners = np.arange(len(poses))
-    if looked_at is not None and isinstance(log_likelihood, StagedLikelihood):
+    if preselected is not None and isinstance(log_likelihood, StagedLikelihood):
         first = log_likelihood.first(poses)
-        owners, log_weights = preselected(dynamics.body, poses, log_weights, first, looked_at, random)
+        owners, log_weights = preselect(dynamics.body, poses, log_weights, first, preselected, random)
         poses = poses.take(owners)
         likelihood = first[owners] + log_likelihood.rest(poses)
     else:
@@ -131,7 +124,7 @@ def temper(
         log_weights = normalised(log_weights[chosen] - choice[chosen]) + total
         prior = log_prior(poses, owners)
         for _ in range(MOVES):
-            moved, correction = perturbed(dynamics, poses, random)
+            moved, correction = perturb(dynamics, poses, random)
             new_prior = log_prior(moved, owners)
             gain = new_prior - prior + correction
             thresholds = np.log(random.random(n))
@@ -147,22 +140,20 @@ def temper(
     return Tempered(poses, normalised(log_weights), log_sum(log_weights))
 
 
-def preselected(
+def preselect(
     body: UpperBody,
     poses: BodyPoses,
     log_weights: Array,
-    first_look: Array,
+    log_scores: Array,
     n: int,
     random: np.random.Generator,
 ) -> tuple[NDArray[np.int64], Array]:
-    """`(n,)` of the samples, drawn by their weights times a first look at the likelihood, and log weights.
+    """Draw `(n,)` indices by weights times scores, and return them with their log weights.
 
-    Sums with the new weights have the expectation of those with the old ones, whatever the first look, so
-    that what is expensive in a likelihood is worked out only where the rest of it is good.
-
-    `first_look` `(m,)` nats.
+    Whatever the scores `(m,)` nats, sums with the new weights have the expectation of those with the old
+    ones: an expensive likelihood term is computed only where the others are good.
     """
-    choice = Strata.of(body, poses).balanced(log_weights + first_look)
+    choice = Strata.of(body, poses).balanced(log_weights + log_scores)
     chosen = systematic(choice, n, random)
     return chosen, log_weights[chosen] - choice[chosen] - np.log(n)
 
@@ -173,7 +164,7 @@ def _effective(log_weights: Array) -> float:
 
 
 def _rise(log_weights: Array, likelihood: Array, most: float) -> float:
-    """How much the power may rise, at most `most`, by bisection."""
+    """Find by bisection how much the power may rise, at most `most`."""
     wanted = min(KEPT * len(likelihood), 0.5 * _effective(log_weights))
     if _effective(log_weights + most * likelihood) >= wanted:
         return most
@@ -187,14 +178,12 @@ def _rise(log_weights: Array, likelihood: Array, most: float) -> float:
     return max(low, 0.02 * most)
 
 
-def perturbed(
-    dynamics: BodyDynamics, poses: BodyPoses, random: np.random.Generator
-) -> tuple[BodyPoses, Array]:
-    """Each pose changed in one of the blocks, and the log of what makes the change symmetric (`(n,)`)."""
+def perturb(dynamics: BodyDynamics, poses: BodyPoses, random: np.random.Generator) -> tuple[BodyPoses, Array]:
+    """Propose a change of each pose in one of the `BLOCKS`, with the log of its Hastings ratio `(n,)`."""
     n, body = len(poses), dynamics.body
     block = random.integers(BLOCKS, size=n)
     scale = np.array(SCALES)[random.integers(len(SCALES), size=n)]
-    pace = np.sqrt(A_FRAME)
+    pace = np.sqrt(MOVE_TIME)
     roots, torsos, necks, arms = (each.copy() for each in poses.arrays)
     correction = np.zeros(n)
     whole = np.flatnonzero(block == 0)
@@ -202,14 +191,14 @@ def perturbed(
     roots[whole] += size * dynamics.place * body.head_height * pace * random.standard_normal((len(whole), 2))
     necks[whole] += size * dynamics.neck * pace * random.standard_normal((len(whole), 3))
     leaning = np.flatnonzero(block == 5)
-    steps = dynamics.turn_spreads[:3] * random.standard_normal((len(leaning), 3))
+    steps = dynamics.turn_stds[:3] * random.standard_normal((len(leaning), 3))
     torsos[leaning] += scale[leaning, None] * pace * steps
     shifts = body.shoulders(poses) - body.shoulders(BodyPoses(roots, torsos, necks, arms))
     for side in (0, 1):
         free = np.flatnonzero(block == 1 + side)
         for part, rate in enumerate((dynamics.upper_arm, dynamics.forearm)):
-            spread = scale[free] * rate * pace
-            arms[free, side, part] = around(arms[free, side, part], 1 / spread**2, random)
+            std = scale[free] * rate * pace
+            arms[free, side, part] = draw_directions(arms[free, side, part], 1 / std**2, random)
         kept = np.flatnonzero((block == 3 + side) | (block == 5))
         size = np.where(block[kept] == 5, 0.0, scale[kept] * pace)
         offsets = body.upper_arm * arms[kept, side, 0] + body.forearm * arms[kept, side, 1]

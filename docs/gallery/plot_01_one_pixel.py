@@ -20,7 +20,8 @@ and ``shows``, :math:`p(F \\mid X)` with a row for each state.
 import matplotlib.pyplot as plt
 import numpy as np
 from rsmcm.inference import MultiChain, Port, RecursiveBP
-from rsmcm.models import Categorical, CategoricalMessage
+from rsmcm.models import Categorical
+from rsmcm.models.core.categorical import CategoricalMessage
 
 
 class TwoStates:

@@ -11,7 +11,8 @@ is seen, or where a hand is lost.
 import matplotlib.pyplot as plt
 import numpy as np
 from rsmcm.apps.scenes import signer
-from rsmcm.chains import ArticulatedPose, FleshTracker, body_moments
+from rsmcm.chains import ArticulatedPose, FleshTracker
+from rsmcm.chains.body.samples import moments
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import BodyParts, UpperBody
 
@@ -33,11 +34,11 @@ for axis, (title, heard) in zip(axes, (("both chains", True), ("sampler alone", 
     model = MultiChain().connect(FleshTracker(body), parts, feedback=heard)
     model.connect(ArticulatedPose(body, samples=250), parts)
     states = [belief["pose"] for belief in RecursiveBP(model).run(scene)]
-    joints = np.array([body_moments(body, state).joints for state in states])
+    joints = np.array([moments(body, state).joints for state in states])
     errors[title] = np.linalg.norm((joints - scene.joints)[:, [3, 4, 6, 7], :2], axis=2).mean(axis=1)
     print(f"{title}: error {errors[title].mean():.0f} px; the head is {body.head_height:.0f} px high")
     axis.imshow(scene.image(44)[..., ::-1])
-    for pose in body.joints(states[44].drawn(20, np.random.default_rng(0))):
+    for pose in body.joints(states[44].resample(20, np.random.default_rng(0))):
         axis.plot(*pose[arms, :2].T, color="yellow", linewidth=0.5)
     axis.plot(*scene.joints[44, arms, :2].T, color="white", linewidth=2)
     axis.set(title=f"{title}, frame 45", xticks=[], yticks=[])

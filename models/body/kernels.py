@@ -281,7 +281,7 @@ def keypoint_terms(joints, places, ends, shares, heights, halves, false, chances
 
 
 @compiled
-def looked_up(luma_red_blue, table, out):
+def look_up_colours(luma_red_blue, table, out):
     """`out` (n,) float32 from `table` (8 * 64 * 64,) float32 at the colours (n, 3) uint8: Y, Cr, Cb."""
     for i in range(out.size):
         luma, red, blue = luma_red_blue[i, 0], luma_red_blue[i, 1], luma_red_blue[i, 2]

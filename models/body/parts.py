@@ -17,7 +17,15 @@ from ..face.detectors import HaarFaces, PartDetector
 from ..numerics.threads import side_by_side
 from .image_features import BodyImage, SkinBlobs, edge_distances, skin_blobs
 from .keypoints import SeenKeypoints
-from .person import ClothesColour, OtherFaces, bare_probability, face_at, hand_area, largest_face, one_person
+from .person import (
+    ClothesColour,
+    OtherFaces,
+    bare_probability,
+    find_face_at,
+    find_largest_face,
+    hand_area,
+    track_face,
+)
 from .skin import HIGHEST, SkinColour, smoothed, static_skin
 from .upper_body import PARTS
 
@@ -209,7 +217,9 @@ class BodyParts:
         found = [detector(Frame(images[number], 0.0, int(number) + 1)) for number in chosen]
         if not any(map(len, found)):
             raise ValueError(f"images: got no face in {len(chosen)} of {len(images)}, expected one at least")
-        own = one_person(found, largest_face(found) if face is None else face_at(found, np.array(face)))
+        own = track_face(
+            found, find_largest_face(found) if face is None else find_face_at(found, np.array(face))
+        )
         seen = [images[number] for number, one in zip(chosen, own, strict=True) if one is not None]
         boxes = np.array([faces[one] for faces, one in zip(found, own, strict=True) if one is not None])
         height = float(np.median(boxes[:, 3]))

@@ -11,7 +11,7 @@ from scipy.special import expit
 
 from ..core.short_repr import short_repr
 from .kernels import blended
-from .skin import N_BINS, SkinColour, colour_counts, has_colour, log_ratio_of, looked_up_in
+from .skin import N_BINS, SkinColour, count_colours, has_colour, log_count_ratio, look_up
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -48,7 +48,7 @@ class OtherFaces:
         return np.asarray(total / (2 * np.pi * self.spread**2 * self.pictures), np.float64)
 
 
-def one_person(found: Sequence[Array], start: tuple[int, int]) -> list[int | None]:
+def track_face(found: Sequence[Array], start: tuple[int, int]) -> list[int | None]:
     """Number of a person's face in every picture, `None` where it has none.
 
     From one picture to the next, it is the nearest face of about the same size that is not too far, first on
@@ -69,7 +69,7 @@ def one_person(found: Sequence[Array], start: tuple[int, int]) -> list[int | Non
     return chosen
 
 
-def largest_face(found: Sequence[Array]) -> tuple[int, int]:
+def find_largest_face(found: Sequence[Array]) -> tuple[int, int]:
     """Picture and number of the face with which the person that is seen largest begins.
 
     Of the largest faces of all pictures it is the one of median height: a false one may be higher.
@@ -87,7 +87,7 @@ def largest_face(found: Sequence[Array]) -> tuple[int, int]:
     return picture, face
 
 
-def face_at(found: Sequence[Array], box: Array) -> tuple[int, int]:
+def find_face_at(found: Sequence[Array], box: Array) -> tuple[int, int]:
     """Picture and number of the face that is nearest to a box `(4,)` px, in the first picture with any.
 
     Raises `ValueError` if there is no face.
@@ -143,11 +143,11 @@ class ClothesColour:
             rows, columns = np.ogrid[: image.shape[0], : image.shape[1]]
             across, down = np.abs(columns - x) / head_height, (rows - y) / head_height
             trunk = (across < TRUNK[0]) & (down > TRUNK[1]) & (down < TRUNK[2])
-            on += colour_counts(image, trunk & (skin.log_odds(image) < 0))
-            off += colour_counts(image, (across > ELSEWHERE[0]) | (down < -ELSEWHERE[1]))
+            on += count_colours(image, trunk & (skin.log_odds(image) < 0))
+            off += count_colours(image, (across > ELSEWHERE[0]) | (down < -ELSEWHERE[1]))
         if not (on.any() and off.any()):
             return None
-        return cls(log_ratio_of(on, off))
+        return cls(log_count_ratio(on, off))
 
     def arm_map(self, colours: Image, head_height: float, skin: Map, bare: float) -> Map:
         """Log odds of an arm against anything else, half as large as the image and smoothed.
@@ -155,7 +155,7 @@ class ClothesColour:
         `colours` `(height, width, 3)` uint8: the `smoothed` image; `head_height`: px; `skin`
         `(height, width)` nats: log odds of skin in it; `bare`: probability that arms are bare.
         """
-        odds = looked_up_in(self.table, colours)
+        odds = look_up(self.table, colours)
         if bare > 0:
             blended(odds.reshape(-1), skin.reshape(-1), 1 - min(bare, 0.999), bare)
         half = cv2.resize(odds, None, fx=SHRINK, fy=SHRINK, interpolation=cv2.INTER_AREA)

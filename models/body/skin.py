@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from ..core.short_repr import short_repr
-from .kernels import looked_up
+from .kernels import look_up_colours
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -64,9 +64,9 @@ class SkinColour:
         face, rest = np.zeros(N_BINS), np.zeros(N_BINS)
         for image, box in coloured:
             inside, outside = _regions(image.shape[:2], box)
-            face += colour_counts(image, inside)
-            rest += colour_counts(image, outside)
-        return cls(log_ratio_of(face, rest))
+            face += count_colours(image, inside)
+            rest += count_colours(image, outside)
+        return cls(log_count_ratio(face, rest))
 
     def log_odds(self, image: Image) -> NDArray[np.float32]:
         """Log odds of skin against anything else, where both are as likely without the colour.
@@ -78,24 +78,24 @@ class SkinColour:
 
     def log_odds_of(self, colours: Image) -> NDArray[np.float32]:
         """The same, of what `smoothed` gives."""
-        return looked_up_in(self.table, colours)
+        return look_up(self.table, colours)
 
 
-def colour_counts(image: Image, where: NDArray[np.bool_]) -> Array:
+def count_colours(image: Image, where: NDArray[np.bool_]) -> Array:
     """How often colours are seen in an image `where` `(height, width)`, by bins."""
     return np.asarray(np.bincount(_bins(smoothed(image))[where], minlength=N_BINS), np.float64)
 
 
-def log_ratio_of(some: Array, others: Array) -> NDArray[np.float32]:
+def log_count_ratio(some: Array, others: Array) -> NDArray[np.float32]:
     """Table of nats over `BINS`: how much more often colours are among some counts than among others."""
     ratio = np.log(_density(some) / _density(others))
     return np.asarray(np.clip(ratio, -HIGHEST, HIGHEST), np.float32)
 
 
-def looked_up_in(table: NDArray[np.float32], colours: Image) -> NDArray[np.float32]:
+def look_up(table: NDArray[np.float32], colours: Image) -> NDArray[np.float32]:
     """`(height, width)` nats: what a table over `BINS` says of the colours that `smoothed` gives."""
     out = np.empty(colours.shape[:2], np.float32)
-    looked_up(colours.reshape(-1, 3), table.reshape(-1), out.reshape(-1))
+    look_up_colours(colours.reshape(-1, 3), table.reshape(-1), out.reshape(-1))
     return out
 
 

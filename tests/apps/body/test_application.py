@@ -264,7 +264,7 @@ def test_later_frames_change_what_is_said_of_earlier_ones(
 ) -> None:
     """With a lag; without, the frames behind a frame do not count."""
     monkeypatch.setattr(application, "CALIBRATION_FRAMES", 1)
-    monkeypatch.setattr(body_page, "hand_labels", unchanged)  # they are of a whole film
+    monkeypatch.setattr(body_page, "label_hands", unchanged)  # they are of a whole film
     found = {}
     for lag, stop in ((0, 8), (0, 16), (5, 8), (5, 16)):
         out = tmp_path / f"{lag}-{stop}"
@@ -281,14 +281,14 @@ def test_hands_change_their_names_at_the_end(
     video: Path, head: tuple[str, str], finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where the whole film says so: in arrays, pictures and summary, and only there."""
-    labels = body_page.hand_labels
+    labels = body_page.label_hands
 
     def changed(numbers: NDArray[np.int64], *said: Any) -> HandLabels:
         found = labels(numbers, *said)
         exchanged = (numbers > 5) & (numbers < 9)
         return replace(found, probabilities=np.where(exchanged, 0.8, 0.02), exchanged=exchanged)
 
-    monkeypatch.setattr(body_page, "hand_labels", changed)
+    monkeypatch.setattr(body_page, "label_hands", changed)
     assert run(video, *head, "--out", tmp_path, "--samples", 300) == 0
     before, after = poses_of(finished), poses_of(tmp_path)
     chosen = (after["frames"] > 5) & (after["frames"] < 9)

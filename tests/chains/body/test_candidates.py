@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics, usual_arms
-from rsmcm.chains.body.proposals import ANEW, Candidates
+from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics, draw_usual_arms
+from rsmcm.chains.body.proposals import RESTARTED, Candidates
 from rsmcm.models.body.upper_body import BodyPoses, UpperBody
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 
@@ -46,19 +46,19 @@ def test_the_mass_of_what_begins_anew_is_that_of_the_prior(weight: float) -> Non
     """Sums of weights, by whatever mixtures: the chance that the joints allow a draw times its posture's."""
     dynamics, random = BodyDynamics(BODY), np.random.default_rng(1)
     poses, usual = anywhere(20_000, random)
-    turns = dynamics.turn_spreads * random.standard_normal((20_000, 6))
+    turns = dynamics.turn_stds * random.standard_normal((20_000, 6))
     every = BodyPoses(
-        poses.roots, turns[:, :3], turns[:, 3:], usual_arms(np.tile([0, 1], (20_000, 1)), random)
+        poses.roots, turns[:, :3], turns[:, 3:], draw_usual_arms(np.tile([0, 1], (20_000, 1)), random)
     )
     expected = usual * BODY.allowed(every).mean()
     found = []
     for run in range(RUNS):
-        one = Candidates.at_first(
+        one = Candidates.of_first_frame(
             dynamics, SIZE, broad(poses, weight), 20_000, np.random.default_rng(run), rounds=1
         )
         inside = ((one.poses.roots >= 0) & (one.poses.roots <= SIZE[::-1])).all(axis=1)
         found.append(np.exp(one.log_weights)[inside].sum())
-        assert one.anew.all()
+        assert one.restarted.all()
     error = np.std(found, ddof=1) / np.sqrt(RUNS)
     assert abs(np.mean(found) - expected) < 5 * np.hypot(error, 0.5 / np.sqrt(20_000))
     assert 5 * error < 0.5 * expected
@@ -68,16 +68,18 @@ def test_most_go_on_and_some_begin_anew() -> None:
     past, dynamics = past_of(2), BodyDynamics(BODY, returns=0.5)
     nothing = [(GaussianMixtures.uniform(3), 1.0)]
     poses, _ = anywhere(3000, np.random.default_rng(2))
-    found = Candidates.after(dynamics, SIZE, past, nothing, broad(poses, 1.0), 8000, np.random.default_rng(3))
+    found = Candidates.of_next_frame(
+        dynamics, SIZE, past, nothing, broad(poses, 1.0), 8000, np.random.default_rng(3)
+    )
     n = len(found.poses)
-    assert len(found.log_weights) == len(found.ancestors) == len(found.anew) == n
-    assert 0 < np.count_nonzero(found.anew) <= ANEW * 8000
+    assert len(found.log_weights) == len(found.ancestors) == len(found.restarted) == n
+    assert 0 < np.count_nonzero(found.restarted) <= RESTARTED * 8000
     weights = np.exp(found.log_weights)
-    assert weights[~found.anew].sum() == pytest.approx(np.exp(-0.5 * DT))
-    assert weights[found.anew].sum() < 1 - np.exp(-0.5 * DT)
-    np.testing.assert_array_equal(found.ancestors.roots[found.anew], found.poses.roots[found.anew])
-    assert np.isin(found.ancestors.roots[~found.anew, 0], past.poses.roots[:, 0]).all()
-    even = found.weighed(np.zeros(n))
+    assert weights[~found.restarted].sum() == pytest.approx(np.exp(-0.5 * DT))
+    assert weights[found.restarted].sum() < 1 - np.exp(-0.5 * DT)
+    np.testing.assert_array_equal(found.ancestors.roots[found.restarted], found.poses.roots[found.restarted])
+    assert np.isin(found.ancestors.roots[~found.restarted, 0], past.poses.roots[:, 0]).all()
+    even = found.weighted(np.zeros(n))
     assert np.exp(even.log_weights).sum() == pytest.approx(1.0)
 
 
@@ -85,8 +87,10 @@ def test_nobody_begins_anew_who_never_returns() -> None:
     past, dynamics = past_of(4), BodyDynamics(BODY, returns=0.0)
     poses, _ = anywhere(3000, np.random.default_rng(2))
     nothing = [(GaussianMixtures.uniform(3), 1.0)]
-    found = Candidates.after(dynamics, SIZE, past, nothing, broad(poses, 1.0), 2000, np.random.default_rng(3))
-    assert np.isneginf(found.log_weights[found.anew]).all()
+    found = Candidates.of_next_frame(
+        dynamics, SIZE, past, nothing, broad(poses, 1.0), 2000, np.random.default_rng(3)
+    )
+    assert np.isneginf(found.log_weights[found.restarted]).all()
     assert np.exp(found.log_weights).sum() == pytest.approx(1.0)
 
 
@@ -95,16 +99,18 @@ def test_priors_are_those_of_what_a_pose_goes_back_to() -> None:
     past, dynamics = past_of(5), BodyDynamics(BODY)
     poses, _ = anywhere(3000, np.random.default_rng(2))
     nothing = [(GaussianMixtures.uniform(3), 1.0)]
-    found = Candidates.after(dynamics, SIZE, past, nothing, broad(poses, 1.0), 6000, np.random.default_rng(6))
+    found = Candidates.of_next_frame(
+        dynamics, SIZE, past, nothing, broad(poses, 1.0), 6000, np.random.default_rng(6)
+    )
     rows = np.random.default_rng(7).integers(len(found.poses), size=300)
-    begun = np.flatnonzero(found.anew)[:50]
+    begun = np.flatnonzero(found.restarted)[:50]
     rows[: len(begun)] = begun
     moved = dynamics.draw(found.poses.take(rows), DT, np.random.default_rng(8))
     steps = dynamics.log_step(moved, found.ancestors.take(rows), DT)
-    expected = np.where(found.anew[rows], dynamics.log_density_anywhere(moved, SIZE), steps)
+    expected = np.where(found.restarted[rows], dynamics.log_density_anywhere(moved, SIZE), steps)
     expected = np.where(BODY.allowed(moved), expected, -np.inf)
     np.testing.assert_allclose(found.log_prior(moved, rows), expected)
-    assert found.anew[rows].any()
+    assert found.restarted[rows].any()
     assert np.isneginf(expected).any()
 
 
@@ -112,5 +118,5 @@ def test_where_nothing_is_possible_there_are_no_candidates() -> None:
     """Detections that no body reaches, of somebody of whom nothing is known."""
     places = np.array([[20.0, 20.0], [20.0, 340.0], [620.0, 20.0]])
     far = GaussianMixtures.of_parts([[0.0]] * 3, list(places[:, None]), [np.eye(2)[None]] * 3)
-    found = Candidates.at_first(BodyDynamics(BODY), SIZE, far, 200, np.random.default_rng(0))
-    assert len(found.weighed(np.zeros(0)).log_weights) == len(found.poses) == 0
+    found = Candidates.of_first_frame(BodyDynamics(BODY), SIZE, far, 200, np.random.default_rng(0))
+    assert len(found.weighted(np.zeros(0)).log_weights) == len(found.poses) == 0

@@ -6,9 +6,9 @@ from rsmcm.chains.body.dynamics import (
     USUAL_UPPER_ARMS,
     Ancestors,
     BodyDynamics,
-    anywhere,
-    around,
     concentration,
+    draw_any_directions,
+    draw_directions,
 )
 from rsmcm.models.body.upper_body import UpperBody
 from scipy.optimize import brentq
@@ -94,8 +94,8 @@ def test_draws_have_the_density_that_is_evaluated():
 @pytest.mark.parametrize("concentration", [0.5, 20.0, 2000.0])
 def test_directions_around_another_have_the_known_mean_cosine(concentration):
     random = np.random.default_rng(4)
-    middle = anywhere((1,), random)
-    drawn = around(np.repeat(middle, 20_000, axis=0), concentration, random)
+    middle = draw_any_directions((1,), random)
+    drawn = draw_directions(np.repeat(middle, 20_000, axis=0), concentration, random)
     cosine = drawn @ middle[0]
     expected = 1 / np.tanh(concentration) - 1 / concentration
     assert cosine.mean() == pytest.approx(expected, abs=5 * cosine.std() / np.sqrt(len(drawn)))
@@ -106,7 +106,7 @@ def test_directions_around_another_have_the_known_mean_cosine(concentration):
 
 @pytest.mark.parametrize("elapsed", [1e-9, 1e-3, 0.04, 1.0, 6.0])
 def test_concentrations_have_the_mean_of_a_brownian_motion(elapsed):
-    """Whose mean cosine is exp(-elapsed); beyond any memory a direction is anywhere."""
+    """Whose mean cosine is exp(-elapsed); beyond any memory a direction is draw_any_directions."""
     kappa = concentration(np.array([elapsed]))[0]
     assert 1 / np.tanh(kappa) - 1 / kappa == pytest.approx(np.exp(-elapsed), abs=1e-9)
     assert concentration(np.array([1e3]))[0] < 0.01

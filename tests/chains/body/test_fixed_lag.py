@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rsmcm.apps.scenes import signer
 from rsmcm.chains.body.dynamics import BodyDynamics
-from rsmcm.chains.body.fixed_lag import FixedLag, WaitingFrames, thinned
+from rsmcm.chains.body.fixed_lag import FixedLag, WaitingFrames, thin
 from rsmcm.chains.body.samples import BodySamples
 from rsmcm.inference.engine import checkpoint
 from rsmcm.models.body.parts import BodyParts
@@ -45,7 +45,7 @@ def random_walk(n_frames, n, random, noise=4.0):
         means.append(mean)
         variances.append(variance)
         variance += step**2
-        xs = cloud.drawn(n, random).roots[:, 0] + step * random.standard_normal(n)
+        xs = cloud.resample(n, random).roots[:, 0] + step * random.standard_normal(n)
     smooth = [(means[-1], variances[-1])]
     for mean, variance in zip(means[-2::-1], variances[-2::-1], strict=True):
         gain = variance / (variance + step**2)
@@ -119,7 +119,7 @@ def test_what_is_improbable_survives_the_thinning():
     random = np.random.default_rng(1)
     poses = BodyDynamics(BODY).draw_anywhere(1000, SIZE, random)
     log_weights = np.where(np.arange(1000) < 200, np.log(0.01 / 200), np.log(0.99 / 800))
-    few = thinned(BodySamples(poses, log_weights, SIZE, random), 400, random)
+    few = thin(BodySamples(poses, log_weights, SIZE, random), 400, random)
     unlikely = np.isclose(few.poses.roots[:, None], poses.roots[None, :200]).all(axis=2).any(axis=1)
     assert len(few.poses) <= 400
     assert np.count_nonzero(unlikely) >= 10

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rsmcm.chains.body.flesh_assignment import Answers, MovingParts, PartOptions, Things
+from rsmcm.chains.body.flesh_assignment import JointAssignments, MovingParts, PartDetections, PartOptions
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 
 
@@ -33,7 +33,7 @@ def test_the_best_answers_are_the_best_of_all(seed: int, k: int) -> None:
             old = np.exp(gains[hypothesis, thing]) if gains[hypothesis, thing] > 0 else 0.0
             total += np.log(new + old)
         everything[hypothesis, *answer] = total
-    found = Answers.best(own, masses, known, gains, beside, np.zeros((k, k), np.bool_))
+    found = JointAssignments.best(own, masses, known, gains, beside, np.zeros((k, k), np.bool_))
     best = sorted(everything.values(), reverse=True)[: len(found.log_masses)]
     np.testing.assert_allclose(found.log_masses, best, atol=1e-9)
     for hypothesis, options, value in zip(found.hypotheses, found.options, found.log_masses, strict=True):
@@ -51,13 +51,13 @@ def test_things_are_what_mixtures_say() -> None:
         np.log([0.1, 0.2, 0.2]),
         [[7], [4, 5], [4, 5]],
     )
-    things = Things.of(mixtures, 3)
+    things = PartDetections.from_mixtures(mixtures, 3)
     np.testing.assert_array_equal(things.labels, [4, 5, 7])
     np.testing.assert_array_equal(things.means, [*blobs, *face])
-    np.testing.assert_allclose(things.found, [0.9, 0.8, 0.8])
+    np.testing.assert_allclose(things.probabilities, [0.9, 0.8, 0.8])
     np.testing.assert_allclose(things.log_ratios[1], [1 - np.log(0.8), 2 - np.log(0.8), -np.inf])
     np.testing.assert_allclose(things.log_ratios[0], [-np.inf, -np.inf, 3 - np.log(0.9)])
-    assert not len(Things.of(None, 3).labels)
+    assert not len(PartDetections.from_mixtures(None, 3).labels)
 
 
 def test_a_thing_of_which_a_mixture_says_that_the_part_was_missed_is_one_all_the_same() -> None:
@@ -67,7 +67,7 @@ def test_a_thing_of_which_a_mixture_says_that_the_part_was_missed_is_one_all_the
     masses = []
     for flat in (0.999, 1.0, 1.5):
         mixtures = GaussianMixtures.of_parts([[3.0]] * 3, [blob] * 3, [one] * 3, [np.log(flat)] * 3)
-        things = Things.of(mixtures, 3)
+        things = PartDetections.from_mixtures(mixtures, 3)
         sure = np.full((1, 3), 0.9)
         masses.append(PartOptions.of(parts, parts, sure, sure, things, np.ones(1)).log_masses)
         assert np.isfinite(masses[-1]).all()
@@ -83,6 +83,6 @@ def test_parts_of_which_nothing_is_said_are_no_thing() -> None:
         [np.eye(2)[None], np.zeros((0, 2, 2)), np.zeros((0, 2, 2))],
         np.log([0.1, 1.0, 1.0]),
     )
-    things = Things.of(mixtures, 3)
-    np.testing.assert_array_equal(things.found, [0.9, 0.0, 0.0])
+    things = PartDetections.from_mixtures(mixtures, 3)
+    np.testing.assert_array_equal(things.probabilities, [0.9, 0.0, 0.0])
     np.testing.assert_array_equal(things.log_ratios[1:], -np.inf)

@@ -147,8 +147,8 @@ def test_motion_is_van_loans(dt: float) -> None:
     speeds, lasts = np.array([50.0, 200.0, 300.0]), 0.3
     root = np.random.default_rng(0).normal(0, 3, (3, 4, 4))
     parts = MovingParts(np.arange(12.0).reshape(3, 4), root @ root.swapaxes(1, 2) + np.eye(4))
-    after = parts.moved(dt, speeds, lasts)
-    still = MovingParts(np.zeros((3, 4)), np.zeros((3, 4, 4))).moved(dt, speeds, lasts)
+    after = parts.predict(dt, speeds, lasts)
+    still = MovingParts(np.zeros((3, 4)), np.zeros((3, 4, 4))).predict(dt, speeds, lasts)
     for part, speed in enumerate(speeds):
         move, noise = matrices(dt, speed, lasts)
         np.testing.assert_allclose(after.means[part], move @ parts.means[part], rtol=1e-10)
@@ -160,8 +160,8 @@ def test_motion_is_van_loans(dt: float) -> None:
 
 def test_motion_in_two_steps_is_that_in_one() -> None:
     parts = MovingParts(np.ones((1, 4)), np.eye(4)[None])
-    once = parts.moved(0.05, [100.0], 0.3)
-    twice = parts.moved(0.0002, [100.0], 0.3).moved(0.0498, [100.0], 0.3)
+    once = parts.predict(0.05, [100.0], 0.3)
+    twice = parts.predict(0.0002, [100.0], 0.3).predict(0.0498, [100.0], 0.3)
     np.testing.assert_allclose(twice.means, once.means, rtol=1e-12)
     np.testing.assert_allclose(twice.covariances, once.covariances, rtol=1e-9)
 
@@ -183,7 +183,7 @@ def test_predicting_in_steps_is_predicting_at_once(seed: int, dt: float, steps: 
         stepwise = TRACKER.predict(stepwise, dt / steps)
     for name in ("means", "covariances", "visible", "since", "elapsed"):
         np.testing.assert_allclose(getattr(stepwise, name), getattr(whole, name), rtol=1e-9, atol=1e-9)
-    for name in ("variances", "chances"):
+    for name in ("variances", "existence"):
         one, other = (getattr(each.clutter, name) for each in (stepwise, whole))
         np.testing.assert_allclose(one, other, rtol=1e-9)
     one, other = (TRACKER.message(each, None, Incoming({})).predicted for each in (whole, stepwise))
@@ -202,14 +202,14 @@ def test_without_doubt_it_is_filterpys_filter() -> None:
         oracles.append(oracle)
     parts = start
     for _ in range(50):
-        parts = parts.moved(DT, speeds, lasts)
+        parts = parts.predict(DT, speeds, lasts)
         looks = random.normal(0, 50, (3, 2))
         root = random.normal(0, 3, (3, 2, 2))
         noise = root @ root.swapaxes(1, 2) + 0.1 * np.eye(2)
         gain = parts.covariances[:, :2, :2] @ np.linalg.inv(parts.covariances[:, :2, :2] + noise)
         off = looks - parts.means[:, :2]
         places = parts.means[:, :2] + (gain @ off[..., None])[..., 0]
-        parts = parts.given(places, gain @ noise)
+        parts = parts.with_positions(places, gain @ noise)
         for part, oracle in enumerate(oracles):
             oracle.predict()
             oracle.update(looks[part], R=noise[part])
@@ -219,9 +219,9 @@ def test_without_doubt_it_is_filterpys_filter() -> None:
 
 def test_clean_single_detections_are_filterpys_up_to_the_doubt() -> None:
     """What remains is a jump to anywhere, which hardly ever explains a detection better."""
-    sure = FleshTracker(BODY, patience=1e9)
+    sure = FleshTracker(BODY, max_coast_time=1e9)
     state = standing().take(np.array([0]))
-    state = replace(state, log_weights=np.zeros(1), patience=sure.patience)
+    state = replace(state, log_weights=np.zeros(1), max_coast_time=sure.max_coast_time)
     speeds = HEIGHT * np.array([sure.head_speed, sure.hand_speed, sure.hand_speed])
     oracles = []
     for part, speed in enumerate(speeds):
@@ -457,7 +457,7 @@ def test_covariances_stay_positive_definite_and_messages_integrate_to_one(seed: 
         assert (np.linalg.eigvalsh(state.covariances) > 0).all()
         np.testing.assert_array_equal(state.covariances, state.covariances.swapaxes(2, 3))
         assert ((state.visible >= 0) & (state.visible <= 1)).all()
-        assert ((state.clutter.chances >= 0) & (state.clutter.chances < 1)).all()
+        assert ((state.clutter.existence >= 0) & (state.clutter.existence < 1)).all()
         assert state.weights.sum() == pytest.approx(1, abs=1e-9)
         message = TRACKER.message(state, None, Incoming({}))
         assert message.log_mass == pytest.approx(0, abs=1e-5)
@@ -567,14 +567,14 @@ def test_robustness_pays_in_clutter() -> None:
         parts = MovingParts(near(truth[0]).means[0], near(truth[0]).covariances[0])
         speeds = HEIGHT * np.array([TRACKER.head_speed, TRACKER.hand_speed, TRACKER.hand_speed])
         for blobs, places in zip(looks, truth, strict=True):
-            parts = parts.moved(DT, speeds, TRACKER.velocity_time)
+            parts = parts.predict(DT, speeds, TRACKER.velocity_time)
             if len(blobs):
                 apart = np.linalg.norm(parts.means[:, None, :2] - blobs, axis=2)
                 nearest = blobs[apart.argmin(axis=1)][:, None]
                 spread = parts.covariances[:, :2, :2]
                 gain = spread @ np.linalg.inv(spread + NOISE**2 * np.eye(2))
                 off_by = (nearest[:, 0] - parts.means[:, :2])[..., None]
-                parts = parts.given(parts.means[:, :2] + (gain @ off_by)[..., 0], NOISE**2 * gain)
+                parts = parts.with_positions(parts.means[:, :2] + (gain @ off_by)[..., 0], NOISE**2 * gain)
             errors["nearest"].extend(np.linalg.norm(parts.means[:, :2] - places, axis=1) / HEIGHT)
     robust, nearest = (float(np.sqrt(np.mean(np.square(errors[name])))) for name in ("robust", "nearest"))
     assert robust < 0.35
@@ -609,7 +609,7 @@ def near(places: Array) -> FleshTracks:
     ("wrong", "line"),
     [
         ({"hand_speed": 0.0}, "hand_speed: got 0.0, expected more than 0"),
-        ({"patience": -1.0}, "patience: got -1.0, expected more than 0"),
+        ({"max_coast_time": -1.0}, "max_coast_time: got -1.0, expected more than 0"),
     ],
 )
 def test_impossible_parameters_are_named(wrong: dict[str, float], line: str) -> None:

@@ -17,7 +17,7 @@ from rsmcm.chains.body.likelihood import (
     BLOB_COST,
     EDGE_POINTS,
     EDGE_SHARPNESS,
-    EDGE_SPREAD,
+    EDGE_STD,
     EDGE_WINDOW,
     HEAD_SCORES,
     NECK_RADIUS,
@@ -124,7 +124,7 @@ def plain_strip(places: Array, start: Array, end: Array, spread: float) -> Array
     return share
 
 
-def looked_up(one: NDArray[np.float32], places: Array) -> Array:
+def look_up_colours(one: NDArray[np.float32], places: Array) -> Array:
     where = (places + 0.5) * np.array(one.shape[::-1]) / SIZE[::-1] - 0.5
     values = cv2.remap(
         one, where[:, None].astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
@@ -156,7 +156,7 @@ def plain_hands(image: BodyImage, parts: Array, roots: Array, elbows: Array | No
             ]
             return np.maximum(*share)
 
-        centre, surround = (looked_up(one, places) for one in maps)
+        centre, surround = (look_up_colours(one, places) for one in maps)
         before, around = covered(inner), covered(outer)
         if elbows is not None:
             around = around + sum(plain_strip(places, elbows[:, s], parts[:, 1 + s], outer) for s in (0, 1))
@@ -244,7 +244,7 @@ def test_forearms_equal_plain_numpy(seed: int) -> None:
             covered = np.max([1 / (1 + np.exp(1.7 * (d - radius) / inner)) for d, radius in discs], axis=0)
             if side == 1:
                 covered = np.maximum(covered, plain_strip(places, elbows[:, 0], parts[:, 1], inner))
-            shown = np.clip(looked_up(centre, places) / ideal - covered, 0, 1 - covered)
+            shown = np.clip(look_up_colours(centre, places) / ideal - covered, 0, 1 - covered)
             nats += ((1 - covered) * none + (full - none) * shown) / FOREARM_POINTS
         nats *= wrist / (BODY.forearm - BODY.hand)
         expected += np.log((1 - hidden) * np.exp(nats) + hidden)
@@ -550,7 +550,7 @@ def test_a_body_out_of_the_picture_is_no_error() -> None:
 def ratios_of(picture: NDArray[np.uint8]) -> tuple[NDArray[np.float32], BodyImage]:
     edges, directions = edge_distances(picture, BODY.head_height / 6)
     image = replace(seen(signing()), edges=edges, edge_directions=directions)
-    return edge_ratios(image, EDGE_SPREAD * BODY.head_height, EDGE_WINDOW * BODY.head_height), image
+    return edge_ratios(image, EDGE_STD * BODY.head_height, EDGE_WINDOW * BODY.head_height), image
 
 
 def test_edge_ratios_are_ratios_of_densities() -> None:

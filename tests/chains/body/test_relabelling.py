@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import BodyDynamics
-from rsmcm.chains.body.hand_labelling import ELBOWS, HANDS, ROWS, SHOULDERS, relabelled, with_names_exchanged
-from rsmcm.chains.body.samples import BodySamples, body_moments
+from rsmcm.chains.body.hand_labelling import ELBOWS, HANDS, ROWS, SHOULDERS, exchange_hands, relabel_hands
+from rsmcm.chains.body.samples import BodySamples, moments
 from rsmcm.models.body.upper_body import UpperBody
 
 from ...support.body_poses import resting
@@ -26,7 +26,7 @@ def row() -> dict[str, NDArray[Any]]:
     around.arms[:, :, 1] = np.array([[-0.6, 0.3, -0.75], [0.5, 0.1, -0.86]])
     poses = BodyDynamics(BODY, jumps=0).draw(around, 0.01, random)
     samples = BodySamples.even(poses, (360, 640), random)
-    found, joints = body_moments(BODY, samples), BODY.joints(poses)
+    found, joints = moments(BODY, samples), BODY.joints(poses)
     return {
         "joints_2d": found.joints[:, :2],
         "joints_2d_covariances": found.joint_covariances[:, :2, :2],
@@ -43,7 +43,7 @@ def row() -> dict[str, NDArray[Any]]:
 
 
 def test_hands_change_places_and_arms_lead_there(row: dict[str, NDArray[Any]]) -> None:
-    found = with_names_exchanged(BODY, row)
+    found = exchange_hands(BODY, row)
     for name in ("samples", "hypothesis_joints", "joints_3d"):
         before, after = row[name], found[name]
         np.testing.assert_allclose(after[..., TRUNK, :], before[..., TRUNK, :])
@@ -62,7 +62,7 @@ def test_hands_change_places_and_arms_lead_there(row: dict[str, NDArray[Any]]) -
 
 
 def test_twice_is_as_before(row: dict[str, NDArray[Any]]) -> None:
-    again = with_names_exchanged(BODY, with_names_exchanged(BODY, row))
+    again = exchange_hands(BODY, exchange_hands(BODY, row))
     for name in ROWS - {"angle_covariances"}:
         np.testing.assert_allclose(again[name], row[name], atol=2e-3, err_msg=name)
 
@@ -73,10 +73,10 @@ def test_some_rows_of_all(row: dict[str, NDArray[Any]]) -> None:
     columns = {name: np.stack([each] * n) for name, each in row.items() if name != "relabelled"}
     before = {name: each.copy() for name, each in columns.items()}
     chosen = np.arange(n) % 3 == 1
-    found = relabelled(BODY, {**columns, "missing": np.arange(n)}, chosen)
+    found = relabel_hands(BODY, {**columns, "missing": np.arange(n)}, chosen)
     assert found["missing"].tolist() == list(range(n))
     np.testing.assert_array_equal(found["relabelled"], chosen)
-    exchanged = with_names_exchanged(BODY, row)
+    exchanged = exchange_hands(BODY, row)
     for name in ROWS - {"relabelled"}:
         for index in range(n):
             expected = exchanged if chosen[index] else row

@@ -7,15 +7,15 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
 from rsmcm.chains.body.samples import (
-    A_MOMENT,
-    LEAST_SPREAD,
     MISTAKEN,
+    SAMPLE_STD,
+    START_TIME,
     BodySamples,
-    body_moments,
-    first,
+    initial_samples,
+    moments,
     part_message,
-    predicted,
-    stationary,
+    predict_samples,
+    stationary_samples,
 )
 from rsmcm.models.body.upper_body import JOINTS, PARTS, BodyPoses, UpperBody
 
@@ -58,7 +58,7 @@ def test_message_integrates_to_one_and_has_the_moments_of_the_parts(n: int, grou
     reach = 0.5 * (BODY.upper_arm + BODY.forearm)
     for part, broad in enumerate((BODY.head_height, reach, reach)):
         own = np.cov(places[:, part].T, aweights=state.weights, ddof=0)
-        expected = (1 - MISTAKEN) * (own + LEAST_SPREAD**2 * np.eye(2)) + MISTAKEN * broad**2 * np.eye(2)
+        expected = (1 - MISTAKEN) * (own + SAMPLE_STD**2 * np.eye(2)) + MISTAKEN * broad**2 * np.eye(2)
         np.testing.assert_allclose(means[part], state.weights @ places[:, part], rtol=1e-9)
         np.testing.assert_allclose(covariances[part], expected, rtol=1e-8, atol=1e-8)
 
@@ -84,7 +84,7 @@ def test_message_does_not_vanish_where_no_sample_is() -> None:
 
 def test_moments_are_those_of_weighted_joints_and_angles() -> None:
     state = samples(some(80))
-    found = body_moments(BODY, state)
+    found = moments(BODY, state)
     joints = BODY.joints(state.poses)
     assert found.joints.shape == (len(JOINTS), 3)
     for joint in range(len(JOINTS)):
@@ -124,7 +124,7 @@ def test_what_fits_no_sample_leaves_the_weights() -> None:
 def test_a_stationary_frame_hears_others_but_has_no_evidence() -> None:
     state = samples(some(30))
     factors = np.linspace(-2, 0, 30)
-    after = stationary(state, factors)
+    after = stationary_samples(state, factors)
     np.testing.assert_allclose(after.weights, state.reweighed(factors).weights)
     assert after.stationary
     assert after.log_evidence == 0.0
@@ -133,7 +133,7 @@ def test_a_stationary_frame_hears_others_but_has_no_evidence() -> None:
 def test_draws_are_as_frequent_as_their_weights() -> None:
     """Systematic: within one of it."""
     state = samples(some(30))
-    drawn = state.drawn(3000, np.random.default_rng(2))
+    drawn = state.resample(3000, np.random.default_rng(2))
     counts = (drawn.roots[:, None, 0] == state.poses.roots[None, :, 0]).sum(axis=0)
     assert (np.abs(counts - 3000 * state.weights) <= 1 + 1e-9).all()
 
@@ -142,7 +142,7 @@ def test_draws_are_as_frequent_as_their_weights() -> None:
 
 
 def test_first_samples_of_an_unknown_person_are_anywhere() -> None:
-    state = first(DYNAMICS, 500, SIZE, np.random.default_rng(0))
+    state = initial_samples(DYNAMICS, 500, SIZE, np.random.default_rng(0))
     assert BODY.allowed(state.poses).all()
     roots = state.poses.roots
     bar = 5 / np.sqrt(12 * 500)
@@ -155,13 +155,13 @@ def test_first_samples_of_an_unknown_person_are_anywhere() -> None:
 def test_first_samples_are_a_moment_from_the_start() -> None:
     """Which counts as the frame before."""
     start = some(3)
-    state = first(DYNAMICS, 900, SIZE, np.random.default_rng(0), start)
+    state = initial_samples(DYNAMICS, 900, SIZE, np.random.default_rng(0), start)
     assert state.ancestors is not None
     assert state.ancestors.poses is start
     np.testing.assert_allclose(state.ancestors.weights, 1 / 3)
-    assert state.ancestors.elapsed == A_MOMENT
+    assert state.ancestors.elapsed == START_TIME
     off = state.poses.roots.reshape(300, 3, 2) - start.roots
-    spread = DYNAMICS.place * BODY.head_height * np.sqrt(A_MOMENT)
+    spread = DYNAMICS.place * BODY.head_height * np.sqrt(START_TIME)
     assert off.std() == pytest.approx(spread, rel=5 / np.sqrt(2 * 1800))
     assert np.abs(off.mean(axis=0)).max() < 5 * spread / np.sqrt(300)
 
@@ -169,7 +169,7 @@ def test_first_samples_are_a_moment_from_the_start() -> None:
 def test_predictions_are_draws_of_the_mixture_around_their_ancestors() -> None:
     """Moments of many draws beside those of the mixture; roots in closed form."""
     state = samples(some(60))
-    after = predicted(DYNAMICS, state, 20_000, DT)
+    after = predict_samples(DYNAMICS, state, 20_000, DT)
     past = after.ancestors
     assert past is not None
     assert past.elapsed == DT
@@ -188,7 +188,7 @@ def test_predictions_are_draws_of_the_mixture_around_their_ancestors() -> None:
 def test_ancestors_are_all_poses_of_the_frame_before() -> None:
     """With their weights, where none are exchanged: what is improbable now may turn out to be right."""
     state = samples(some(3000))
-    past = predicted(replace(DYNAMICS, exchanges=0.0), state, 100, DT).ancestors
+    past = predict_samples(replace(DYNAMICS, exchanges=0.0), state, 100, DT).ancestors
     assert past is not None
     assert past.poses is state.poses
     np.testing.assert_array_equal(past.weights, state.weights)
@@ -197,7 +197,7 @@ def test_ancestors_are_all_poses_of_the_frame_before() -> None:
 def test_predicting_twice_gives_the_same() -> None:
     """A state is a value: its generator is not used up."""
     state = samples(some(40))
-    one, other = (predicted(DYNAMICS, state, 50, DT) for _ in range(2))
+    one, other = (predict_samples(DYNAMICS, state, 50, DT) for _ in range(2))
     np.testing.assert_array_equal(one.poses.angles, other.poses.angles)
     assert one.random.random() == other.random.random()
     assert one.random.random() != state.random.random()
@@ -206,15 +206,15 @@ def test_predicting_twice_gives_the_same() -> None:
 def test_predicting_in_steps_is_predicting_at_once() -> None:
     """The prediction of a prediction is made of the same samples; after an update it is not."""
     state = samples(some(40))
-    whole, steps = predicted(DYNAMICS, state, 50, 0.4), state
+    whole, steps = predict_samples(DYNAMICS, state, 50, 0.4), state
     for _ in range(10):
-        steps = predicted(DYNAMICS, steps, 50, DT)
+        steps = predict_samples(DYNAMICS, steps, 50, DT)
     np.testing.assert_allclose(steps.poses.angles, whole.poses.angles, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(steps.log_weights, whole.log_weights, rtol=1e-9)
     assert steps.elapsed == pytest.approx(0.4)
     after = whole.reweighed(np.zeros(50))
     assert after.before is None
-    assert predicted(DYNAMICS, after, 50, DT).elapsed == DT
+    assert predict_samples(DYNAMICS, after, 50, DT).elapsed == DT
 
 
 # --- hands that were taken for each other ---

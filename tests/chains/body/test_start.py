@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.io import read_keypoints
 from rsmcm.apps.scenes import SignerScene, signer
-from rsmcm.chains.body.start import MOST_FRAMES, followed
+from rsmcm.chains.body.start import MOST_FRAMES, follow_person
 from rsmcm.models import GivenKeypoints
 from rsmcm.models.body.upper_body import JOINTS
 
@@ -127,7 +127,7 @@ def test_one_person_is_followed_through_a_film(found: list[GivenKeypoints], tmp_
         for k, given in enumerate(found)
     ]
     keypoints = read_keypoints(write_csv(tmp_path / "k.csv", mixed))
-    large, small = followed(keypoints, 1), followed(keypoints, 4, np.array([215.0, 60.0]))
+    large, small = follow_person(keypoints, 1), follow_person(keypoints, 4, np.array([215.0, 60.0]))
     assert len(large) == N_FRAMES <= MOST_FRAMES
     assert len(small) == N_FRAMES - 3
 

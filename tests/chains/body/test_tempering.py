@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.body import tempering
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
-from rsmcm.chains.body.tempering import Strata, Tempered, preselected, temper
+from rsmcm.chains.body.tempering import Strata, Tempered, preselect, temper
 from rsmcm.inference.smc import normalised
 from rsmcm.models.body.upper_body import JOINTS, BodyPoses, UpperBody
 from scipy.stats import ks_2samp
@@ -290,7 +290,7 @@ def test_sums_over_preselected_poses_have_the_same_expectation(kind: str) -> Non
     values = np.column_stack([np.ones(3000), hands(poses), np.exp(log_likelihood)])
     found = []
     for run in range(60):
-        chosen, after = preselected(BODY, poses, log_weights, first_look, 500, np.random.default_rng(run))
+        chosen, after = preselect(BODY, poses, log_weights, first_look, 500, np.random.default_rng(run))
         assert chosen.shape == after.shape == (500,)
         found.append(np.exp(after) @ values[chosen])
     bar = 5 * np.std(found, axis=0, ddof=1) / np.sqrt(60)
@@ -306,7 +306,7 @@ def test_a_good_first_look_saves_samples() -> None:
     means: list[list[float]] = [[], []]
     for run in range(40):
         for kind, first_look in enumerate((nothing(poses), likelihood)):
-            chosen, after = preselected(BODY, poses, log_weights, first_look, 300, np.random.default_rng(run))
+            chosen, after = preselect(BODY, poses, log_weights, first_look, 300, np.random.default_rng(run))
             means[kind].append(np.exp(after) @ np.exp(likelihood[chosen]))
     blind, good = np.std(means, axis=1)
     assert good < 0.5 * blind

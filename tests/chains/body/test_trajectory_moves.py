@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
-from rsmcm.chains.body.fixed_lag import ArmProposal, moved_between
+from rsmcm.chains.body.fixed_lag import ArmProposal, move_between
 from rsmcm.chains.body.samples import BodySamples
 from rsmcm.inference.smc import normalised, systematic
 from rsmcm.models.body.upper_body import UpperBody
@@ -43,7 +43,7 @@ def test_moves_leave_the_density_between_past_and_future_as_it_is(seed):
     assert effective > 300
     samples = BodySamples.even(many.take(slice(300)), SIZE, random)
     past = Ancestors(start, np.ones(1), DT)
-    poses = moved_between(
+    poses = move_between(
         DYNAMICS, exact, past, samples, repeated(later, n), LATER, log_likelihood, 12, random
     )
     before, after = (BODY.joints(each)[:, [3, 4, 6, 7]] for each in (exact, poses))

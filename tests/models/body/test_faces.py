@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.body.person import OtherFaces, face_at, largest_face, one_person
+from rsmcm.models.body.person import OtherFaces, find_face_at, find_largest_face, track_face
 
 Array = NDArray[np.float64]
 
@@ -24,33 +24,33 @@ def test_a_person_goes_on_whatever_the_order() -> None:
         found.append(both[order])
         truth.append(int(np.flatnonzero(order == 0)[0]))
     for picture in (0, 7, 19):
-        assert one_person(found, (picture, truth[picture])) == truth
-    assert one_person(found, (3, 1 - truth[3])) == [1 - one for one in truth]
+        assert track_face(found, (picture, truth[picture])) == truth
+    assert track_face(found, (3, 1 - truth[3])) == [1 - one for one in truth]
 
 
 def test_a_person_who_is_not_found_is_nobody_else() -> None:
     own, other = (100.0, 80.0, 60.0), (300.0, 80.0, 60.0)
     small = (110.0, 90.0, 30.0)
     found = [faces(own, other), faces(other), NONE, faces(small, other), faces(other, own)]
-    assert one_person(found, (0, 0)) == [0, None, None, None, 1]
-    assert one_person(found, (4, 1)) == [0, None, None, None, 1]
+    assert track_face(found, (0, 0)) == [0, None, None, None, 1]
+    assert track_face(found, (4, 1)) == [0, None, None, None, 1]
 
 
 def test_the_largest_is_not_a_false_one() -> None:
     own, other, false = (100.0, 80.0, 60.0), (300.0, 80.0, 50.0), (200.0, 200.0, 120.0)
     found = [faces(other, own), faces(false, own, other), NONE, faces(own, other), faces(other)]
-    picture, face = largest_face(found)
+    picture, face = find_largest_face(found)
     np.testing.assert_array_equal(found[picture][face], faces(own)[0])
     with pytest.raises(ValueError, match="found: got no face in 2 pictures"):
-        largest_face([NONE, NONE])
+        find_largest_face([NONE, NONE])
 
 
 def test_the_face_that_is_pointed_at() -> None:
     found = [NONE, faces((100, 80, 60), (300, 80, 40)), faces((300, 80, 40))]
-    assert face_at(found, faces((280, 100, 80))[0]) == (1, 1)
-    assert face_at(found, faces((130, 60, 20))[0]) == (1, 0)
+    assert find_face_at(found, faces((280, 100, 80))[0]) == (1, 1)
+    assert find_face_at(found, faces((130, 60, 20))[0]) == (1, 0)
     with pytest.raises(ValueError, match="found: got no face in 1 pictures"):
-        face_at([NONE], faces((0, 0, 1))[0])
+        find_face_at([NONE], faces((0, 0, 1))[0])
 
 
 def test_the_density_of_others_counts_them() -> None:

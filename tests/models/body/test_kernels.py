@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.chains.body.dynamics import around
+from rsmcm.chains.body.dynamics import draw_directions
 from rsmcm.models.body.kernels import lean
 from rsmcm.models.body.upper_body import LIMITS, REFERENCE, BodyPoses, UpperBody, arm_at, swivels
 from scipy.spatial.transform import Rotation
@@ -197,5 +197,5 @@ def test_draws_around_directions_are_those_of_plain_arrays() -> None:
         other = np.stack([x * y * a, sign + y * y * a, -y], axis=-1)
         side = np.cos(angle)[..., None] * one + np.sin(angle)[..., None] * other
         expected = cosine[..., None] * directions + np.sqrt(1 - cosine**2)[..., None] * side
-        drawn = around(directions, concentration, np.random.default_rng(1))
+        drawn = draw_directions(directions, concentration, np.random.default_rng(1))
         np.testing.assert_allclose(drawn, expected, atol=1e-11)

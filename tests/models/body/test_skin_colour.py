@@ -9,10 +9,10 @@ from rsmcm.models.body.skin import (
     HIGHEST,
     N_BINS,
     SkinColour,
-    colour_counts,
+    count_colours,
     has_colour,
-    log_ratio_of,
-    looked_up_in,
+    log_count_ratio,
+    look_up,
     smoothed,
 )
 
@@ -94,14 +94,14 @@ def test_pixels_are_counted_by_luma_and_the_two_differences_of_colour() -> None:
     image = np.full((30, 40, 3), (90, 130, 200), np.uint8)
     where = np.zeros((30, 40), np.bool_)
     where[5:9, 10:20] = True
-    counts = colour_counts(image, where)
+    counts = count_colours(image, where)
     assert counts.sum() == counts.max() == 40
     luma, red, blue = cv2.cvtColor(image[:1, :1], cv2.COLOR_BGR2YCrCb)[0, 0].astype(int)
     place = luma * 8 // 256, red * 64 // 256, blue * 64 // 256
     assert np.unravel_index(counts.argmax(), BINS) == place
     table = np.zeros(BINS, np.float32)
     table[place] = 2.5
-    np.testing.assert_array_equal(looked_up_in(table, smoothed(image)), np.full((30, 40), 2.5, np.float32))
+    np.testing.assert_array_equal(look_up(table, smoothed(image)), np.full((30, 40), 2.5, np.float32))
 
 
 def test_the_log_ratio_changes_its_sign_with_the_counts() -> None:
@@ -110,10 +110,10 @@ def test_the_log_ratio_changes_its_sign_with_the_counts() -> None:
     some, others = np.zeros((2, N_BINS))
     some[random.integers(N_BINS, size=300)] = 1000.0
     others[random.integers(N_BINS, size=300)] = 1000.0
-    ratio = log_ratio_of(some, others)
+    ratio = log_count_ratio(some, others)
     assert ratio.shape == BINS
     assert np.abs(ratio).max() == HIGHEST
-    np.testing.assert_allclose(log_ratio_of(others, some), -ratio, atol=1e-6)
-    np.testing.assert_allclose(log_ratio_of(7 * some, others), ratio, atol=1e-5)
-    np.testing.assert_allclose(log_ratio_of(some, some), 0.0, atol=1e-6)
-    np.testing.assert_allclose(log_ratio_of(np.zeros(N_BINS), np.zeros(N_BINS)), 0.0)
+    np.testing.assert_allclose(log_count_ratio(others, some), -ratio, atol=1e-6)
+    np.testing.assert_allclose(log_count_ratio(7 * some, others), ratio, atol=1e-5)
+    np.testing.assert_allclose(log_count_ratio(some, some), 0.0, atol=1e-6)
+    np.testing.assert_allclose(log_count_ratio(np.zeros(N_BINS), np.zeros(N_BINS)), 0.0)
