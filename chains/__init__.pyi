@@ -1,6 +1,10 @@
 from .body.articulated_pose import ArticulatedPose
 from .body.condensation import Condensation
+from .body.dynamics import BodyDynamics
+from .body.fixed_lag import FixedLag
 from .body.flesh_tracker import FleshTracker
+from .body.hand_labelling import Labelling
+from .body.samples import BodySamples, body_moments
 from .face.gflow import GFlow
 from .objects.blob_tracker import BlobTracker
 from .objects.detector_rates import DetectorRates
@@ -21,14 +25,18 @@ __all__ = [
     "AdaptiveBackground",
     "ArticulatedPose",
     "BlobTracker",
+    "BodyDynamics",
+    "BodySamples",
     "CameraMotion",
     "Condensation",
     "DetectorRates",
     "FactorStructure",
     "FeatureMatcher",
+    "FixedLag",
     "FleshTracker",
     "GFlow",
     "GroundPlane",
+    "Labelling",
     "MixtureBackground",
     "NonrigidStructure",
     "ObjectTrajectories",
@@ -36,5 +44,6 @@ __all__ = [
     "Reconstruction",
     "RecursiveStructure",
     "SceneFilter",
+    "body_moments",
     "reconstruct",
 ]

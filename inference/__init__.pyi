@@ -7,11 +7,21 @@ from .engine.protocols import (
     Chain,
     FeatureNode,
     Incoming,
+    LazyFrames,
     Message,
     Port,
     Smoothed,
+    Trajectory,
 )
 from .engine.recursive_bp import Belief, RecursiveBP, RunState
+from .validity import (
+    PredictionErrors,
+    RecordedPredictions,
+    compare_predictions,
+    compare_scores,
+    cost,
+    product_of,
+)
 
 __all__ = [
     "BatchChain",
@@ -22,11 +32,19 @@ __all__ = [
     "CoordinateAscent",
     "FeatureNode",
     "Incoming",
+    "LazyFrames",
     "Message",
     "MultiChain",
     "Port",
+    "PredictionErrors",
+    "RecordedPredictions",
     "RecursiveBP",
     "RunState",
     "Smoothed",
     "Solution",
+    "Trajectory",
+    "compare_predictions",
+    "compare_scores",
+    "cost",
+    "product_of",
 ]

@@ -359,7 +359,7 @@ class Comparison(Judged):
         return f"{errors}, {limit}, and the gain may be positive or negative: {gain}"
 
 
-def compare(
+def compare_predictions(
     recorded: RecordedPredictions,
     groups: ArrayLike,
     random: np.random.Generator | None = None,
@@ -565,7 +565,7 @@ class ScoreComparison(Judged):
 
 
 def compare_scores(scores: Numbers, groups: ArrayLike, resamples: int = 1000) -> ScoreComparison:
-    """Judge from log densities whether combining two chains pays; arguments as of `compare`.
+    """Judge from log densities whether combining two chains pays; arguments as of `compare_predictions`.
 
     `scores` are `(n, 3)` nats: of what was observed under the first chain's prediction, the second's, their
     product.

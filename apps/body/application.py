@@ -16,7 +16,7 @@ from ...chains.body.dynamics import BodyDynamics
 from ...chains.body.fixed_lag import BLOCK, FixedLag, SmoothedBelief, Smoother, WaitingFrame
 from ...chains.body.flesh_tracker import FleshTracker
 from ...chains.body.hand_labelling import relabel_hands
-from ...chains.body.samples import hypotheses, moments
+from ...chains.body.samples import body_moments, hypotheses
 from ...chains.body.start import (
     BodyStart,
     ClickedJoints,
@@ -213,7 +213,7 @@ class Body(Application[BodyJob]):
         frame, body, states = belief.frame, self._start.body, belief.states
         detected = states[self._flesh.name].unseen == 0
         filtered, samples = states[self._pose.name], belief.samples.samples
-        found = moments(body, samples)
+        found = body_moments(body, samples)
         drawn = body.joints(samples.resample(N_DRAWN, self._draws))
         seen = detected & ~_before_face(found.joints[PART_JOINTS, :2], body.head_height)
         answers = hypotheses(body, samples, self._draws)

@@ -3,12 +3,16 @@
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, field
 from operator import add
+from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import Array, checked
 from ..io.ground_truth import FOREGROUND, SHADOW, BoxTruth, Kind
+
+Mask = Annotated[NDArray[np.uint8], Array("height", "width")]
 
 MIN_AREA = 50
 """px; smaller connected components are noise and no extracted objects."""
@@ -65,7 +69,8 @@ class PixelScore:
     numbers: list[int] = field(default_factory=list)
     counts: list[tuple[int, int, int, int]] = field(default_factory=list)
 
-    def add(self, number: int, foreground: NDArray[np.uint8], labels: NDArray[np.uint8]) -> None:
+    @checked
+    def add(self, number: int, foreground: Mask, labels: Mask) -> None:
         """Count one frame.
 
         Parameters
@@ -82,9 +87,8 @@ class PixelScore:
         ValueError
             if the two differ in size.
         """
-        _check_same_size(foreground, labels)
-        found, positive, negative = foreground != 0, labels == FOREGROUND, labels <= SHADOW
-        right, wrong = (int(np.count_nonzero(found & each)) for each in (positive, negative))
+        claimed, positive, negative = foreground != 0, labels == FOREGROUND, labels <= SHADOW
+        right, wrong = (int(np.count_nonzero(claimed & each)) for each in (positive, negative))
         missed, rest = int(np.count_nonzero(positive)) - right, int(np.count_nonzero(negative)) - wrong
         self.numbers.append(number)
         self.counts.append((right, wrong, missed, rest))
@@ -141,7 +145,8 @@ class ErrorClasses:
         return ErrorClasses(*map(add, astuple(self), astuple(other)))
 
 
-def error_classes(foreground: NDArray[np.uint8], truth: BoxTruth) -> ErrorClasses:
+@checked
+def error_classes(foreground: Mask, truth: BoxTruth) -> ErrorClasses:
     """Count missed objects and ghosts in one frame.
 
     Parameters
@@ -194,7 +199,8 @@ def error_classes(foreground: NDArray[np.uint8], truth: BoxTruth) -> ErrorClasse
     )
 
 
-def mask_error_classes(foreground: NDArray[np.uint8], labels: NDArray[np.uint8]) -> ErrorClasses:
+@checked
+def mask_error_classes(foreground: Mask, labels: Mask) -> ErrorClasses:
     """Count missed objects and ghosts in one frame of labelled masks.
 
     The true objects are the connected components of the labels' foreground with at least `MIN_AREA` pixels;
@@ -213,12 +219,11 @@ def mask_error_classes(foreground: NDArray[np.uint8], labels: NDArray[np.uint8])
     ValueError
         if the two differ in size.
     """
-    _check_same_size(foreground, labels)
-    found, _, areas = _components(foreground)
-    inside = np.bincount(found[labels > 0], minlength=len(areas))
+    extracted, _, areas = _components(foreground)
+    inside = np.bincount(extracted[labels > 0], minlength=len(areas))
     kept = areas > 0
     objects, _, sizes = _components((labels == FOREGROUND).astype(np.uint8))
-    covered = np.bincount(objects[kept[found]], minlength=len(sizes))
+    covered = np.bincount(objects[kept[extracted]], minlength=len(sizes))
     missed = int(np.count_nonzero((sizes > 0) & (covered < _COVERED * sizes)))
     return ErrorClasses(
         missed_objects=missed,
@@ -247,11 +252,6 @@ def _pixel_corners(
     corners = np.hstack([box[:, :2] - margin, box[:, :2] + box[:, 2:] + margin])
     height, width = shape
     return np.clip(np.rint(corners), 0, [width, height, width, height]).astype(np.int64)
-
-
-def _check_same_size(foreground: NDArray[np.uint8], labels: NDArray[np.uint8]) -> None:
-    if foreground.shape != labels.shape:
-        raise ValueError(f"foreground: got {foreground.shape} pixels, but the labels have {labels.shape}")
 
 
 def _sum_counts(counts: list[tuple[int, int, int, int]]) -> PixelScores:

@@ -69,7 +69,7 @@ class Scoring:
         """
         if not self.frames:
             return {}
-        found: dict[str, Any] = {
+        measures: dict[str, Any] = {
             "frames compared": len(self.frames),
             "errors": {
                 **asdict(self.errors),
@@ -77,22 +77,22 @@ class Scoring:
                 "counted": f"anew in each of the {len(self.frames)} frames compared",
             },
         }
-        told_apart = isinstance(self.truth, BoxTruth)  # pedestrians from vehicles
-        for name in ("missed_objects",) if told_apart else ("missed_pedestrians", "missed_vehicles"):
-            del found["errors"][name]
+        has_kinds = isinstance(self.truth, BoxTruth)  # pedestrians from vehicles
+        for name in ("missed_objects",) if has_kinds else ("missed_pedestrians", "missed_vehicles"):
+            del measures["errors"][name]
         if isinstance(self.truth, BoxTruth):
             if tracks is not None:
-                found["tracks"] = asdict(evaluate_tracks(tracks, self.truth, self.frames))
+                measures["tracks"] = asdict(evaluate_tracks(tracks, self.truth, self.frames))
         else:
             total = self.pixels.total()
-            found["pixels"] = {
+            measures["pixels"] = {
                 "F": total.f_measure,
                 "precision": total.precision,
                 "recall": total.recall,
                 "specificity": total.specificity,
                 "wrong, %": total.wrong_percent,
             }
-        return found
+        return measures
 
     def saved(self) -> dict[str, Any]:
         """All that was counted, as plain JSON."""

@@ -2,11 +2,12 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import between, checked
 from ..io.ground_truth import BoxTruth, Kind, MaskTruth
 from .masks import ratio
 
@@ -54,11 +55,12 @@ class TrackScores:
         )
 
 
+@checked
 def evaluate_tracks(
     tracks: NDArray[np.void] | NDArray[np.float64],
     truth: BoxTruth | MaskTruth,
     frames: Collection[int] | None = None,
-    iou: float = 0.5,
+    iou: Annotated[float, between(0, 1)] = 0.5,
 ) -> TrackScores:
     """Compare tracks with true tracks.
 

@@ -11,9 +11,10 @@ from ...inference.validity import (
     Comparison,
     Interval,
     ScoreComparison,
-    compare,
+    compare_predictions,
     compare_scores,
 )
+from ...models.core.checks import checked
 from ...models.core.gaussian_message import squared_distances
 from .predictions import FILE, PairRecord, ScoreRecord, read_predictions
 from .text_tables import in_columns
@@ -37,7 +38,8 @@ class TooFewError(ValueError):
     """What was recorded of a pair is too little to be judged."""
 
 
-def report_validity(folder: Path) -> str:
+@checked
+def report_validity(folder: str | Path) -> str:
     """A table of all pairs of chains of a run, and what it means in sentences.
 
     Raises
@@ -47,6 +49,7 @@ def report_validity(folder: Path) -> str:
     OSError
         if there is no such folder.
     """
+    folder = Path(folder)
     if not folder.exists():
         raise FileNotFoundError(errno.ENOENT, "no such folder", str(folder))
     if not folder.is_dir():
@@ -94,7 +97,7 @@ def judge(record: PairRecord) -> Comparison:
             f"{record.first} + {record.second}: got {len(record.predictions)} predictions of one track "
             "in one frame, expected more"
         )
-    comparisons = [compare(record.predictions, labels) for labels in several]
+    comparisons = [compare_predictions(record.predictions, labels) for labels in several]
     return max(comparisons, key=lambda comparison: comparison.gain.high - comparison.gain.low)
 
 
@@ -126,39 +129,39 @@ def noise_ratio(record: PairRecord) -> float:
     return min(ratios)
 
 
-def _row(record: PairRecord, found: Comparison) -> tuple[object, ...]:
+def _row(record: PairRecord, comparison: Comparison) -> tuple[object, ...]:
     return (
         f"{record.first} + {record.second}",
         record.feature,
-        str(found.count),
-        f"{found.rms_first.estimate:.3g} {record.unit}",
-        f"{found.rms_second.estimate:.3g} {record.unit}",
-        f"{found.correlation:.2f}",
-        f"{found.bearable_correlation:.2f}" if np.isfinite(found.bearable_correlation) else "any",
-        f"{found.gain:.2g}",
-        found.verdict if noise_ratio(record) >= 1 else "not sure",
+        str(comparison.count),
+        f"{comparison.rms_first.estimate:.3g} {record.unit}",
+        f"{comparison.rms_second.estimate:.3g} {record.unit}",
+        f"{comparison.correlation:.2f}",
+        f"{comparison.bearable_correlation:.2f}" if np.isfinite(comparison.bearable_correlation) else "any",
+        f"{comparison.gain:.2g}",
+        comparison.verdict if noise_ratio(record) >= 1 else "not sure",
     )
 
 
-def _score_row(record: ScoreRecord, found: ScoreComparison) -> tuple[object, ...]:
+def _score_row(record: ScoreRecord, comparison: ScoreComparison) -> tuple[object, ...]:
     return (
         f"{record.first} + {record.second}",
         record.feature,
-        str(found.count),
-        *(f"{score.estimate:.3f}" for score in (found.first, found.second, found.product)),
-        f"{found.gain:.2g}",
-        found.verdict,
+        str(comparison.count),
+        *(f"{score.estimate:.3f}" for score in (comparison.first, comparison.second, comparison.product)),
+        f"{comparison.gain:.2g}",
+        comparison.verdict,
     )
 
 
-def _scores_in_words(record: ScoreRecord, found: ScoreComparison) -> str:
+def _scores_in_words(record: ScoreRecord, comparison: ScoreComparison) -> str:
     return (
-        f"{record.first} + {record.second} on {record.feature}: {found.verdict}. {found.reason}.\n"
+        f"{record.first} + {record.second} on {record.feature}: {comparison.verdict}. {comparison.reason}.\n"
         f"Scores are log densities of what was then seen, nats {record.unit}."
     )
 
 
-def _in_words(record: PairRecord, found: Comparison) -> str:
+def _in_words(record: PairRecord, comparison: Comparison) -> str:
     pair, ratio = f"{record.first} + {record.second} on {record.feature}", noise_ratio(record)
     if ratio < 1:
         lines = [
@@ -167,10 +170,10 @@ def _in_words(record: PairRecord, found: Comparison) -> str:
             "correlation and gain cannot be told. Scores as stated can."
         ]
     else:
-        lines = [f"{pair}: {found.verdict}. {found.reason}."]
-    if found.theorem_holds and ratio >= 1:
+        lines = [f"{pair}: {comparison.verdict}. {comparison.reason}."]
+    if comparison.theorem_holds and ratio >= 1:
         lines.append("The sufficient condition of Theorem 2 is met.")
-    stated = found.stated
+    stated = comparison.stated
     if stated is not None:
         lines += [
             _honesty(record.first, stated.nis_first),

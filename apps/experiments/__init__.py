@@ -23,20 +23,24 @@ EXPERIMENTS = {
         long="Also a person who stands for 1300 frames, and shadows of clouds.",
     ),
     "pets": Entry("Figures 8 and 11 of the RSMCM paper, on PETS2009 S2.L1.", "pets:pets", parallel=True),
-    "highway": Entry("Foreground of CDnet's highway, against its masks.", "masks:highway"),
+    "highway": Entry("Foreground of CDnet's highway, against its masks.", "masks:highway", parallel=True),
     "cylinder": Entry(
         "Figures 9 and 10 of the RSMCM paper: a cylinder whose points are lost, found again and drift.",
         "structure:turning_cylinder",
         parallel=True,
     ),
-    "box": Entry("Figure 12 of the RSMCM paper, on CMU's hotel and a table top.", "structure:box"),
+    "box": Entry(
+        "Figure 12 of the RSMCM paper, on CMU's hotel and a table top.", "structure:box", parallel=True
+    ),
     "shapes": Entry(
         "Morph bases learned from tracks of points, against the true shapes of three public sets.",
         "shapes:shapes",
+        parallel=True,
     ),
     "talking-face": Entry(
         "A real film: landmarks carried by G-flow with a generic model, and with one learned from the film.",
         "faces:talking_face",
+        parallel=True,
     ),
     "experts": Entry(
         "Figure 3a of the G-flow paper: one expert and several, flow and a slow texture, on quick motion.",

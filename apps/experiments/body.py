@@ -19,7 +19,7 @@ from ...chains.body.condensation import Condensation
 from ...chains.body.dynamics import BodyDynamics
 from ...chains.body.fixed_lag import FixedLag
 from ...chains.body.flesh_tracker import FleshTracker
-from ...chains.body.samples import BodySamples, moments
+from ...chains.body.samples import BodySamples, body_moments
 from ...inference import MultiChain, RecursiveBP
 from ...inference.engine.recursive_bp import RunState
 from ...models.body.parts import BodyParts
@@ -118,7 +118,7 @@ class _Run:
     def __init__(self, tracker: BodyTracker, film: SignerFilm, shown: Sequence[int]) -> None:
         model, self._chain = tracker.connected(film)
         self._engine, self._film, self._state = RecursiveBP(model), film, RunState()
-        self._now, self._later = _Answers(film.scene, shown), _Answers(film.scene, shown)
+        self._now, self._later = _EstimateLog(film.scene, shown), _EstimateLog(film.scene, shown)
         dynamics, seed = BodyDynamics(film.scene.body), film.scene.seed
         self._hindsight = FixedLag(dynamics, tracker.lag, seed=seed) if tracker.lag else None
 
@@ -151,7 +151,7 @@ class _Run:
         return trial if self._hindsight is None else replace(trial, later=self._later.trial())
 
 
-class _Answers:
+class _EstimateLog:
     """What is said of one frame after the other, beside the truth."""
 
     def __init__(self, scene: SignerScene, shown: Sequence[int]) -> None:
@@ -180,7 +180,7 @@ class _Answers:
     def _of_samples(self, index: int, after: BodySamples) -> tuple[Numbers, Numbers]:
         """Means and covariances of the joints; poses are drawn if they are shown."""
         body = self._scene.body
-        found = moments(body, after)
+        found = body_moments(body, after)
         if index in self._shown:
             samples = body.joints(after.resample(N_SHOWN, self._random))
             self._pictures[index] = TrackedBody(samples, found.joints, found.joint_covariances)
@@ -285,7 +285,7 @@ NOTE = (
     "frames from the first in which that hand looks like skin."
 )
 
-Found = dict[str, list[BodyTrial]]  # by tracker, one for each seed
+TrialsByTracker = dict[str, list[BodyTrial]]  # by tracker, one for each seed
 
 
 def body() -> Findings:
@@ -405,10 +405,10 @@ def time_to_come_near(times: Sequence[float], ratios: Sequence[float]) -> float:
     return times[-1]
 
 
-def expectations_of(found: Found) -> list[Expectation]:
+def expectations_of(trials: TrialsByTracker) -> list[Expectation]:
     """What is wanted."""
-    now, later, sampler = found[RSMCM.name], found[LATER.format(RSMCM.name)], found[SAMPLER]
-    clouds, cloud_later = [found[name] for name in CLOUDS], found[LATER.format(CLOUDS[0])]
+    now, later, sampler = trials[RSMCM.name], trials[LATER.format(RSMCM.name)], trials[SAMPLER]
+    clouds, cloud_later = [trials[name] for name in CLOUDS], trials[LATER.format(CLOUDS[0])]
     ratios = [error(cloud) / error(now) for cloud in clouds]
     times = [seconds(cloud) / seconds(now) for cloud in clouds]
     more = " (more than)" if min(ratios) > NEAR else ""

@@ -122,17 +122,17 @@ def tracked(job: BodyJob, noted: ClickedJoints) -> FilmTrial:
 
 def cells_of(trial: FilmTrial) -> list[float | str]:
     """A run's cells of `COLUMNS`, after its seed."""
-    hands, elbows = _known(trial.errors[:, HANDS]), _known(trial.errors[:, ELBOWS])
+    hands, elbows = _finite(trial.errors[:, HANDS]), _finite(trial.errors[:, ELBOWS])
     values = [np.median(hands), 100 * (hands > FAR).mean()] if len(hands) else [np.nan] * 2
     values.append(np.median(elbows) if len(elbows) else np.nan)
     known = ["–" if np.isnan(value) else float(value) for value in values]
     return [*known, int(np.nansum(trial.exchanged)), trial.longest]
 
 
-def expectations_of(found: Mapping[str, Sequence[FilmTrial]]) -> list[Expectation]:
+def expectations_of(by_name: Mapping[str, Sequence[FilmTrial]]) -> list[Expectation]:
     """What is wanted, over all seeds."""
-    trials = found["trials"]
-    hands = np.concatenate([_known(trial.errors[:, HANDS]) for trial in trials])
+    trials = by_name["trials"]
+    hands = np.concatenate([_finite(trial.errors[:, HANDS]) for trial in trials])
     long = sum(trial.longest > SOON for trial in trials)
     return [
         Expectation("hands, median px", float(np.median(hands)), "<=", 15.0),
@@ -141,7 +141,7 @@ def expectations_of(found: Mapping[str, Sequence[FilmTrial]]) -> list[Expectatio
     ]
 
 
-def _known(errors: Numbers) -> Numbers:
+def _finite(errors: Numbers) -> Numbers:
     return errors[np.isfinite(errors)]
 
 

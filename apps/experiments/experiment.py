@@ -2,7 +2,7 @@
 
 import textwrap
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.frame import Frame
 from ...models.files import write_atomically
 from ..evaluation.text_tables import in_columns
 from ..io.files import write_image
@@ -51,6 +52,20 @@ def by_seed(
         of_seeds = [next(measured) for _ in seeds]
         found[cell] = {method: [each[method] for each in of_seeds] for method in of_seeds[0]}
     return found
+
+
+def noisy(frame: Frame, seed: int) -> Frame:
+    """Return the frame with one grey level more or less in one of a thousand pixels.
+
+    By how much figures of a real film differ between seeds of this noise is the part of them that is chance.
+    """
+    if frame.image is None:
+        return frame
+    random = np.random.default_rng([seed, frame.number])
+    image = frame.image.reshape(-1, frame.image.shape[-1] if frame.image.ndim == 3 else 1).astype(np.int16)
+    changed = random.choice(len(image), len(image) // 1000, replace=False)
+    image[changed] += random.choice(np.array([-1, 1], np.int16), len(changed))[:, None]
+    return replace(frame, image=image.clip(0, 255).astype(np.uint8).reshape(frame.image.shape))
 
 
 def in_words(values: Sequence[float], dash: str = "–") -> str:

@@ -1,31 +1,24 @@
 """Points that go behind something: how many are found again in the pictures, frame by frame.
 
-`python -m rsmcm.apps.experiments.hidden_points [FILM]`
-
 A textured bar is painted over the film; where points are behind it, the same run on the film without it says.
 """
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
-from cyclopts import App
 from numpy.typing import NDArray
 
 from ...chains import PointTracker, RecursiveStructure
 from ...inference import MultiChain, RecursiveBP
 from ...models import PointTracks
 from ...models.core.frame import Frame
-from ..evaluation.text_tables import in_columns
 from ..io import open_source
-from ..runs.parallel import chosen_workers, working
 from ..scenes.random_fields import mottle
 from .datasets import data_folder
-from .experiment import by_seed
-from .record import HEADER, Expectation, over_seeds
+from .experiment import Findings, by_seed
+from .record import Expectation, over_seeds
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -40,7 +33,7 @@ SPEED, THICKNESS, LENGTH = (2.0, 8.0), (50.0, 150.0), (120.0, 500.0)
 
 MODELS = {"tracker and shape": True, "feed-forward": False}  # by name, whether the shape speaks to the points
 
-app = App(name="hidden_points", help=__doc__.splitlines()[0])
+SEEDS = range(10)  # of bars, each of its own size, way and texture
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,37 +48,25 @@ class Refound:
     false: Numbers
 
 
-@app.default
-def main(film: Path | None = None, *, seeds: int = 10, jobs: int | None = None) -> None:
-    """Run the models on the film with and without bars, and print what they find again.
+def hidden_points() -> Findings:
+    """Run both models on CMU's hotel with and without bars.
 
-    Parameters
-    ----------
-    film
-        Any source of images; CMU's hotel if not given.
-    seeds
-        How many bars, each of its own size, way and texture.
-    jobs
-        Runs at once; as many as there are cores if not given.
+    Raises
+    ------
+    OSError
+        if the sequence cannot be found.
     """
-    with open_source(str(film or data_folder("cmu-hotel"))) as source:
+    with open_source(str(data_folder("cmu-hotel"))) as source:
         frames = list(source)
-    with working(chosen_workers(jobs, None)):
-        expectations = hidden_points(frames, range(seeds))
-    print(in_columns(HEADER, [expectation.cells for expectation in expectations]))
-
-
-def hidden_points(frames: Sequence[Frame], seeds: Sequence[int]) -> list[Expectation]:
-    """What is wanted of a film with bars, over all of these, and what was found."""
     truth = {name: tracked(frames, feedback) for name, feedback in MODELS.items()}
-    (found,) = by_seed("bars", partial(behind_a_bar, frames, truth), [None], seeds).values()
-    return over_seeds(expectations_of, found)
+    (refound,) = by_seed("bars", partial(behind_a_bar, frames, truth), [None], SEEDS).values()
+    return Findings("Points behind a bar", [], over_seeds(expectations_of, refound))
 
 
-def expectations_of(found: Mapping[str, Sequence[Refound]]) -> list[Expectation]:
+def expectations_of(refound: Mapping[str, Sequence[Refound]]) -> list[Expectation]:
     """Shares over the points of all bars."""
     expectations = []
-    for name, runs in found.items():
+    for name, runs in refound.items():
         again, wrong, false = (
             np.concatenate([getattr(run, what) for run in runs]) for what in ("again", "wrong", "false")
         )
@@ -156,7 +137,7 @@ def tracked(frames: Sequence[Frame], feedback: bool) -> Numbers:
     return places
 
 
-def compared(found: Numbers, truth: Numbers, hidden: Mask) -> Refound:
+def compared(places: Numbers, truth: Numbers, hidden: Mask) -> Refound:
     """Compare what was found behind a bar with where points are without it.
 
     Until the bar comes both runs are the same, and so are the numbers of points. A point is hidden where its
@@ -174,22 +155,14 @@ def compared(found: Numbers, truth: Numbers, hidden: Mask) -> Refound:
             ].any()
         if np.count_nonzero(behind) < LEAST_HIDDEN:
             continue
-        seen = ~np.isnan(found[:, point, 0]) if point < found.shape[1] else np.zeros(len(found), np.bool_)
+        seen = ~np.isnan(places[:, point, 0]) if point < places.shape[1] else np.zeros(len(places), np.bool_)
         false.append(float(seen[behind].mean()))
         end = np.flatnonzero(behind)[-1] + 1
         soon = end + np.flatnonzero(clear[end:])[:SOON]
         if len(soon) < SOON or soon[-1] != soon[0] + SOON - 1:
             continue
-        off = np.linalg.norm(found[soon, point] - truth[soon, point], axis=1) if seen.any() else np.inf
+        off = np.linalg.norm(places[soon, point] - truth[soon, point], axis=1) if seen.any() else np.inf
         right = off < RIGHT
         again.append(bool(np.any(right)))
         wrong.append(float((seen[soon] & ~right).mean()))
     return Refound(np.array(again, np.bool_), np.array(wrong), np.array(false))
-
-
-if __name__ == "__main__":
-    try:
-        app()
-    except (ValueError, OSError) as error:
-        print(f"hidden_points: {error}", file=sys.stderr)
-        sys.exit(2)

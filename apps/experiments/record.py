@@ -68,7 +68,9 @@ class Expectation:
         return self.what, wanted, rounded(self.measured), error, self.verdict
 
 
-def over_seeds(judge: Callable[[Any], Sequence[Expectation]], found: Mapping[Any, Any]) -> list[Expectation]:
+def over_seeds(
+    judge: Callable[[Any], Sequence[Expectation]], measured: Mapping[Any, Any]
+) -> list[Expectation]:
     """What is judged of all seeds, with the standard errors that the choice of seeds brings.
 
     Seeds are drawn again from those there are (the bootstrap of Efron, 1979), the same for all methods, so
@@ -76,12 +78,12 @@ def over_seeds(judge: Callable[[Any], Sequence[Expectation]], found: Mapping[Any
     of what was found: mappings, of mappings perhaps, of lists with a value a seed; lists of one value stay as
     they are.
     """
-    n_seeds = max(map(len, _lists(found)))
-    judged = list(judge(found))
+    n_seeds = max(map(len, _lists(measured)))
+    judged = list(judge(measured))
     if n_seeds == 1:
         return judged
     random = np.random.default_rng(0)
-    draws = [judge(_drawn(found, random.integers(0, n_seeds, n_seeds).tolist())) for _ in range(DRAWS)]
+    draws = [judge(_resampled(measured, random.integers(0, n_seeds, n_seeds).tolist())) for _ in range(DRAWS)]
     found_values = [[draw[place].measured for draw in draws] for place in range(len(judged))]
     finite = [[value for value in values if math.isfinite(value)] for values in found_values]
     return [
@@ -90,18 +92,18 @@ def over_seeds(judge: Callable[[Any], Sequence[Expectation]], found: Mapping[Any
     ]
 
 
-def _lists(found: Any) -> Iterable[Sequence[Any]]:
+def _lists(measured: Any) -> Iterable[Sequence[Any]]:
     return (
-        [each for value in found.values() for each in _lists(value)]
-        if isinstance(found, Mapping)
-        else [found]
+        [each for value in measured.values() for each in _lists(value)]
+        if isinstance(measured, Mapping)
+        else [measured]
     )
 
 
-def _drawn(found: Any, seeds: Sequence[int]) -> Any:
-    if isinstance(found, Mapping):
-        return {name: _drawn(value, seeds) for name, value in found.items()}
-    return found if len(found) == 1 else [found[seed] for seed in seeds]
+def _resampled(measured: Any, seeds: Sequence[int]) -> Any:
+    if isinstance(measured, Mapping):
+        return {name: _resampled(value, seeds) for name, value in measured.items()}
+    return measured if len(measured) == 1 else [measured[seed] for seed in seeds]
 
 
 @dataclass(frozen=True)
@@ -163,13 +165,13 @@ def _busy_elsewhere() -> float:
 def git(*arguments: str) -> str:
     """What git says of the checkout; nothing for a package that is installed."""
 
-    def said(*arguments: str) -> str:
+    def output_of(*arguments: str) -> str:
         command = ["git", "-C", str(ROOT), *arguments]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
     try:
-        said("ls-files", "--error-unmatch", str(Path(__file__).resolve()))
-        return said(*arguments)
+        output_of("ls-files", "--error-unmatch", str(Path(__file__).resolve()))
+        return output_of(*arguments)
     except (OSError, subprocess.CalledProcessError):
         return ""
 

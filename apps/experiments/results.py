@@ -32,10 +32,11 @@ Made by `make results` from what `rsmcm reproduce NAME` and `make bench` record 
 what is wanted of it beside it; only the last part is noted by hand. All parameters have the same setting for
 every sequence.
 
-± is the standard error of a figure over its n seeds, found by drawing the seeds anew (200 times); tables of
-methods say what they give. Seeds are those of a generated scene, or of noise on a film (one grey level in a
-thousandth of its pixels), for us and for all peers. Figures of one film without noise have none. "Of an
-earlier state" is what was measured before the last commit that touched `models`, `inference` or `chains`.
+± is the standard error of a figure over its n seeds, by the bootstrap (200 draws of the seeds with
+replacement); tables of methods say what they give. Seeds are those of a generated scene, or of noise on a
+film (one grey level in a thousandth of its pixels), for us and for all peers. A figure without ± was measured
+once. "Of an earlier state" is what was measured before the last commit that touched `models`, `inference` or
+`chains`.
 What falls short is marked, and below it stands why.
 
 Speeds are medians over n rounds in which all methods had their turn, with quartiles; a ratio is that of every

@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import checked
 from ...models.files import write_atomically
 from .finished_run import FinishedRun, RunFrame
 
 CATEGORY = {"id": 1, "name": "object", "supercategory": ""}
 
 
+@checked
 def to_coco(run: str | Path, out: str | Path) -> str:
     """Write the tracks of a background run as COCO JSON: boxes, identities, masks.
 
@@ -149,6 +151,7 @@ LABEL = "object"
 """The label of all boxes; the task in CVAT needs one of this name."""
 
 
+@checked
 def to_cvat(run: str | Path, out: str | Path) -> str:
     """Write the tracks of a background run as CVAT's MOT 1.1: `gt/gt.txt` and `gt/labels.txt` in a zip file.
 

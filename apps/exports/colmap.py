@@ -17,7 +17,7 @@ HALF = 0.5
 
 def write_colmap(
     folder: Path,
-    found: PerspectiveStructure,
+    structure: PerspectiveStructure,
     places: NDArray[np.float64],
     observed: NDArray[np.bool_],
     colours: NDArray[np.uint8],
@@ -38,15 +38,15 @@ def write_colmap(
         number and name of each frame's picture.
     """
     folder.mkdir(exist_ok=True)
-    cameras, (height, width) = found.cameras, found.size
+    cameras, (height, width) = structure.cameras, structure.size
     middle = (cameras.principal + HALF).tolist()
     lens = f"1 SIMPLE_PINHOLE {width} {height} {cameras.focal:.10g} {middle[0]:g} {middle[1]:g}"
     write_text(folder / FILES[0], f"# CAMERA_ID MODEL WIDTH HEIGHT F CX CY\n{lens}\n")
 
-    seen = observed & found.frame_determined[:, None]
+    seen = observed & structure.frame_determined[:, None]
     turns = Rotation.from_matrix(cameras.rotations).as_quat(canonical=True)[:, [3, 0, 1, 2]]
     lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", "# POINTS2D[] as (X Y POINT3D_ID)"]
-    for index in np.flatnonzero(found.frame_determined).tolist():
+    for index in np.flatnonzero(structure.frame_determined).tolist():
         number, name = images[index]
         pose = " ".join(f"{value:.12g}" for value in (*turns[index], *cameras.translations[index]))
         lines.append(f"{number} {pose} 1 {name}")
@@ -59,10 +59,10 @@ def write_colmap(
 
     place_in_image = np.cumsum(seen, axis=1) - 1
     lines = ["# POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID POINT2D_IDX)"]
-    errors = np.linalg.norm(places - found.positions, axis=2)
+    errors = np.linalg.norm(places - structure.positions, axis=2)
     for point in np.flatnonzero(seen.any(axis=0)).tolist():
         frames = np.flatnonzero(seen[:, point]).tolist()
-        where = " ".join(f"{value:.10g}" for value in found.shape[point])
+        where = " ".join(f"{value:.10g}" for value in structure.shape[point])
         colour = " ".join(str(value) for value in colours[point, ::-1].tolist())
         track = " ".join(f"{images[t][0]} {place_in_image[t, point]}" for t in frames)
         lines.append(f"{point + 1} {where} {colour} {errors[frames, point].mean():.4f} {track}")

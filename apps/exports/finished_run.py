@@ -15,6 +15,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import checked
 from ...models.files import LAST_FRAME, read_text
 from ..io.sources.images import images_among, read_grey
 from ..io.tables import Row, lines_of
@@ -44,6 +45,7 @@ class FinishedRun:
     summary: dict[str, Any]
 
     @classmethod
+    @checked
     def of(cls, folder: str | Path, *applications: str) -> "FinishedRun":
         """Open a folder of results, of one of these applications if any are named.
 
@@ -185,6 +187,7 @@ class FinishedRun:
         )
 
 
+@checked
 def read_tracks_table(path: str | Path) -> dict[str, NDArray[Any]]:
     """Read `tracks.csv` as columns, of which `pandas.DataFrame` and `polars.DataFrame` make a table.
 

@@ -1,11 +1,12 @@
 """Objects and points as `supervision` takes them, to draw, count and filter."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...models.core.checks import Array, checked
 from ..io.tracks import TrackedObject
 from ..options.libraries import needed
 from .coco import object_masks
@@ -14,8 +15,9 @@ if TYPE_CHECKING:
     import supervision
 
 
+@checked
 def to_supervision(
-    tracks: Sequence[TrackedObject], foreground: NDArray[np.uint8] | None = None
+    tracks: Sequence[TrackedObject], foreground: Annotated[NDArray[np.uint8], Array(None, None)] | None = None
 ) -> "supervision.Detections":
     """Objects of a frame as `supervision.Detections`.
 
@@ -55,8 +57,11 @@ def to_supervision(
     return detections
 
 
+@checked
 def to_key_points(
-    points: ArrayLike, covariances: ArrayLike, visible: ArrayLike | None = None
+    points: Annotated[ArrayLike, Array("n", None, finite=False)],
+    covariances: Annotated[ArrayLike, Array("n", None, None, finite=False)],
+    visible: Annotated[ArrayLike, Array("n")] | None = None,
 ) -> "supervision.KeyPoints":
     """Points of one body or face as `supervision.KeyPoints`, whose ellipse annotators draw the covariances.
 

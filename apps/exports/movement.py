@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import PARTS
+from ...models.core.checks import checked
 from ...models.files import MOST_NUMBERS, write_atomically
 from ..options.libraries import needed
 from .finished_run import FinishedRun, read_tracks_table
@@ -20,6 +21,7 @@ Array = NDArray[np.float64]
 SPACE = ["x", "y"]
 
 
+@checked
 def to_movement(run: str | Path, out: str | Path) -> str:
     """Write what a run has tracked as a netCDF file of `movement`, whole or not at all.
 
@@ -41,6 +43,7 @@ def to_movement(run: str | Path, out: str | Path) -> str:
     return f"{dataset.attrs['ds_type']}, {sizes}"
 
 
+@checked
 def movement_dataset(run: str | Path) -> "xarray.Dataset":
     """What a run has tracked as a dataset of `movement`, from version 0.17 on (before, dims were plural).
 
@@ -104,12 +107,12 @@ def _boxes(run: FinishedRun) -> "xarray.Dataset":
     return _dataset(run, "bboxes", variables, coordinates)
 
 
-def _times(numbers: range, known: NDArray[np.int64], times: Array, rate: float) -> Array:
+def _times(numbers: range, measured: NDArray[np.int64], times: Array, rate: float) -> Array:
     """`(n,)` s of all frames: between those that are known, with objects, even; beyond them at the rate."""
     frames = np.arange(len(numbers), dtype=np.float64)
-    if not len(known):
+    if not len(measured):
         return (numbers.start - 1 + frames * numbers.step) / (rate * numbers.step)
-    rows, first = np.unique((known - numbers.start) // numbers.step, return_index=True)
+    rows, first = np.unique((measured - numbers.start) // numbers.step, return_index=True)
     times = times[first]
     beyond = np.minimum(frames - rows[0], 0) + np.maximum(frames - rows[-1], 0)
     return np.asarray(np.interp(frames, rows, times) + beyond / rate)

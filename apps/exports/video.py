@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from ...models.array_files import read_arrays
+from ...models.core.checks import checked
 from ...models.core.frame import Frame
 from ...models.files import write_atomically
 from ..body.page import drawing, with_final_names
@@ -19,6 +20,7 @@ from ..view.overlay import Draw, OverlayVideo, PointsOverlay, TracksOverlay, dra
 from .finished_run import FinishedRun
 
 
+@checked
 def to_video(run: str | Path, out: str | Path) -> str:
     """Write the film of a run, what the page of the run plays, with what was found drawn on it, as MP4.
 

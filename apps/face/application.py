@@ -153,7 +153,7 @@ class Face(Application[FaceJob]):
     def build(self, start: Start) -> Engine:
         """Take the face that is known from another run, or find it in the first frame that shows one."""
         job, memory = self.job, start.memory(self.schema)
-        self._start = face = self._found(start) if memory is None else memory["start"]
+        self._start = face = self._find_start(start) if memory is None else memory["start"]
         self._drawing = FaceDrawing(face.model)
         self._chain = GFlow(
             face.model,
@@ -170,10 +170,10 @@ class Face(Application[FaceJob]):
             raise ValueError(f"--experts: got {job.experts}, expected {len(before.poses)} like {job.learned}")
         return self._engine
 
-    def _found(self, start: Start) -> FaceStart:
+    def _find_start(self, start: Start) -> FaceStart:
         """The face in the first frame that shows one; frames before it are left out."""
         for first in start.frames:
-            face = self._found_in(first, start)
+            face = self._start_in(first, start)
             if face is not None:
                 break
             start.before.append(first.number)
@@ -222,7 +222,7 @@ class Face(Application[FaceJob]):
         }
         return Columns(
             {**row, "error": np.float64(error)},
-            drawn=partial(self._drawing.drawn, row, error),
+            drawn=partial(self._drawing.view_row, row, error),
             live={"face": "lost" if state.lost else "tracked"},
         )
 
@@ -296,7 +296,7 @@ class Face(Application[FaceJob]):
             self.job.detector, "--landmarks of the first frame, or a model file of YuNet as --detector"
         )
 
-    def _found_in(self, frame: Frame, start: Start) -> FaceStart | None:
+    def _start_in(self, frame: Frame, start: Start) -> FaceStart | None:
         """Where the face is in a frame; `None` if it is not found, or nothing is to be seen."""
         if frame.image is None:
             return None

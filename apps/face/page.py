@@ -161,7 +161,7 @@ class FaceDrawing:
             triangles = Delaunay(model.bases[0, self._shown, :2]).simplices
         self._mesh = triangles.astype(np.int32)
 
-    def drawn(self, row: Mapping[str, Any], error: float) -> Row:
+    def view_row(self, row: Mapping[str, Any], error: float) -> Row:
         """What is drawn of a frame, from its row of `poses.npz`, and the error against landmarks, px."""
         x, y = row["vertices_2d"][self._shown].T
         covariances = row["covariance"][self._shown]

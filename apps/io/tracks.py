@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import repeat
 from pathlib import Path
-from typing import Any, Protocol, TextIO
+from typing import Any, Protocol, TextIO, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,7 @@ TRACK_FIELDS = np.dtype(
 )
 
 
+@runtime_checkable
 class TrackedObject(Protocol):
     """What is reported of a track in a frame."""
 

@@ -3,19 +3,22 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ...models.camera.moving_camera import UNKNOWNS, AffineMap
+from ...models.core.checks import NOT_EMPTY, CountFrom0, NotNegative, checked
 from ...models.core.frame import Frame
-from .generated_film import Lazy, check_range
+from .generated_film import Lazy
 
 SHAKE_TIME = 0.15  # s, time constant of the shake
 TURNING = 0.25  # of the shake's px: how far rotation, zoom and shear move the corners
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class ShakenFilm(Lazy[Frame]):
     """Take a steady film with a camera that shakes.
@@ -42,17 +45,11 @@ class ShakenFilm(Lazy[Frame]):
         if a number is negative, or the film is empty.
     """
 
-    film: Sequence[Frame]
-    amount: float = 3.0
-    seed: int = 0
-    margin: int = 16
-    noise: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("amount", "margin", "noise"):
-            check_range(name, getattr(self, name))
-        if not len(self.film):
-            raise ValueError("film: got no frame, expected one at least")
+    film: Annotated[Sequence[Frame], NOT_EMPTY]
+    amount: NotNegative = 3.0
+    seed: CountFrom0 = 0
+    margin: CountFrom0 = 16
+    noise: NotNegative = 0.0
 
     def __len__(self) -> int:
         return len(self.film)

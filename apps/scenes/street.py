@@ -7,14 +7,15 @@ more memory than one, and two runs over the same scene see the same bytes.
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...models.core.checks import Bound, Count, CountFrom0, NotNegative, checked
 from ...models.core.frame import Frame
-from .generated_film import GeneratedFilm, Lazy, check_range
+from .generated_film import GeneratedFilm, Lazy
 
 Pixels = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -206,7 +207,7 @@ class Figure:
         belt = [(-8.0, 36.5), (8.4, 36.5), (8.5, 39.0), (-8.1, 39.0)]
 
         def cut(*shapes: tuple[list[tuple[float, float]], tuple[int, int, int]]) -> Sprite:
-            return _drawn([(np.array(points), colour) for points, colour in shapes], unit, 11.0, generator)
+            return _draw([(np.array(points), colour) for points, colour in shapes], unit, 11.0, generator)
 
         return cls(
             height,
@@ -252,7 +253,7 @@ class Figure:
         return compose(parts, (left, top, int(0.8 * self.height) + 2, int(1.1 * self.height) + 2))
 
 
-def _drawn(
+def _draw(
     shapes: Sequence[tuple[NDArray[np.float64], tuple[int, int, int]]],
     unit: float,
     roughness: float,
@@ -304,7 +305,7 @@ def car_sprite(length: float, generator: np.random.Generator) -> Sprite:
         for radius, colour in ((8.6, (24, 24, 26)), (7.8, tyre), (4.4, hub)):
             down = np.minimum(radius * np.sin(turn), 7.8)
             shapes.append((np.column_stack([wheel + radius * np.cos(turn), -7.8 + down]), colour))
-    return _drawn([(np.array(points), colour) for points, colour in shapes], length / 100, 6.0, generator)
+    return _draw([(np.array(points), colour) for points, colour in shapes], length / 100, 6.0, generator)
 
 
 def _shift(x: float, y: float) -> NDArray[np.float64]:
@@ -346,6 +347,11 @@ class TruthBox:
     box: tuple[float, float, float, float]
 
 
+LARGE_ENOUGH = Bound(lambda size: size[0] >= 64 and size[1] >= 48, "(width, height) of at least (64, 48) px")
+DRIFT_RANGE = Bound(lambda share: 0 <= share < 1, "0 or more and less than 1")
+
+
+@checked
 @dataclass(frozen=True, eq=False)
 class Scene(GeneratedFilm):
     """A person walks into a street, stands almost still, and walks out; a parked car leaves meanwhile.
@@ -382,27 +388,17 @@ class Scene(GeneratedFilm):
         if the picture is smaller than 64 x 48 px, there is no frame, or noise or drift is out of range.
     """
 
-    n_frames: int = 400
-    seed: int = 0
-    size: tuple[int, int] = (320, 240)
+    n_frames: Count = 400
+    seed: CountFrom0 = 0
+    size: Annotated[tuple[int, int], LARGE_ENOUGH] = (320, 240)
     light_jump: int | None = None
     _: KW_ONLY
-    stand: int = 200
-    enter: int = 40
-    car_leaves: int = 200
-    light_drift: float = 0.06
-    noise: float = 4.0
+    stand: CountFrom0 = 200
+    enter: CountFrom0 = 40
+    car_leaves: CountFrom0 = 200
+    light_drift: Annotated[float, DRIFT_RANGE] = 0.06
+    noise: NotNegative = 4.0
     clouds: bool = False
-
-    def __post_init__(self) -> None:
-        width, height = self.size
-        if width < 64 or height < 48:
-            raise ValueError(f"size: got {self.size}, expected (width, height) of at least (64, 48) px")
-        check_range("n_frames", self.n_frames, 1)
-        for name in ("stand", "enter", "car_leaves", "noise"):
-            check_range(name, getattr(self, name))
-        if not 0 <= self.light_drift < 1:
-            raise ValueError(f"light_drift: got {self.light_drift}, expected [0, 1)")
 
     @property
     def masks(self) -> Sequence[Mask]:

@@ -6,12 +6,13 @@ model is nearly right, as in life. Any frame is rendered on its own, from the se
 
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import Bound, Count, CountFrom0, NotNegative, between, checked
 from ...models.core.frame import Frame
 from ...models.face.built_in_model import (
     HALF_HEIGHT,
@@ -25,7 +26,7 @@ from ...models.face.built_in_model import (
 )
 from ...models.face.morphable_model import MorphableModel, Poses
 from ...models.numerics.rotations import exponential
-from .generated_film import GeneratedFilm, check_range
+from .generated_film import GeneratedFilm
 from .random_fields import inside, mottle, wander
 from .rendering_kernels import FARTHEST, average_samples, draw_mesh
 
@@ -153,6 +154,10 @@ MANNERS = {
 }
 
 
+LARGE_ENOUGH = Bound(lambda size: min(size) >= 64, "(width, height) of at least (64, 64) px")
+
+
+@checked
 @dataclass(frozen=True, eq=False)
 class FaceScene(GeneratedFilm):
     """A face that turns, talks and moves about in front of a room.
@@ -192,37 +197,26 @@ class FaceScene(GeneratedFilm):
         if the picture is smaller than 64 x 64 px, there is no frame, or a parameter is out of its range.
     """
 
-    n_frames: int = 200
-    seed: int = 0
-    size: tuple[int, int] = (320, 240)
+    n_frames: Count = 200
+    seed: CountFrom0 = 0
+    size: Annotated[tuple[int, int], LARGE_ENOUGH] = (320, 240)
     _: KW_ONLY
     motion: Literal["natural", "fast"] = "natural"
-    max_yaw: float = 35.0
+    max_yaw: Annotated[float, between(0, 80)] = 35.0
     shields: bool = False
-    texture: float = 1.0
-    change: float = 0.0
-    light: float = 1.0
-    background: float = 1.0
-    noise: float = 2.0
-
-    def __post_init__(self) -> None:
-        if min(self.size) < 64:
-            raise ValueError(f"size: got {self.size}, expected (width, height) of at least (64, 64) px")
-        if self.motion not in MANNERS:
-            raise ValueError(f"motion: got {self.motion!r}, expected one of {', '.join(MANNERS)}")
-        check_range("n_frames", self.n_frames, 1)
-        check_range("max_yaw", self.max_yaw, 0, 80, " degrees")
-        check_range("light", self.light, 0, 1)
-        for name in ("texture", "change", "background", "noise"):
-            check_range(name, getattr(self, name))
+    texture: NotNegative = 1.0
+    change: NotNegative = 0.0
+    light: Annotated[float, between(0, 1)] = 1.0
+    background: NotNegative = 1.0
+    noise: NotNegative = 2.0
 
     def made(self, index: int) -> Frame:
         """Frame `index` with its time."""
-        return self._seen(self._drawn(index)[0], self.noise, 5, index)
+        return self._seen(self._render(index)[0], self.noise, 5, index)
 
     def foreground(self, index: int) -> Mask:
         """`(height, width)` bool: pixels that the face covers by more than half."""
-        return self._drawn(range(self.n_frames)[index])[1] > 0.5
+        return self._render(range(self.n_frames)[index])[1] > 0.5
 
     # The truth
 
@@ -304,7 +298,7 @@ class FaceScene(GeneratedFilm):
         shade: Array = gains[index] * (AMBIENT + (1.15 - AMBIENT) * lambertian)
         return 1 + self.light * (shade - 1)
 
-    def _drawn(self, index: int) -> tuple[Pixels, Pixels]:
+    def _render(self, index: int) -> tuple[Pixels, Pixels]:
         """The picture before noise, and the share of every pixel that the face covers."""
         places = self._mesh.positions(self.poses[index])[0]
         picture = self._room.copy()

@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import Count, CountFrom0, NotNegative, between, checked
 from ...models.core.short_repr import short_repr
 
 TILT = 30.0  # degrees by which the camera looks down on the upright axis: points then move in u and in v
@@ -73,16 +75,20 @@ class Cylinder:
         return np.random.default_rng([self.seed, 1]).permutation(stretches, axis=0)
 
 
+Chance = Annotated[float, between(0, 1)]
+
+
+@checked
 def cylinder(
-    n_points: int = 40,
-    n_frames: int = 60,
-    p_loose: float = 0.1,
-    p_drift: float = 0.3,
-    p_regain: float = 0.5,
-    seed: int = 0,
+    n_points: Count = 40,
+    n_frames: Count = 60,
+    p_loose: Chance = 0.1,
+    p_drift: Chance = 0.3,
+    p_regain: Chance = 0.5,
+    seed: CountFrom0 = 0,
     *,
     degrees_per_frame: float = 3.0,
-    noise: float = 0.01,
+    noise: NotNegative = 0.01,
 ) -> Cylinder:
     """Make the synthetic sequence of the RSMCM paper, section 4.3 (Figs. 9 and 10).
 
@@ -113,13 +119,6 @@ def cylinder(
     ValueError
         if a probability lies outside 0..1, or there is no point or frame.
     """
-    if n_points < 1 or n_frames < 1:
-        raise ValueError(f"n_points, n_frames: got {n_points}, {n_frames}, expected 1 or more")
-    for name, probability in (("p_loose", p_loose), ("p_drift", p_drift), ("p_regain", p_regain)):
-        if not 0 <= probability <= 1:
-            raise ValueError(f"{name}: got {probability}, expected a probability, 0 to 1")
-    if not noise >= 0:
-        raise ValueError(f"noise: got {noise}, expected 0 or more")
     generator = np.random.default_rng(seed)
     around = generator.uniform(0, 2 * np.pi, n_points)
     shape = np.stack([np.cos(around), np.sin(around), generator.uniform(-1, 1, n_points)], axis=1)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import Count, CountFrom0, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from .random_fields import mottle
@@ -58,11 +59,12 @@ class Turntable:
         return [Frame(image, number / 25, number + 1) for number, image in enumerate(self.images)]
 
 
+@checked
 def turntable(
-    n_frames: int = 36,
-    size: tuple[int, int] = (576, 720),
+    n_frames: Count = 36,
+    size: tuple[Count, Count] = (576, 720),
     degrees_per_frame: float = 10.0,
-    seed: int = 0,
+    seed: CountFrom0 = 0,
 ) -> Turntable:
     """Make the film: a bumpy, mottled body under a light that stays where it is.
 

@@ -57,23 +57,23 @@ def _learned(job: ShapeJob, tracks: Numbers, numbers: range) -> Iterator[Learned
             raise ValueError(f"{job.source}: {error}") from error
 
 
-def _written(session: Session, found: LearnedShape, truth: Numbers | None) -> dict[str, Any]:
+def _written(session: Session, result: LearnedShape, truth: Numbers | None) -> dict[str, Any]:
     """Write all results; return the content of `summary.json`."""
-    folder, learned, notes = session.job.out, found.learned, _notes(found)
-    write_shapes(folder / SHAPES, found)
+    folder, learned, notes = session.job.out, result.learned, _notes(result)
+    write_shapes(folder / SHAPES, result)
     write_model(learned.model(), folder / MODEL)
-    choice = found.choice
+    choice = result.choice
     facts = {
-        "points": found.tracks.shape[1],
+        "points": result.tracks.shape[1],
         "bases": len(learned.bases),
-        "observations": int(np.count_nonzero(found.observed)),
+        "observations": int(np.count_nonzero(result.observed)),
         "reprojection_rmse_px_per_point": math.sqrt(2) * learned.rmse,
         "reprojection_rmse_px_per_coordinate": learned.rmse,
         "reprojection_of_size": learned.relative_error,
         "noise_px_per_coordinate": learned.noise,
         "log_likelihood": learned.log_likelihood,
         "iterations": len(learned.history),
-        "e3d": None if truth is None else shape_error(found.shapes, truth),
+        "e3d": None if truth is None else shape_error(result.shapes, truth),
         "rivals": [asdict(rival) for rival in learned.rivals],
         "held_out": None
         if choice is None
@@ -84,9 +84,9 @@ def _written(session: Session, found: LearnedShape, truth: Numbers | None) -> di
         "notes": notes,
         "seconds": session.seconds(),
     }
-    summary = session.summary(session.job.source, found.numbers, [], facts)
+    summary = session.summary(session.job.source, result.numbers, [], facts)
     title = f"{Path(session.job.source).name}: a shape that deforms"
-    write_page(folder / VIEW, shape_page(title, found, summary))
+    write_page(folder / VIEW, shape_page(title, result, summary))
     write_json(folder / "summary.json", summary)
     return summary
 
@@ -115,11 +115,11 @@ def _read_truth(path: Path, tracks: Numbers, numbers: range) -> Numbers:
     return truth[[number - 1 for number in numbers]]
 
 
-def _notes(found: LearnedShape) -> list[str]:
+def _notes(result: LearnedShape) -> list[str]:
     """What is to be said about the result, a sentence each."""
-    notes, learned = [], found.learned
+    notes, learned = [], result.learned
     unknown = [
-        number for number, known in zip(found.numbers, learned.frame_determined, strict=True) if not known
+        number for number, known in zip(result.numbers, learned.frame_determined, strict=True) if not known
     ]
     if unknown:
         frames = "1 frame shows" if len(unknown) == 1 else f"{len(unknown)} frames show"
@@ -133,9 +133,9 @@ def _notes(found: LearnedShape) -> list[str]:
             "(e3D). "
             "The reprojection error does not see that."
         )
-    if found.choice is not None:
+    if result.choice is not None:
         notes.append(
-            f"{found.choice.bases} bases: the fewest that predict held-out positions as well as any, by one "
+            f"{result.choice.bases} bases: the fewest that predict held-out positions as well as any, by one "
             "standard error."
         )
     return notes

@@ -63,7 +63,7 @@ class LearnedShape:
 SHAPES, MODEL = "shapes.npz", "model.npz"
 
 
-def write_shapes(path: Path, found: LearnedShape) -> None:
+def write_shapes(path: Path, result: LearnedShape) -> None:
     """Write `shapes.npz`, whole or not at all.
 
     Point j of frame t is seen at x and y of `shapes[t, j]` = `scales[t] * rotations[t] @ (bases[0, j] + sum_k
@@ -71,13 +71,13 @@ def write_shapes(path: Path, found: LearnedShape) -> None:
     with `detail_weights`, added like the others. `covariance` is that of `shapes` in px^2. What is not known
     of a frame is NaN.
     """
-    learned = found.learned
+    learned = result.learned
     with write_atomically(path) as unfinished, unfinished.open("wb") as file:
         np.savez_compressed(
             file,
-            shapes=found.shapes,
-            covariance=found.covariances,
-            observed=found.observed,
+            shapes=result.shapes,
+            covariance=result.covariances,
+            observed=result.observed,
             rotations=learned.rotations,
             scales=learned.scales,
             translations=learned.translations,
@@ -85,8 +85,8 @@ def write_shapes(path: Path, found: LearnedShape) -> None:
             bases=learned.bases,
             details=learned.details,
             detail_weights=learned.detail_weights,
-            frame=np.array(found.numbers, np.int64),
-            time=found.times,
+            frame=np.array(result.numbers, np.int64),
+            time=result.times,
         )
 
 
@@ -96,12 +96,12 @@ SWING = 2.0
 """Standard deviations to both sides of the mean, in which 95 % of weights lie."""
 
 
-def shape_page(title: str, found: LearnedShape, summary: Mapping[str, Any]) -> Page:
+def shape_page(title: str, result: LearnedShape, summary: Mapping[str, Any]) -> Page:
     """Fill the page of a run."""
-    learned = found.learned
-    positions = found.shapes[..., :2]
-    followed = FollowedPoints(positions, found.covariances[..., :2, :2], found.residuals, "shape and pose")
-    film, corner = film_of_points(followed.places, found.numbers, found.times.tolist())
+    learned = result.learned
+    positions = result.shapes[..., :2]
+    followed = FollowedPoints(positions, result.covariances[..., :2, :2], result.residuals, "shape and pose")
+    film, corner = film_of_points(followed.places, result.numbers, result.times.tolist())
     shown = np.ones(len(film.numbers), np.bool_)
     mean = learned.bases[0]
     layer: dict[str, Any] = {
@@ -120,9 +120,9 @@ def shape_page(title: str, found: LearnedShape, summary: Mapping[str, Any]) -> P
         Plot(f"weight of mode {k}", "s.d.", [Line(values)])
         for k, values in enumerate(learned.weights.T, start=1)
     ]
-    sections: list[Section] = [("Modes", _modes(found))]
-    if found.choice is not None:
-        sections.append(("Number of bases", [_held_out(found.choice)]))
+    sections: list[Section] = [("Modes", _modes(result))]
+    if result.choice is not None:
+        sections.append(("Number of bases", [_held_out(result.choice)]))
     return Page(
         title,
         cards=_cards(summary),
@@ -133,8 +133,8 @@ def shape_page(title: str, found: LearnedShape, summary: Mapping[str, Any]) -> P
         plots=[*followed.plots(), *weights],
         sections=sections,
         parameters=summary["parameters"],
-        numbers=found.numbers,
-        times=found.times.tolist(),
+        numbers=result.numbers,
+        times=result.times.tolist(),
         over="frame",
     )
 
@@ -153,9 +153,9 @@ def _cards(summary: Mapping[str, Any]) -> dict[str, str]:
     return cards
 
 
-def _modes(found: LearnedShape) -> list[Plot]:
+def _modes(result: LearnedShape) -> list[Plot]:
     """How each mode moves the points of the mean shape, from three sides."""
-    bases = found.learned.bases
+    bases = result.learned.bases
     shown = min(len(bases) - 1, MOST_MODES)
     left_out = len(bases) - 1 - shown
     caption = f"From {SWING:g} standard deviations below the mean (blue) to as many above it (red)."

@@ -41,13 +41,13 @@ from .files import point_colours, recorded_predictions, write_cameras, write_ply
 from .job import StructureJob
 from .page import (
     EDGE,
-    drawn_of,
     facts_of,
     film_of_tracks,
     in_words,
     known_lens,
     nothing_page,
     structure_page,
+    view_row,
     write_film,
 )
 from .recursive import RecursiveRun
@@ -177,49 +177,49 @@ class _StructureRun:
 
     def _written(
         self,
-        found: Reconstruction,
+        result: Reconstruction,
         predictions: Sequence[PairRecord],
         about_lens: str,
         diagnosis: Diagnosis | None,
     ) -> dict[str, Any]:
         """Write all results; return the content of `summary.json`."""
         folder, film, frames = self.job.out, self._film, self._film.frames
-        notes = [*film.notes, *_notes(found, diagnosis, film.n_tracks is not None)]
-        if found.perspective is not None and about_lens:
+        notes = [*film.notes, *_notes(result, diagnosis, film.n_tracks is not None)]
+        if result.perspective is not None and about_lens:
             notes.append(about_lens)
-        colours: NDArray[np.uint8] = point_colours(frames, found)
-        if found.geometry != "none":
-            write_ply(folder / "structure.ply", found, colours)
-        write_cameras(folder / "cameras.json", found, frames)
-        if found.perspective is not None:
+        colours: NDArray[np.uint8] = point_colours(frames, result)
+        if result.geometry != "none":
+            write_ply(folder / "structure.ply", result, colours)
+        write_cameras(folder / "cameras.json", result, frames)
+        if result.perspective is not None:
             images = [(frame.number, self._picture_of(index)) for index, frame in enumerate(frames)]
-            write_colmap(folder / COLMAP, found.perspective, found.places, found.observed, colours, images)
-        write_tracks(folder / "tracks.npz", found, frames)
+            write_colmap(folder / COLMAP, result.perspective, result.places, result.observed, colours, images)
+        write_tracks(folder / "tracks.npz", result, frames)
         write_predictions(folder, predictions)
         if film.n_tracks is None and self.job.video:
-            _write_video(folder / OVERLAY, frames, found, film.rate)
-        lens = found.perspective
+            _write_video(folder / OVERLAY, frames, result, film.rate)
+        lens = result.perspective
         facts = {
-            "tracks": len(found.point_of_track),
-            "rejected_tracks": int(np.count_nonzero(found.point_of_track < 0)),
-            **facts_of(found),
+            "tracks": len(result.point_of_track),
+            "rejected_tracks": int(np.count_nonzero(result.point_of_track < 0)),
+            **facts_of(result),
             "focal_length_px": None if lens is None else lens.cameras.focal,
             "focal_length_deviation_px": None if lens is None else lens.focal_deviation,
-            "shape": found.geometry,
-            "shape_reason": found.reason or None,
+            "shape": result.geometry,
+            "shape_reason": result.reason or None,
             "diagnosis": None if diagnosis is None else asdict(diagnosis),
-            "rounds": len(found.objective),
-            "converged": found.converged,
+            "rounds": len(result.objective),
+            "converged": result.converged,
             "stream": film.stream,
-            "objective": list(found.objective),
+            "objective": list(result.objective),
             "notes": notes,
         }
         summary = self._summary(facts)
         if film.n_tracks is None:
-            shown, corner = write_film(folder, frames, film.rate, found), EDGE
+            shown, corner = write_film(folder, frames, film.rate, result), EDGE
         else:
-            shown, corner = film_of_tracks(frames, found)
-        page = structure_page(self._title, frames, found, colours, summary, shown, corner)
+            shown, corner = film_of_tracks(frames, result)
+        page = structure_page(self._title, frames, result, colours, summary, shown, corner)
         write_page(folder / VIEW, page)
         write_json(folder / "summary.json", summary)
         return summary
@@ -307,23 +307,23 @@ def _images(job: StructureJob) -> Film:
         return Film(source.name, frames, rate, None, fingerprint, tuple(notes), pictures, source.stream)
 
 
-def _write_video(path: Path, frames: Sequence[Frame], found: Reconstruction, rate: float) -> None:
+def _write_video(path: Path, frames: Sequence[Frame], result: Reconstruction, rate: float) -> None:
     """Write a video of all frames with their points."""
     with Progress("overlay", len(frames)) as progress, OverlayVideo(path, rate, PointsOverlay()) as video:
         for index, frame in enumerate(frames):
-            video.add(frame, partial(drawn_of, found, index))
+            video.add(frame, partial(view_row, result, index))
             progress.update()
 
 
-def _notes(found: Reconstruction, diagnosis: Diagnosis | None, given: bool) -> list[str]:
+def _notes(result: Reconstruction, diagnosis: Diagnosis | None, given: bool) -> list[str]:
     """What is to be said about the result, a sentence each; `given` tracks are named."""
     notes = [] if diagnosis is None else list(diagnosis.sentences)
-    if found.geometry == "affine":
-        notes.append(f"The shape is known up to an affine map only: {found.reason}.")
-    rejected = np.flatnonzero(found.point_of_track < 0).tolist()
+    if result.geometry == "affine":
+        notes.append(f"The shape is known up to an affine map only: {result.reason}.")
+    rejected = np.flatnonzero(result.point_of_track < 0).tolist()
     if rejected:
         which = f": {listed(rejected, 'track')}" if given else ""
-        notes.append(f"{len(rejected)} of {len(found.point_of_track)} tracks belong to no point{which}.")
-    if not found.converged:
+        notes.append(f"{len(rejected)} of {len(result.point_of_track)} tracks belong to no point{which}.")
+    if not result.converged:
         notes.append("The ascent was ended before it converged.")
     return notes

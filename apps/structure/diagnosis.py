@@ -82,7 +82,11 @@ def no_points(frames: Sequence[Frame], tracks: Numbers, reason: str) -> Diagnosi
     pictures = [grey_of(frame.image) for frame in frames if frame.image is not None]
     contrast = float(np.median([picture.std() for picture in pictures])) if pictures else math.nan
     moved = picture_motion(pictures)
-    figures = {**_figures(motion), "picture_motion_px": _known(moved), "contrast": _known(contrast)}
+    figures = {
+        **_figures(motion),
+        "picture_motion_px": _finite_or_none(moved),
+        "contrast": _finite_or_none(contrast),
+    }
     missing = f"No structure: none of {motion.tracks} tracks became a point of a shape."
     if contrast < CONTRAST and motion.tracks < FEWEST_POINTS:
         return Diagnosis(
@@ -155,10 +159,10 @@ def _figures(motion: Motion) -> dict[str, float | None]:
     return {
         "tracks": motion.tracks,
         "median_life_frames": motion.life,
-        "motion_px_per_frame": _known(motion.per_frame),
-        "parallax_px_per_point": _known(motion.parallax),
+        "motion_px_per_frame": _finite_or_none(motion.per_frame),
+        "parallax_px_per_point": _finite_or_none(motion.parallax),
     }
 
 
-def _known(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return value if math.isfinite(value) else None

@@ -47,21 +47,21 @@ PERSPECTIVE_CONVENTION = (
 )
 
 
-def write_ply(path: Path, found: Reconstruction, colours: NDArray[np.uint8]) -> None:
+def write_ply(path: Path, result: Reconstruction, colours: NDArray[np.uint8]) -> None:
     """Write the points as binary little-endian PLY, whole or not at all, in colours `(n_points, 3)` BGR."""
-    vertices = np.zeros(found.n_points, VERTEX)
-    for name, values in zip("xyz", found.shape.T, strict=True):
+    vertices = np.zeros(result.n_points, VERTEX)
+    for name, values in zip("xyz", result.shape.T, strict=True):
         vertices[name] = values
     for name, channel in zip(("blue", "green", "red"), colours.T, strict=True):
         vertices[name] = channel
-    vertices["deviation"] = found.deviations
-    vertices["observations"] = np.count_nonzero(found.observed, axis=0)
+    vertices["deviation"] = result.deviations
+    vertices["observations"] = np.count_nonzero(result.observed, axis=0)
     properties = (f"property {PLY_TYPES[VERTEX[name].str]} {name}" for name in VERTEX.names or ())
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        f"comment {found.geometry} shape; x right, y down, z away from the camera",
-        f"element vertex {found.n_points}",
+        f"comment {result.geometry} shape; x right, y down, z away from the camera",
+        f"element vertex {result.n_points}",
         *properties,
         "end_header",
     ]
@@ -69,25 +69,25 @@ def write_ply(path: Path, found: Reconstruction, colours: NDArray[np.uint8]) -> 
         unfinished.write_bytes("\n".join([*header, ""]).encode("ascii") + vertices.tobytes())
 
 
-def write_cameras(path: Path, found: Reconstruction, frames: Sequence[Frame]) -> None:
+def write_cameras(path: Path, result: Reconstruction, frames: Sequence[Frame]) -> None:
     """Write every frame's camera as JSON; what is not known is `null`."""
     entries = []
-    scales, rotations = orthographic_parts(found.cameras)
-    for frame, camera, scale, rotation in zip(frames, found.cameras, scales, rotations, strict=True):
+    scales, rotations = orthographic_parts(result.cameras)
+    for frame, camera, scale, rotation in zip(frames, result.cameras, scales, rotations, strict=True):
         entry: dict[str, Any] = {"frame": frame.number, "time": frame.time, "matrix": camera}
-        if found.geometry == "euclidean":
+        if result.geometry == "euclidean":
             entry |= {"scale": scale, "rotation": rotation, "translation": camera[:, 3]}
         entries.append(entry)
-    content = {"geometry": found.geometry, "camera": "affine", "convention": CONVENTION, "frames": entries}
-    if found.perspective is not None:
-        content |= _perspective(found.perspective, entries)
+    content = {"geometry": result.geometry, "camera": "affine", "convention": CONVENTION, "frames": entries}
+    if result.perspective is not None:
+        content |= _perspective(result.perspective, entries)
     write_json(path, content)
 
 
-def _perspective(found: PerspectiveStructure, entries: list[dict[str, Any]]) -> dict[str, Any]:
+def _perspective(structure: PerspectiveStructure, entries: list[dict[str, Any]]) -> dict[str, Any]:
     """What is said of a perspective camera; the frames' entries become those of one."""
-    cameras = found.cameras
-    known = found.frame_determined.tolist()
+    cameras = structure.cameras
+    known = structure.frame_determined.tolist()
     poses = zip(cameras.rotations, cameras.translations, cameras.centres, known, strict=True)
     for entry, (rotation, translation, centre, determined) in zip(entries, poses, strict=True):
         entry |= {"rotation": rotation, "translation": translation, "centre": centre}
@@ -96,12 +96,12 @@ def _perspective(found: PerspectiveStructure, entries: list[dict[str, Any]]) -> 
     return {
         "camera": "perspective",
         "convention": PERSPECTIVE_CONVENTION,
-        "size": {"width": found.size[1], "height": found.size[0]},
+        "size": {"width": structure.size[1], "height": structure.size[0]},
         "principal_point": cameras.principal,
         "focal_length": cameras.focal,
-        "focal_length_deviation": found.focal_deviation,
+        "focal_length_deviation": structure.focal_deviation,
         "inverse_focal_length": cameras.curvature,
-        "inverse_focal_length_deviation": found.curvature_deviation,
+        "inverse_focal_length_deviation": structure.curvature_deviation,
     }
 
 
@@ -113,7 +113,7 @@ def orthographic_parts(cameras: Numbers) -> tuple[Numbers, Numbers]:
     return scales, rotations
 
 
-def write_tracks(path: Path, found: Reconstruction, frames: Sequence[Frame]) -> None:
+def write_tracks(path: Path, result: Reconstruction, frames: Sequence[Frame]) -> None:
     """Write `tracks.npz`, whole or not at all.
 
     It holds `position (n_frames, n_points, 2)` px in every frame, seen or not, `covariance
@@ -123,10 +123,10 @@ def write_tracks(path: Path, found: Reconstruction, frames: Sequence[Frame]) -> 
     with write_atomically(path) as unfinished, unfinished.open("wb") as file:
         np.savez_compressed(
             file,
-            position=found.positions,
-            covariance=found.covariances,
-            observed=found.observed,
-            point_of_track=found.point_of_track,
+            position=result.positions,
+            covariance=result.covariances,
+            observed=result.observed,
+            point_of_track=result.point_of_track,
             frame=np.array([frame.number for frame in frames], np.int64),
             time=np.array([frame.time for frame in frames], np.float64),
         )
@@ -153,18 +153,18 @@ def recorded_predictions(solution: Solution) -> tuple[PairRecord, ...]:
     return () if record is None else (record,)
 
 
-def point_colours(frames: Sequence[Frame], found: Reconstruction) -> NDArray[np.uint8]:
+def point_colours(frames: Sequence[Frame], result: Reconstruction) -> NDArray[np.uint8]:
     """The median colour of every point where it was seen, `(n_points, 3)` BGR; grey where there is none."""
-    samples = np.full((len(frames), found.n_points, 3), np.nan, np.float32)
-    for frame, places, seen, colours in zip(frames, found.places, found.observed, samples, strict=True):
+    samples = np.full((len(frames), result.n_points, 3), np.nan, np.float32)
+    for frame, places, seen, colours in zip(frames, result.places, result.observed, samples, strict=True):
         if frame.image is not None:
             near = np.rint(np.where(seen[:, None], places, -1))
             inside = ((near >= 0) & (near < frame.image.shape[1::-1])).all(axis=1)
             colours[inside] = colours_at(frame, places[inside])
     coloured = ~np.isnan(samples[:, :, 0]).all(axis=0)
-    result = np.full((found.n_points, 3), GREY, np.uint8)
-    result[coloured] = np.rint(np.nanmedian(samples[:, coloured], axis=0))
-    return result
+    median = np.full((result.n_points, 3), GREY, np.uint8)
+    median[coloured] = np.rint(np.nanmedian(samples[:, coloured], axis=0))
+    return median
 
 
 def colours_at(frame: Frame, places: Numbers) -> NDArray[np.uint8]:

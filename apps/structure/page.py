@@ -41,33 +41,33 @@ def known_lens(frames: Sequence[Frame], focal: float | None, picture: Path | Non
     )
 
 
-def camera_in_words(found: Reconstruction) -> str:
+def camera_in_words(result: Reconstruction) -> str:
     """For instance "perspective, focal length 660 ± 4 px"; of an affine one why it is that."""
-    if found.perspective is not None:
-        return f"perspective, {focal_in_words(found.perspective)}"
-    return f"affine: {found.affine_reason}" if found.affine_reason else "affine"
+    if result.perspective is not None:
+        return f"perspective, {focal_in_words(result.perspective)}"
+    return f"affine: {result.affine_reason}" if result.affine_reason else "affine"
 
 
-def focal_in_words(found: PerspectiveStructure) -> str:
+def focal_in_words(structure: PerspectiveStructure) -> str:
     """For instance "focal length 660 ± 4 px"."""
-    if found.curvature_deviation == 0:
-        return f"focal length {found.cameras.focal:.5g} px, as given"
-    if not math.isfinite(found.focal_deviation):
-        shortest = 1 / (found.cameras.curvature + 2 * found.curvature_deviation)
+    if structure.curvature_deviation == 0:
+        return f"focal length {structure.cameras.focal:.5g} px, as given"
+    if not math.isfinite(structure.focal_deviation):
+        shortest = 1 / (structure.cameras.curvature + 2 * structure.curvature_deviation)
         return f"focal length unknown, more than {shortest:.2g} px"
-    return f"focal length {found.cameras.focal:.5g} ± {found.focal_deviation:.2g} px"
+    return f"focal length {structure.cameras.focal:.5g} ± {structure.focal_deviation:.2g} px"
 
 
-def facts_of(found: Reconstruction) -> dict[str, Any]:
+def facts_of(result: Reconstruction) -> dict[str, Any]:
     """What the summary of any engine says of points and camera."""
     return {
-        "points": found.n_points,
-        "observations": found.n_observations,
-        "reprojection_rmse_px_per_point": found.reprojection_error,
-        "reprojection_rmse_px_per_coordinate": found.reprojection_error / math.sqrt(2),
-        "noise_px_per_coordinate": float(np.sqrt(found.noise_variance)),
-        "camera": "affine" if found.perspective is None else "perspective",
-        "camera_in_words": camera_in_words(found),
+        "points": result.n_points,
+        "observations": result.n_observations,
+        "reprojection_rmse_px_per_point": result.reprojection_error,
+        "reprojection_rmse_px_per_coordinate": result.reprojection_error / math.sqrt(2),
+        "noise_px_per_coordinate": float(np.sqrt(result.noise_variance)),
+        "camera": "affine" if result.perspective is None else "perspective",
+        "camera_in_words": camera_in_words(result),
     }
 
 
@@ -101,31 +101,31 @@ PICTURE_SIDE = 640
 
 
 def write_film(
-    folder: Path, frames: Sequence[Frame], rate: float, found: Reconstruction | None = None
+    folder: Path, frames: Sequence[Frame], rate: float, result: Reconstruction | None = None
 ) -> Film:
     """Write the film without drawings to the folder, with the places of points, and read it again."""
     with FilmWriter(folder, rate) as writer:
         for index, frame in enumerate(frames):
-            writer.add(frame, dict if found is None else partial(drawn_of, found, index))
+            writer.add(frame, dict if result is None else partial(view_row, result, index))
     return read_film(folder)
 
 
-def film_of_tracks(frames: Sequence[Frame], found: Reconstruction) -> tuple[Film, tuple[float, float]]:
+def film_of_tracks(frames: Sequence[Frame], result: Reconstruction) -> tuple[Film, tuple[float, float]]:
     """A film without pictures that is as large as the points need, and its upper left corner, px."""
-    return film_of_points(found.places, [frame.number for frame in frames], [frame.time for frame in frames])
+    return film_of_points(result.places, [frame.number for frame in frames], [frame.time for frame in frames])
 
 
-def drawn_of(found: Reconstruction, index: int) -> Row:
+def view_row(result: Reconstruction, index: int) -> Row:
     """What is drawn on a frame of the video: see `PointsOverlay`."""
-    shown = evenly_spread(found.n_points, most_over_film(len(found.observed)))
-    places = found.places[index, shown].astype(np.float32)
-    return {"id": np.array(shown, np.int32), "points": places, "seen": found.observed[index, shown]}
+    shown = evenly_spread(result.n_points, most_over_film(len(result.observed)))
+    places = result.places[index, shown].astype(np.float32)
+    return {"id": np.array(shown, np.int32), "points": places, "seen": result.observed[index, shown]}
 
 
 def structure_page(
     title: str,
     frames: Sequence[Frame],
-    found: Reconstruction,
+    result: Reconstruction,
     colours: NDArray[np.uint8],
     summary: Mapping[str, Any],
     film: Film,
@@ -137,26 +137,26 @@ def structure_page(
     ones, and `corner` its upper left one, in the points' px.
     """
     shown = np.isin([frame.number for frame in frames], film.numbers)
-    points = evenly_spread(found.n_points, MOST_POINTS)
-    residuals = np.where(found.observed[..., None], found.residuals, np.nan)
-    followed = FollowedPoints(found.positions, found.covariances, residuals, "shape and camera")
+    points = evenly_spread(result.n_points, MOST_POINTS)
+    residuals = np.where(result.observed[..., None], result.residuals, np.nan)
+    followed = FollowedPoints(result.positions, result.covariances, residuals, "shape and camera")
     layer: dict[str, Any] = {
-        "geometry": found.geometry,
-        "reason": found.reason,
-        "count": found.n_points,
-        "space": None if found.geometry == "none" else _space(found, colours, points, shown),
-        "surface": _surface(frames, found) if found.geometry == "euclidean" else None,
+        "geometry": result.geometry,
+        "reason": result.reason,
+        "count": result.n_points,
+        "space": None if result.geometry == "none" else _space(result, colours, points, shown),
+        "surface": _surface(frames, result) if result.geometry == "euclidean" else None,
     }
     sections: list[Section] = []
-    if found.geometry != "none":
-        sections.append(("Shape", three_sides(found, colours)))
+    if result.geometry != "none":
+        sections.append(("Shape", three_sides(result, colours)))
     if film.path is None:
-        sections.append(("Tracks", [_tracks(found)]))
-    if found.objective:
-        sections.append(("Rounds", [_rounds(found)]))
+        sections.append(("Tracks", [_tracks(result)]))
+    if result.objective:
+        sections.append(("Rounds", [_rounds(result)]))
     return Page(
         title,
-        cards=_cards(found, summary),
+        cards=_cards(result, summary),
         notes=summary["notes"],
         film=film,
         layers={LAYER: followed.over(film, shown, corner), "structure": layer},
@@ -194,33 +194,33 @@ def nothing_page(
     )
 
 
-def _cards(found: Reconstruction, summary: Mapping[str, Any]) -> dict[str, str]:
+def _cards(result: Reconstruction, summary: Mapping[str, Any]) -> dict[str, str]:
     return {
         "frames": f"{summary['frames']}",
-        "points": f"{found.n_points}",
-        "observations": f"{found.n_observations}",
-        "reprojection error per point": f"{found.reprojection_error:.3g} px",
-        "reprojection error per coordinate": f"{found.reprojection_error / math.sqrt(2):.3g} px",
-        "noise of a coordinate": f"{np.sqrt(found.noise_variance):.3g} px",
-        "shape": "undetermined" if found.geometry == "none" else found.geometry,
-        "camera": camera_in_words(found),
-        **({"rounds": f"{len(found.objective)}"} if found.objective else {}),
+        "points": f"{result.n_points}",
+        "observations": f"{result.n_observations}",
+        "reprojection error per point": f"{result.reprojection_error:.3g} px",
+        "reprojection error per coordinate": f"{result.reprojection_error / math.sqrt(2):.3g} px",
+        "noise of a coordinate": f"{np.sqrt(result.noise_variance):.3g} px",
+        "shape": "undetermined" if result.geometry == "none" else result.geometry,
+        "camera": camera_in_words(result),
+        **({"rounds": f"{len(result.objective)}"} if result.objective else {}),
     }
 
 
-def three_sides(found: Reconstruction, colours: NDArray[np.uint8]) -> list[Plot]:
+def three_sides(result: Reconstruction, colours: NDArray[np.uint8]) -> list[Plot]:
     """The points of a shape that is not undetermined, from three sides."""
-    centred = found.shape - np.median(found.shape, axis=0)
+    centred = result.shape - np.median(result.shape, axis=0)
     # what is badly known lies anywhere, and would make everything else small
     shown = np.all(np.abs(centred) <= 2 * np.quantile(np.abs(centred), 0.9, axis=0), axis=1)
     inks = [css_colour(colour) for colour in colours[shown].tolist()]
-    left_out = found.n_points - np.count_nonzero(shown)
+    left_out = result.n_points - np.count_nonzero(shown)
     caption = (
         "In px of the picture, up to scale and to reflection in depth."
-        if found.geometry == "euclidean"
+        if result.geometry == "euclidean"
         else "Up to an affine map: lengths and angles mean nothing."
     )
-    caption += f" {left_out} of {found.n_points} points lie outside." if left_out else ""
+    caption += f" {left_out} of {result.n_points} points lie outside." if left_out else ""
     return [
         Plot(
             side,
@@ -234,64 +234,64 @@ def three_sides(found: Reconstruction, colours: NDArray[np.uint8]) -> list[Plot]
     ]
 
 
-def _tracks(found: Reconstruction) -> Plot:
+def _tracks(result: Reconstruction) -> Plot:
     """Paths of the points in the plane of the picture, where they were seen."""
-    drawn = evenly_spread(found.n_points, MOST_DRAWN)
-    chosen = evenly_spread(len(found.observed), MOST_PLACES // max(1, len(drawn)))
+    drawn = evenly_spread(result.n_points, MOST_DRAWN)
+    chosen = evenly_spread(len(result.observed), MOST_PLACES // max(1, len(drawn)))
     lines = []
     for point in drawn:
-        seen = np.where(found.observed[chosen, point, None], found.places[chosen, point], np.nan)
+        seen = np.where(result.observed[chosen, point, None], result.places[chosen, point], np.nan)
         lines.append(Line(seen[:, 1], "", css_colour(identity_colour(point)), x=seen[:, 0]))
     caption = "As observed."
-    caption += f" {len(drawn)} of {found.n_points} points." if len(drawn) < found.n_points else ""
+    caption += f" {len(drawn)} of {result.n_points} points." if len(drawn) < result.n_points else ""
     return Plot("tracks", "y, px", lines, caption, axis="x, px", is_map=True)
 
 
-def _rounds(found: Reconstruction) -> Plot:
-    values = np.array(found.objective)
-    ended = "It ended by itself." if found.converged else "It was ended before it converged."
+def _rounds(result: Reconstruction) -> Plot:
+    values = np.array(result.objective)
+    ended = "It ended by itself." if result.converged else "It was ended before it converged."
     caption = f"Log density of the model after each round of coordinate ascent. {ended}"
     return Plot("objective", "nats", [Line(values, x=np.arange(1, len(values) + 1))], caption, axis="round")
 
 
 def _space(
-    found: Reconstruction, colours: NDArray[np.uint8], points: Sequence[int], shown: NDArray[np.bool_]
+    result: Reconstruction, colours: NDArray[np.uint8], points: Sequence[int], shown: NDArray[np.bool_]
 ) -> dict[str, Any]:
     """The points in space, and from where the cameras look at them."""
-    shape = found.shape[points]
+    shape = result.shape[points]
     centre = np.median(shape, axis=0)
     # what is badly known lies anywhere, and would make everything else small
     reach = float(np.quantile(np.linalg.norm(shape - centre, axis=1), 0.9))
     inks = [identity_colour(point) for point in points]
     rotations: Numbers = np.full((np.count_nonzero(shown), 3, 3), np.nan)
-    if found.geometry == "euclidean":
-        rotations = orthographic_parts(found.cameras)[1][shown]
+    if result.geometry == "euclidean":
+        rotations = orthographic_parts(result.cameras)[1][shown]
     return {
         "points": np.array(points, np.int32),
         "places": shape.astype(np.float32),
         "inks": packed(np.array(inks)),
         "colours": packed(colours[points]) if (colours != GREY).any() else None,
-        "covariances": found.shape_covariances[points][:, *np.triu_indices(3)].astype(np.float32),
+        "covariances": result.shape_covariances[points][:, *np.triu_indices(3)].astype(np.float32),
         "rotations": rotations.astype(np.float32),
         "centre": centre.tolist(),
         "reach": reach,
     }
 
 
-def _surface(frames: Sequence[Frame], found: Reconstruction) -> dict[str, Any] | None:
+def _surface(frames: Sequence[Frame], result: Reconstruction) -> dict[str, Any] | None:
     """Triangles between the points of the frame that shows most, and its picture, which they carry."""
     with_image = [index for index, frame in enumerate(frames) if frame.image is not None]
-    counts = np.count_nonzero(found.observed[with_image], axis=1)
+    counts = np.count_nonzero(result.observed[with_image], axis=1)
     if not len(counts) or counts.max() < 3:
         return None
     index = with_image[int(counts.argmax())]
     image = frames[index].image
     assert image is not None
-    sure = found.deviations <= LEAST_SURE * np.median(found.deviations)
-    corners = np.flatnonzero(found.observed[index] & sure)
+    sure = result.deviations <= LEAST_SURE * np.median(result.deviations)
+    corners = np.flatnonzero(result.observed[index] & sure)
     if len(corners) < 3:
         return None
-    places = found.places[index, corners]
+    places = result.places[index, corners]
     triangles = Delaunay(places).simplices
     edges = np.linalg.norm(places[triangles] - places[np.roll(triangles, 1, axis=1)], axis=2)
     triangles = triangles[edges.max(axis=1) <= LONGEST_EDGE * math.hypot(*image.shape[:2])]
@@ -300,7 +300,7 @@ def _surface(frames: Sequence[Frame], found: Reconstruction) -> dict[str, Any] |
     return {
         "frame": frames[index].number,
         "points": corners.astype(np.int32),
-        "corners": found.shape[corners].astype(np.float32),
+        "corners": result.shape[corners].astype(np.float32),
         "triangles": triangles.astype(np.int32),
         "onPicture": (scale * places).astype(np.float32),
         "picture": encoded(picture, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, 85]),

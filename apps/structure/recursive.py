@@ -62,7 +62,7 @@ class RecursiveRun(Application[StructureJob]):
         return Columns(
             {"camera": camera, "camera_covariance": covariance},
             {"id": seen.identities, "place": seen.positions, "colour": colours_at(frame, seen.positions)},
-            drawn=partial(_drawn, structure, seen.identities, seen.positions),
+            drawn=partial(_view_row, structure, seen.identities, seen.positions),
             live={"points": len(seen.identities), "of the shape": 0 if structure is None else len(structure)},
         )
 
@@ -84,20 +84,20 @@ class RecursiveRun(Application[StructureJob]):
             diagnosis = no_depth("the motion of points has not determined a shape", _last_tracks(log))
             return {**diagnosis.facts(), "notes": list(diagnosis.sentences)}
         tracks, colours = _of_identities(log, structure.identities)
-        self._found = found = recursive_reconstruction(
+        self._found = result = recursive_reconstruction(
             structure, log["camera"], log["camera_covariance"], tracks
         )
         self._colours = colours
-        write_ply(out / "structure.ply", found, colours)
-        write_cameras(out / "cameras.json", found, self._frames)
-        write_tracks(out / "tracks.npz", found, self._frames)
-        notes = [f"The shape is known up to an affine map only: {found.reason}."] if found.reason else []
+        write_ply(out / "structure.ply", result, colours)
+        write_cameras(out / "cameras.json", result, self._frames)
+        write_tracks(out / "tracks.npz", result, self._frames)
+        notes = [f"The shape is known up to an affine map only: {result.reason}."] if result.reason else []
         return {
             "tracks": len(np.unique(log.objects("id"))),
-            **facts_of(found),
-            "shape": found.geometry,
-            "shape_reason": found.reason or None,
-            "shape_since_frame": self._frames[int(np.flatnonzero(found.determined)[0])].number,
+            **facts_of(result),
+            "shape": result.geometry,
+            "shape_reason": result.reason or None,
+            "shape_since_frame": self._frames[int(np.flatnonzero(result.determined)[0])].number,
             "diagnosis": None,
             "notes": notes,
         }
@@ -117,7 +117,7 @@ class RecursiveRun(Application[StructureJob]):
         return states[self._shape.name].structure if states else None
 
 
-def _drawn(structure: Structure | None, identities: NDArray[np.int64], places: Numbers) -> Row:
+def _view_row(structure: Structure | None, identities: NDArray[np.int64], places: Numbers) -> Row:
     """What is seen, and the points of the shape that are not, where it expects them."""
     hidden, expected = np.zeros(0, np.int64), np.zeros((0, 2))
     if structure is not None:

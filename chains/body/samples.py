@@ -127,7 +127,7 @@ class BodyMoments:
     angle_covariances: Array  # `(16, 16)`
 
 
-def moments(body: UpperBody, samples: BodySamples) -> BodyMoments:
+def body_moments(body: UpperBody, samples: BodySamples) -> BodyMoments:
     """Return means and covariances of joints and angles."""
     weights = samples.weights
     mean, covariance = weighted_moments(body.joints(samples.poses), weights)

@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rsmcm.apps.io import open_source, with_keypoints
-from rsmcm.models import Frame
-from rsmcm.models.core.frame import KEYPOINTS
+from rsmcm.models import KEYPOINTS, Frame
 
 
 class YoloPose:

@@ -20,8 +20,7 @@ and ``shows``, :math:`p(F \\mid X)` with a row for each state.
 import matplotlib.pyplot as plt
 import numpy as np
 from rsmcm.inference import MultiChain, Port, RecursiveBP
-from rsmcm.models import Categorical
-from rsmcm.models.core.categorical import CategoricalMessage
+from rsmcm.models import Categorical, CategoricalMessage
 
 
 class TwoStates:

@@ -12,8 +12,7 @@ import numpy as np
 from rsmcm.apps.scenes import cylinder
 from rsmcm.chains import FactorStructure
 from rsmcm.inference import CoordinateAscent, MultiChain
-from rsmcm.models import PointTracks, frames_of_tracks
-from rsmcm.models.points.point_tracks import noise_of_tracks
+from rsmcm.models import PointTracks, frames_of_tracks, noise_of_tracks
 
 # %%
 # 40 points in 60 frames. In every frame a point that is seen is lost with probability 0.1, and one that is

@@ -11,8 +11,7 @@ is seen, or where a hand is lost.
 import matplotlib.pyplot as plt
 import numpy as np
 from rsmcm.apps.scenes import signer
-from rsmcm.chains import ArticulatedPose, FleshTracker
-from rsmcm.chains.body.samples import moments
+from rsmcm.chains import ArticulatedPose, FleshTracker, body_moments
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import BodyParts, UpperBody
 
@@ -34,7 +33,7 @@ for axis, (title, heard) in zip(axes, (("both chains", True), ("sampler alone", 
     model = MultiChain().connect(FleshTracker(body), parts, feedback=heard)
     model.connect(ArticulatedPose(body, samples=250), parts)
     states = [belief["pose"] for belief in RecursiveBP(model).run(scene)]
-    joints = np.array([moments(body, state).joints for state in states])
+    joints = np.array([body_moments(body, state).joints for state in states])
     errors[title] = np.linalg.norm((joints - scene.joints)[:, [3, 4, 6, 7], :2], axis=2).mean(axis=1)
     print(f"{title}: error {errors[title].mean():.0f} px; the head is {body.head_height:.0f} px high")
     axis.imshow(scene.image(44)[..., ::-1])

@@ -8,7 +8,7 @@ mean squares :math:`A` and :math:`B` of both errors, the mean product :math:`K` 
 what is observed follows the gain of the product over the better one of both, in nats.
 
 All of these are seen in a recorded run: predictions, each made without what it is held against, and what
-was then observed. ``compare`` judges them; ``rsmcm validity`` does so for a run of the command.
+was then observed. ``compare_predictions`` judges them; ``rsmcm validity`` does so for a run of the command.
 """
 
 import matplotlib.pyplot as plt
@@ -16,8 +16,13 @@ import numpy as np
 from rsmcm.apps.io import frames_of_tracks
 from rsmcm.apps.scenes import cylinder
 from rsmcm.chains import PointTracker
-from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.inference.validity import PredictionErrors, RecordedPredictions, compare
+from rsmcm.inference import (
+    MultiChain,
+    PredictionErrors,
+    RecordedPredictions,
+    RecursiveBP,
+    compare_predictions,
+)
 from rsmcm.models import Frame, PointTracks
 
 # %%
@@ -55,7 +60,7 @@ figure, axis = plt.subplots(figsize=(7, 3.6), layout="constrained")
 for name, (one, two) in pairs.items():
     known = ~np.isnan(one + two).any(axis=2)
     recorded = RecordedPredictions(one[known], two[known], turning.observed[20:][known], noise)
-    found = compare(recorded, groups=np.nonzero(known)[1])  # errors of a point are related
+    found = compare_predictions(recorded, groups=np.nonzero(known)[1])  # errors of a point are related
     print(f"{name}: {found.verdict}; errors correlate {found.correlation:.2f}, gain {found.gain:.2f} nats")
     both = found.rms_first.estimate * found.rms_second.estimate * np.eye(2)
     theory = PredictionErrors(found.errors.first, found.errors.second, at * both, 0 * noise, noise)

@@ -196,6 +196,12 @@ class _BatchIncoming(BatchIncoming):
         product: Message = slices.messages(name, time, self._chain) * slices.evidence(name, time)
         return product
 
+    def _others_at(self, node: Named) -> Any:
+        return self._slices.messages(node.name, self._time, without=self._chain)
+
+    def _evidence_at(self, node: Named) -> Any:
+        return self._slices.evidence(node.name, self._time)
+
     @property
     def frame(self) -> Frame:
         return self._slices.frames[self._time]
@@ -204,9 +210,6 @@ class _BatchIncoming(BatchIncoming):
     def time(self) -> float:
         frames = self._slices.frames
         return frames.time(self._time) if isinstance(frames, LazyFrames) else frames[self._time].time
-
-    def others(self, feature: Any, /) -> Any:
-        return self._slices.messages(self.node(feature).name, self._time, without=self._chain)
 
     def search(self, feature: Any, prior: Any, /) -> Any:
         return self._slices.search(self.node(feature).name, self._time, prior)

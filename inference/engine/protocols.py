@@ -114,13 +114,28 @@ class Incoming:
     """Messages that reach a chain, by the kind of feature node or by the node itself.
 
     `incoming[PixelLabels]` and `incoming[pixels]` are the product of the evidence and of all other chains'
-    messages at that node; `incoming.get(ObjectBoxes)` is `None` where the chain is connected to none.
-    Iteration gives the nodes. What is not asked for is not worked out. `results` are those of `once`.
+    messages at that node. Its two parts are `incoming.evidence(PixelLabels)`, what the image says, and
+    `incoming.others(PixelLabels)`, what the other chains say. `incoming.get(ObjectBoxes)` is `None` where the
+    chain is connected to none. Iteration gives the nodes. What is not asked for is not worked out.
+
+    Parameters
+    ----------
+    others
+        product of the other chains' messages, by feature node.
+    evidence
+        likelihood of the frame, by feature node; uniform at nodes that are left out.
+    results
+        those of `once`.
     """
 
-    def __init__(self, messages: Mapping[Named, Message], results: Results | None = None) -> None:
-        self._messages = messages
-        self._nodes = tuple(messages)
+    def __init__(
+        self,
+        others: Mapping[Named, Message],
+        evidence: Mapping[Named, Message] | None = None,
+        results: Results | None = None,
+    ) -> None:
+        self._others, self._evidence = others, evidence or {}
+        self._nodes = tuple(others)
         self._results: Results = {} if results is None else results
 
     @overload
@@ -128,15 +143,22 @@ class Incoming:
     @overload
     def __getitem__(self, key: FeatureNode[MessageType], /) -> MessageType: ...
     def __getitem__(self, key: type | Named, /) -> Message:
-        found = self._found(key)
-        return self._message_at(found[0] if len(found) == 1 else self.node(key))
+        return self._message_at(self.node(key))
+
+    def evidence(self, key: type[FeatureNode[MessageType]] | FeatureNode[MessageType], /) -> MessageType:
+        """Return the likelihood of the frame at the feature; uniform where the frame is missing."""
+        return cast(MessageType, self._evidence_at(self.node(key)))
+
+    def others(self, key: type[FeatureNode[MessageType]] | FeatureNode[MessageType], /) -> MessageType:
+        """Return the product of the other chains' messages at the feature, without the image."""
+        return cast(MessageType, self._others_at(self.node(key)))
 
     def get(self, kind: type[FeatureNode[MessageType]], /) -> MessageType | None:
-        """The message at the one node of that kind; `None` where there is no such node."""
+        """Return the message at the one node of that kind; `None` where there is no such node."""
         return self[kind] if self._found(kind) else None
 
     def by_name(self, kind: type[FeatureNode[MessageType]], /) -> dict[str, MessageType]:
-        """Messages at all nodes of that kind, for chains that meet any number of them."""
+        """Return the messages at all nodes of that kind, for chains that meet any number of them."""
         return {node.name: cast(MessageType, self._message_at(node)) for node in self._found(kind)}
 
     def once(self, function: Callable[..., Result], *arguments: object) -> Result:
@@ -167,8 +189,15 @@ class Incoming:
         return len(self._nodes)
 
     def _message_at(self, node: Named) -> Message:
-        """The message at one of the nodes, which may be worked out only now."""
-        return self._messages[node]
+        """The product at one of the nodes, which may be worked out only now."""
+        others = self._others_at(node)
+        return self._evidence[node] * others if node in self._evidence else others
+
+    def _others_at(self, node: Named) -> Message:
+        return self._others[node]
+
+    def _evidence_at(self, node: Named) -> Message:
+        return self._evidence[node] if node in self._evidence else cast(Any, node).uniform()
 
     def _found(self, key: type | Named) -> list[Named]:
         if isinstance(key, str):
@@ -247,7 +276,7 @@ class Smoothed(Generic[TrajectoryType]):
 class BatchIncoming(Incoming, ABC):
     """What reaches a batch chain at one time, while all other chains are held where they are.
 
-    `incoming[f]` is the product of the evidence and of all other chains' messages at f, as in filtering.
+    `incoming[f]`, `incoming.evidence(f)` and `incoming.others(f)` are those of filtering.
     """
 
     @property
@@ -259,10 +288,6 @@ class BatchIncoming(Incoming, ABC):
     @abstractmethod
     def time(self) -> float:
         """s, that of the frame, which is not read for it."""
-
-    @abstractmethod
-    def others(self, feature: type[FeatureNode[MessageType]] | FeatureNode[MessageType], /) -> MessageType:
-        """Product of the other chains' messages at the feature, without the image."""
 
     @abstractmethod
     def search(

@@ -148,7 +148,8 @@ class TimeSlice:
                 product = self._multiply(feature, factors[:-1]) * self._message(factors[-1])
             else:
                 product = self.model.features[feature].uniform()
-            self._products[key] = product
+            # chains that are updated side by side may ask for the same product
+            return self._products.setdefault(key, product)
         return self._products[key]
 
     def _message(self, sent: Sent) -> Any:
@@ -177,6 +178,17 @@ class _Incoming(Incoming):
 
     def _message_at(self, node: Named) -> Message:
         product: Message = self._slice._multiply(node.name, self._factors[node.name])
+        return product
+
+    def _others_at(self, node: Named) -> Message:
+        return self._part(node, lambda sent: sent.sender != IMAGE)
+
+    def _evidence_at(self, node: Named) -> Message:
+        return self._part(node, lambda sent: sent.sender == IMAGE)
+
+    def _part(self, node: Named, belongs: Callable[[Sent], bool]) -> Message:
+        factors = tuple(sent for sent in self._factors[node.name] if belongs(sent))
+        product: Message = self._slice._multiply(node.name, factors)
         return product
 
 

@@ -140,7 +140,9 @@ def _checked_function(function: Any) -> Any:
     @wraps(function)
     def with_checks(*args: Any, **kwargs: Any) -> Any:
         if not checks:
-            hints = get_type_hints(function, include_extras=True)
+            own = {name: hint for name, hint in function.__annotations__.items() if name != "return"}
+            annotated = types.SimpleNamespace(__annotations__=own)  # without what is returned
+            hints = get_type_hints(annotated, function.__globals__, include_extras=True)
             variable = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
             named = [each.name for each in parameters if each.kind not in variable]
             checks.update({name: check_of(hints.get(name, Any)) for name in named})

@@ -12,7 +12,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from rsmcm.inference.validity import RecordedPredictions, compare
+from rsmcm.inference.validity import RecordedPredictions, compare_predictions
 
 GALLERY = Path(__file__).parents[2] / "docs" / "gallery"
 EXAMPLES = sorted(GALLERY.glob("plot_*.py"))
@@ -69,7 +69,7 @@ def verdicts(names: Names) -> list[str]:
         known = ~np.isnan(one + two).any(axis=2)
         observed = names["turning"].observed[20:][known]
         recorded = RecordedPredictions(one[known], two[known], observed, np.diag([0.01, 0.01]))
-        found.append(compare(recorded, np.nonzero(known)[1]).verdict)
+        found.append(compare_predictions(recorded, np.nonzero(known)[1]).verdict)
     return found
 
 

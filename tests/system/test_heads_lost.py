@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.apps.scenes.signing.faults import ListedFaces
 from rsmcm.chains import ArticulatedPose, FleshTracker
-from rsmcm.chains.body.samples import moments
+from rsmcm.chains.body.samples import body_moments
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import BodyParts, Frame, UpperBody
 
@@ -39,7 +39,7 @@ def beliefs(images: list[Image], boxes: list[Array], whole: bool) -> Iterator[tu
         model.connect(ArticulatedPose(body, samples=100), parts)
     for belief in RecursiveBP(model).run(Frame(im, k / 25, k + 1) for k, im in enumerate(images)):
         head = belief[flesh].positions[0]
-        yield head, moments(body, belief["pose"]).joints[0, :2] if whole else head
+        yield head, body_moments(body, belief["pose"]).joints[0, :2] if whole else head
 
 
 def test_a_detector_that_is_silent_for_two_seconds(scene: SignerScene, images: list[Image]) -> None:

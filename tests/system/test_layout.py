@@ -1,11 +1,13 @@
 """Imports run in one direction, also between folders, and a domain of chains knows no other."""
 
 import ast
+import re
 from pathlib import Path
 
 import networkx as nx
 
 ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
 PACKAGES = ("models", "inference", "chains", "apps")
 """Each may import those before it."""
 
@@ -57,4 +59,26 @@ def test_a_domain_of_chains_imports_no_other() -> None:
         for name in imports_of(path)
         if name[:1] == ("chains",) and name[1:2] != (domain,)
     ]
+    assert found == []
+
+
+def test_docs_import_what_is_public() -> None:
+    found = []
+    for path in (
+        ROOT / "README.md",
+        *DOCS.rglob("*.md"),
+        *DOCS.glob("gallery/*.py"),
+        *DOCS.glob("examples/*.py"),
+    ):
+        imports = re.findall(
+            r"^ *from rsmcm\.((?:models|inference|chains)\S*) import ([^(\n]+|\([^)]*\))",
+            path.read_text(),
+            re.MULTILINE,
+        )
+        for package, names in imports:
+            stub = ROOT / package / "__init__.pyi"
+            public = re.findall(r'^    "(\w+)",$', stub.read_text(), re.MULTILINE) if stub.is_file() else []
+            found += [
+                f"{path.name}: {package}.{name}" for name in re.findall(r"\w+", names) if name not in public
+            ]
     assert found == []

@@ -25,7 +25,7 @@ from rsmcm.apps.runs.interruption import Interruption
 from rsmcm.apps.scenes import cylinder, face, signer, sleeping_man
 from rsmcm.apps.scenes.signing.signer import SignerScene
 from rsmcm.chains import ArticulatedPose, FleshTracker
-from rsmcm.chains.body.samples import moments
+from rsmcm.chains.body.samples import body_moments
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import BodyParts, UpperBody
 from rsmcm.models.body.upper_body import JOINTS
@@ -399,7 +399,7 @@ def test_a_camera_that_was_switched_off(hours: float) -> None:
     frames = list(scene)
     *_, belief = engine.run(frames[:8])
     belief = engine.step(belief.state, replace(frames[8], time=belief.state.time + 3600 * hours))
-    head = moments(body, belief[pose]).joints[HEAD, :2]
+    head = body_moments(body, belief[pose]).joints[HEAD, :2]
     assert np.linalg.norm(head - scene.joints[8, HEAD, :2]) < 0.5 * body.head_height, (
         "not even half a head off"
     )

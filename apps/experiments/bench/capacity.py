@@ -99,13 +99,13 @@ def measured(job: BackgroundJob) -> Run:
     return Run(os.getpid(), rate, kilobytes / 976.5625, sum(sizes.values()) / 1e6, state / 1e6)
 
 
-def row(film: Path, size: tuple[int, int], workers: Workers, found: list[Run]) -> tuple[object, ...]:
+def row(film: Path, size: tuple[int, int], workers: Workers, limits: list[Run]) -> tuple[object, ...]:
     """A line of the table."""
-    rate = sum(each.rate for each in found)
+    rate = sum(each.rate for each in limits)
     return (
         f"{size[0]}x{size[1]}", f"{workers.jobs} x {workers.threads}", rate, int(rate / RATE),
-        max(each.memory for each in found), film.stat().st_size / N_FRAMES / 1e3,
-        1e3 * found[0].written / N_FRAMES, found[0].state,
+        max(each.memory for each in limits), film.stat().st_size / N_FRAMES / 1e3,
+        1e3 * limits[0].written / N_FRAMES, limits[0].state,
     )  # fmt: skip
 
 

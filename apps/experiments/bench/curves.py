@@ -110,10 +110,10 @@ def curves() -> Findings:
     return Findings("Cost as curves", [], expectations, [plot(found)])
 
 
-def plot(found: Sequence[Curve]) -> Plot:
+def plot(curves: Sequence[Curve]) -> Plot:
     """A panel for each kind of size."""
     panels: dict[str, list[Curve]] = {}
-    for each in found:
+    for each in curves:
         panels.setdefault(each.unit, []).append(each)
     rows, columns = -(-len(panels) // 4), 4
     return Plot("curves.png", partial(_draw, panels), (2.9 * columns, 2.4 * rows), "Time over size.")
@@ -285,7 +285,7 @@ def broken_tracks(count: int) -> Numbers:
 def over_samples() -> Curve:
     """The chain of poses of a body: drawing, prior, likelihood."""
     set_threads(2)
-    film, rounds = BodyFilm.found(), dict[float, list[float]]()
+    film, rounds = BodyFilm.load(), dict[float, list[float]]()
     for count in SAMPLES:
         pose = ArticulatedPose(film.body, count)
         model = MultiChain().connect(FleshTracker(film.body), film.parts).connect(pose, film.parts)

@@ -177,7 +177,7 @@ class BodyFilm:
     parts: BodyParts
 
     @classmethod
-    def found(cls) -> Self:
+    def load(cls) -> Self:
         """A real signer with OpenCV's cascades where there are both, else a generated one with its list."""
         try:
             path = data_folder("signer") / "signseg_demo_video.mp4"
@@ -208,7 +208,7 @@ def tracker(film: BodyFilm, threads: int) -> Callable[[Frame], object]:
 
 def bodies() -> Findings:
     """Frames a second on one thread and on two, which take turns; OpenCV has one, as in all commands."""
-    film = BodyFilm.found()
+    film = BodyFilm.load()
     height, width = image_of(film.frames[0]).shape[:2]
     what = f"body tracker, {film.label}, {width}x{height}, {SAMPLES} samples, lag {LAG}"
     cv2.setNumThreads(1)

@@ -1,5 +1,6 @@
 """Points beside filterpy, simdkalman and OpenCV, structure beside bundle adjustment, all on one thread."""
 
+import math
 import statistics
 import time
 from collections.abc import Callable, Mapping
@@ -185,7 +186,7 @@ def _of_searches(what: str, seconds: Mapping[str, float]) -> list[Expectation]:
 
 
 def _searches(
-    first: Grey, second: Grey, corners: NDArray[np.float32], reach: int, known: float
+    first: Grey, second: Grey, corners: NDArray[np.float32], reach: int, predicted_share: float
 ) -> dict[str, Callable[[], Numbers]]:
     """Ways there and back: from `first` to `second`, and from what is found back to `first`.
 
@@ -193,7 +194,7 @@ def _searches(
     way. Each gives places `(n, 2)` px, NaN where a point was not found.
     """
     origin = corners.astype(np.float64)
-    expected = origin + known * SHIFT
+    expected = origin + predicted_share * SHIFT
     deviation = np.sqrt(((reach - 0.5) / REACH) ** 2 - GRID**2)
     covariances = np.tile(deviation**2 * np.eye(2), (len(corners), 1, 1))
     patches = sample_patches(first, origin, SIDE)
@@ -428,5 +429,6 @@ def start_expectations() -> list[Expectation]:
         errors = np.array([factorise(positions, start=each).rmse for each in cameras])
         reached = float(np.mean(errors <= errors.min() * (1 + SAME)))
         what = f"{what}: share of {N_STARTS} random starts at the optimum"
-        expectations.append(Expectation(what, reached, ">=", bound))
+        error = math.sqrt(reached * (1 - reached) / N_STARTS)
+        expectations.append(Expectation(what, reached, ">=", bound, error, N_STARTS))
     return expectations

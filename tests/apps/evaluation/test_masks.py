@@ -13,7 +13,6 @@ from rsmcm.apps.io.ground_truth import FOREGROUND, OUTSIDE, SHADOW, UNKNOWN, Kin
 from ...support.boxes import truth_of
 
 LABELS = np.array([[0, SHADOW, OUTSIDE, UNKNOWN, FOREGROUND]] * 2, np.uint8)
-FOUND = np.array([[255] * 5, [0] * 5], np.uint8)
 
 
 def picture(*boxes: tuple[int, int, int, int]) -> NDArray[np.uint8]:
@@ -24,18 +23,6 @@ def picture(*boxes: tuple[int, int, int, int]) -> NDArray[np.uint8]:
 
 
 # --- pixels
-
-
-def test_pixels_by_hand() -> None:
-    score = PixelScore()
-    score.add(7, FOUND, LABELS)
-    total = score.total()
-    counts = total.true_positives, total.false_positives, total.false_negatives, total.true_negatives
-    assert counts == (1, 2, 1, 2)
-    assert total.precision == 1 / 3
-    assert total.recall == total.specificity == 1 / 2
-    assert total.f_measure == pytest.approx(2 / (3 + 2))
-    assert total.wrong_percent == pytest.approx(50)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9))
@@ -67,13 +54,6 @@ def test_pixels_without_foreground_have_no_f() -> None:
     score.add(1, np.zeros((2, 2), np.uint8), np.zeros((2, 2), np.uint8))
     assert math.isnan(score.total().f_measure)
     assert score.total().specificity == 1
-
-
-def test_masks_of_another_size_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"\(2, 5\)"):
-        PixelScore().add(1, np.zeros((3, 3), np.uint8), LABELS)
-    with pytest.raises(ValueError, match=r"\(2, 5\)"):
-        mask_error_classes(np.zeros((3, 3), np.uint8), LABELS)
 
 
 # --- error classes
@@ -119,19 +99,8 @@ def test_one_component_over_everything_finds_nobody() -> None:
     assert error_classes(picture((0, 0, 300, 200)), truth_of([PERSON])) == expected
 
 
-def test_boxes_are_clipped_to_the_picture() -> None:
-    truth = truth_of([[1, 1, -20, 50, 30, 80, Kind.PEDESTRIAN], [1, 2, 400, 50, 30, 80, Kind.PEDESTRIAN]])
-    assert error_classes(picture((0, 50, 10, 80)), truth) == ErrorClasses(objects=1)
-
-
 def test_empty_truth_makes_everything_a_ghost() -> None:
     assert error_classes(picture((10, 10, 20, 20), (50, 50, 20, 20)), truth_of([])) == ErrorClasses(ghosts=2)
-
-
-def test_error_classes_add_up() -> None:
-    one = ErrorClasses(1, 2, 3, 4, 5, 6)
-    assert one + one == ErrorClasses(2, 4, 6, 8, 10, 12)
-    assert one.errors == 10
 
 
 def test_error_classes_of_masks() -> None:

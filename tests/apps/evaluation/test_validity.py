@@ -23,12 +23,11 @@ from rsmcm.inference.validity import (
     Comparison,
     PredictionErrors,
     RecordedPredictions,
-    compare,
+    compare_predictions,
     cost,
     product_of,
 )
 from rsmcm.models.core.gaussian_message import GaussianMessage
-from scipy.optimize import minimize
 
 Numbers = NDArray[np.float64]
 SEEDS = st.integers(0, 2**32 - 1)
@@ -80,11 +79,10 @@ def costs_of(errors: PredictionErrors, noises: tuple[Numbers, Numbers] | None = 
 # --- theory -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("d", [1, 2, 3])
 @pytest.mark.parametrize("optimal", [True, False])
-def test_costs_are_the_mean_divergence_of_posteriors(d: int, optimal: bool) -> None:
+def test_costs_are_the_mean_divergence_of_posteriors(optimal: bool) -> None:
     """Eq. (16) as it stands: sample errors, features and observations. Within four standard errors."""
-    random = np.random.default_rng(10 * d + optimal)
+    d, random = 2, np.random.default_rng(20 + optimal)
     errors = random_errors(d, random)
     noises = errors.optimal_noises
     if not optimal:
@@ -149,63 +147,13 @@ def test_costs_by_brute_force_on_a_grid() -> None:
 
 
 @given(SEEDS)
-@settings(max_examples=50)
+@settings(max_examples=20)
 def test_lemma_1_no_noise_is_better_than_the_optimal_one(seed: int) -> None:
     random = np.random.default_rng(seed)
     errors, other = random_errors(2, random), random_errors(2, random).process
     best = cost(errors.optimal_noises[0], errors.first, errors.process, errors.observation)
     worse = cost(other, errors.first, errors.process, errors.observation)
     assert worse >= best - 1e-9 * (1 + abs(best))
-
-
-def test_lemma_1_search_ends_at_the_optimal_noise() -> None:
-    errors = PredictionErrors(MOMENT, MOMENT, 0 * MOMENT, np.diag([0.3, 0.6]), np.diag([1.0, 0.5]))
-
-    def noise(parameters: Numbers) -> Numbers:
-        root = np.array([[np.exp(parameters[0]), 0], [parameters[1], np.exp(parameters[2])]])
-        return root @ root.T
-
-    found = minimize(
-        lambda p: float(cost(noise(p), errors.first, errors.process, errors.observation)),
-        np.zeros(3),
-        method="Nelder-Mead",
-        options={"xatol": 1e-8, "fatol": 1e-13, "maxiter": 4000},
-    )
-    assert noise(found.x) == pytest.approx(errors.optimal_noises[0], rel=1e-4)
-
-
-@given(SEEDS, st.integers(1, 3))
-@settings(max_examples=50)
-def test_gains_are_differences_of_costs(seed: int, d: int) -> None:
-    errors = random_errors(d, np.random.default_rng(seed))
-    costs, (over_first, over_second) = costs_of(errors), errors.gains
-    tolerance = 1e-8 * (1 + abs(costs.product))
-    assert over_first == pytest.approx(costs.first - costs.product, abs=tolerance)
-    assert over_second == pytest.approx(costs.second - costs.product, abs=tolerance)
-    assert costs.gain == pytest.approx(min(over_first, over_second), abs=tolerance)
-
-
-def test_printed_formulas_and_their_slips() -> None:
-    """What the module's page says of the paper's print."""
-    errors = random_errors(2, np.random.default_rng(5))
-    total, noise, process = errors.optimal_noises[0], errors.observation, errors.process
-    logs = [np.linalg.slogdet(matrix)[1] for matrix in (total, process, total + noise, process + noise)]
-    printed_a4 = logs[0] - logs[1] - (logs[2] - logs[3])
-    assert printed_a4 == pytest.approx(2 * float(costs_of(errors).first))
-    d = 2
-    printed_a2 = 0.5 * (
-        logs[0] - logs[1] + d - (logs[2] - logs[3]) + d
-    )  # the last trace with its printed sign
-    assert printed_a2 == pytest.approx(float(costs_of(errors).first) + d)
-
-    weight = np.linalg.inv(np.eye(2) + total @ np.linalg.inv(noise))
-    crossed = weight @ errors.cross
-    printed_gamma = weight @ errors.first - (crossed + crossed.T + (weight @ process).T)
-    assert printed_gamma == pytest.approx(errors.gammas[0])
-    assert printed_gamma == pytest.approx(printed_gamma.T)
-    alike = replace(errors, second=errors.first, cross=errors.first)
-    assert alike.gammas[0] == pytest.approx(-(weight @ total))
-    assert alike.gammas[0] != pytest.approx(-(weight.T @ total).T)  # as printed below Theorem 2
 
 
 def test_theorem_2_is_sufficient_but_not_necessary() -> None:
@@ -215,26 +163,6 @@ def test_theorem_2_is_sufficient_but_not_necessary() -> None:
     assert errors.theorem_holds.sum() > 1000
     assert helps[errors.theorem_holds].all()
     assert (helps & ~errors.theorem_holds).sum() > 10_000
-
-
-def test_theorem_2_needs_optimal_noises() -> None:
-    """Chains that are too sure of themselves: the condition holds, and the product is the worst."""
-    errors = scalars(1.0, 1.0, 0.4, 0.1, 1.0)
-    assert errors.theorem_holds
-    assert costs_of(errors).gain > 0
-    sure = tuple(0.1 * noise for noise in errors.optimal_noises)
-    assert costs_of(errors, sure).gain < 0
-
-
-def test_theorem_2_in_one_dimension_is_equation_17() -> None:
-    """Both P_i >= 2 P_12 + Sigma_0."""
-    random = np.random.default_rng(7)
-    for _ in range(300):
-        errors = random_errors(1, random)
-        first, second, cross, process = (
-            part.item() for part in (errors.first, errors.second, errors.cross, errors.process)
-        )
-        assert (min(first, second) >= 2 * cross + process) == errors.theorem_holds
 
 
 def test_correlation_that_can_be_borne_in_one_dimension() -> None:
@@ -250,7 +178,7 @@ def test_correlation_that_can_be_borne_in_one_dimension() -> None:
 
 
 @given(SEEDS, st.integers(1, 3))
-@settings(max_examples=50)
+@settings(max_examples=20)
 def test_identical_chains_never_help_and_independent_ones_always_do(seed: int, d: int) -> None:
     """Independent of the feature's own noise, that is: K = 0."""
     errors = random_errors(d, np.random.default_rng(seed))
@@ -266,13 +194,14 @@ def test_identical_chains_never_help_and_independent_ones_always_do(seed: int, d
 
 
 @given(SEEDS, st.integers(1, 3))
-@settings(max_examples=50)
+@settings(max_examples=20)
 def test_invariances(seed: int, d: int) -> None:
     """Chains exchanged, coordinates changed linearly, and, of gains, noise of the process taken for error."""
     random = np.random.default_rng(seed)
     errors = random_errors(d, random)
     costs, swapped = costs_of(errors), costs_of(errors.swapped)
     near = {"rel": 1e-6, "abs": 1e-6}
+    assert errors.gains == pytest.approx((costs.first - costs.product, costs.second - costs.product), **near)
     assert swapped.first == pytest.approx(costs.second, **near)
     assert swapped.second == pytest.approx(costs.first, **near)
     assert swapped.product == pytest.approx(costs.product, **near)
@@ -299,7 +228,7 @@ def test_invariances(seed: int, d: int) -> None:
 
 
 @given(SEEDS)
-@settings(max_examples=30)
+@settings(max_examples=20)
 def test_bearable_is_where_the_gain_ends(seed: int) -> None:
     errors = random_errors(2, np.random.default_rng(seed))
     if np.isfinite(errors.bearable):
@@ -349,7 +278,7 @@ def test_estimates_are_near_the_truth() -> None:
     cross = np.array([[0.3, 0.0], [0.2, 0.1]])
     errors = without_process(MOMENT, 2 * MOMENT, cross, np.array([[0.5, 0.1], [0.1, 0.3]]))
     predictions, groups = recorded(errors, np.random.default_rng(0), 400, 10, memory=0.0)
-    found = compare(predictions, groups)
+    found = compare_predictions(predictions, groups)
     assert found.first.estimate == pytest.approx(MOMENT, abs=0.15)
     assert found.second.estimate == pytest.approx(2 * MOMENT, abs=0.3)
     assert found.cross.estimate == pytest.approx(cross, abs=0.2)
@@ -364,36 +293,25 @@ def test_estimates_are_near_the_truth() -> None:
     assert stated.gain.estimate == pytest.approx(float(min(errors.gains)), abs=0.1)
 
 
-@pytest.mark.parametrize("correlation", [0.1, 0.5])
-def test_intervals_hold_the_truth(correlation: float) -> None:
-    """150 simulated runs of 50 tracks with errors related over time: 95 % intervals hold the true gain and
-    correlation in at least 86 % (five standard errors below 0.95 would be 86.1 %).
+def test_intervals_hold_the_truth() -> None:
+    """60 simulated runs of 50 tracks with errors related over time: 95 % intervals hold true gains and
+    correlation in at least 80 % (five standard errors below 0.95 would be 81 %).
     """
-    errors = without_process(np.eye(1), 1.5 * np.eye(1), correlation * np.sqrt(1.5) * np.eye(1), 0.5)
+    errors = without_process(np.eye(1), 1.5 * np.eye(1), 0.3 * np.sqrt(1.5) * np.eye(1), 0.5)
+    truth = (*(float(gain) for gain in errors.gains), float(errors.correlation))
     hits = np.zeros(3)
-    for seed in range(150):
+    for seed in range(60):
         random = np.random.default_rng(seed)
-        predictions, groups = recorded(errors, random)
-        found = compare(predictions, groups, random, resamples=300)
-        truth = (*(float(gain) for gain in errors.gains), float(errors.correlation))
-        intervals = (found.gain_first, found.gain_second, found.correlation)
+        result = compare_predictions(*recorded(errors, random), random, resamples=200)
+        intervals = (result.gain_first, result.gain_second, result.correlation)
         hits += [i.low <= value <= i.high for i, value in zip(intervals, truth, strict=True)]
-    assert (hits / 150 >= 0.86).all()
-
-
-def test_rows_of_a_track_taken_for_independent_would_mislead() -> None:
-    errors = without_process(np.eye(1), np.eye(1), 0.5 * np.eye(1), 0.5)
-    predictions, groups = recorded(errors, np.random.default_rng(0), memory=0.95)
-    by_track, by_row = compare(predictions, groups), compare(predictions, np.arange(len(predictions)))
-    assert by_track.correlation.estimate == pytest.approx(by_row.correlation.estimate)
-    width, narrow = (i.high - i.low for i in (by_track.correlation, by_row.correlation))
-    assert width > 1.5 * narrow
+    assert (hits / 60 >= 0.8).all()
 
 
 def judged(cross: Numbers | float, n_tracks: int = 200, second: float = 1.0) -> Comparison:
     of_both = cross * np.eye(2) if np.isscalar(cross) else np.asarray(cross)
     errors = without_process(np.eye(2), second * np.eye(2), of_both, 0.5)
-    return compare(*recorded(errors, np.random.default_rng(4), n_tracks))
+    return compare_predictions(*recorded(errors, np.random.default_rng(4), n_tracks))
 
 
 def test_verdicts_and_their_reasons() -> None:
@@ -417,19 +335,9 @@ def test_verdicts_and_their_reasons() -> None:
 def test_errors_that_vanish_in_the_noise_give_no_verdict() -> None:
     """Both chains are right to a thousandth of the observation's noise: nothing can be said of them."""
     errors = without_process(1e-6 * np.eye(2), 1e-6 * np.eye(2), np.zeros((2, 2)), 1.0)
-    found = compare(*recorded(errors, np.random.default_rng(5)))
+    found = compare_predictions(*recorded(errors, np.random.default_rng(5)))
     assert np.isfinite([found.gain.low, found.gain.high]).all()
     assert found.verdict == "not sure"
-
-
-def test_same_seed_same_intervals() -> None:
-    predictions, groups = recorded(
-        without_process(np.eye(1), np.eye(1), 0.3 * np.eye(1), 1.0), np.random.default_rng(0)
-    )
-    assert compare(predictions, groups).gain == compare(predictions, groups).gain
-    other = compare(predictions, groups, np.random.default_rng(1)).gain
-    assert other.estimate == compare(predictions, groups).gain.estimate
-    assert other.low != compare(predictions, groups).gain.low
 
 
 def test_wrong_arrays() -> None:
@@ -448,9 +356,9 @@ def test_wrong_arrays() -> None:
         RecordedPredictions(ones, ones, ones, noise, np.tile(noise, (3, 1, 1)))
     predictions = RecordedPredictions(ones, ones, ones, noise)
     with pytest.raises(ValueError, match=r"groups: got \(2,\) for 3 predictions"):
-        compare(predictions, [1, 2])
+        compare_predictions(predictions, [1, 2])
     with pytest.raises(ValueError, match="groups: got 1 of 3 rows, expected two or more"):
-        compare(predictions, [7, 7, 7])
+        compare_predictions(predictions, [7, 7, 7])
 
 
 # --- files and command --------------------------------------------------------------------------------------
@@ -558,14 +466,6 @@ def test_command_prints_verdicts(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "chain-a states honest covariances" in out
     assert "predicts what is observed better" in out
     assert "predicts what is observed worse" in out
-
-
-def test_command_without_pairs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_predictions(tmp_path, [])
-    assert run(capsys, "validity", tmp_path)[:2] == (
-        0,
-        "No two chains of this run predicted the same feature.\n",
-    )
 
 
 def test_command_on_wrong_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

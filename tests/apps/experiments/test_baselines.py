@@ -10,7 +10,6 @@ from rsmcm.apps.experiments.baselines import (
     SETTINGS,
     CleanUp,
     KalmanHungarian,
-    components,
     opencv_subtractor,
     sweep_subtractors,
 )
@@ -73,14 +72,6 @@ def test_sweep_equals_running_by_hand() -> None:
         assert [number for number, _ in row.values] == sorted(wanted)
         for number, mask in row.values:
             np.testing.assert_array_equal(mask, masks[number])
-
-
-def test_boxes_of_components() -> None:
-    mask = np.zeros((40, 60), np.uint8)
-    mask[5:15, 7:10] = 255
-    mask[30:32, 50:60] = 255
-    assert components(mask)[:, :4].tolist() == [[7, 5, 3, 10], [50, 30, 10, 2]]
-    assert components(np.zeros((4, 4), np.uint8)).shape == (0, 5)
 
 
 def walk(number: int) -> NDArray[np.float64]:

@@ -39,7 +39,7 @@ def half_in_region(one: BodyTrial, share: float) -> BodyTrial:
     return replace(one, nees=nees)
 
 
-def made_up(rsmcm: float, later: float, sampler: float, clouds: tuple[float, ...]) -> body.Found:
+def made_up(rsmcm: float, later: float, sampler: float, clouds: tuple[float, ...]) -> body.TrialsByTracker:
     found = {
         body.RSMCM.name: [trial(rsmcm)] * 2,
         LATER: [half_in_region(trial(later, 0.06), 0.9)] * 2,

@@ -44,11 +44,6 @@ def test_errors_are_those_of_the_frames_that_were_noted() -> None:
     assert cells_of(trial) == [51.5, 50.0, "–", 1, 1]
 
 
-def test_a_frame_that_is_not_there() -> None:
-    with pytest.raises(ValueError, match=r"joints\.csv: frame 9 is none"):
-        FilmTrial.of(poses_with([((300, 100), (200, 100))]), noted_in(1, 9))
-
-
 def test_one_bad_seed_is_found() -> None:
     right = FilmTrial(np.full((20, 8), 5.0), np.zeros(20), 0)
     wrong = replace(right, errors=np.full((20, 8), 100.0), exchanged=np.ones(20), longest=20)

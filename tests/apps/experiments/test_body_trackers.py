@@ -20,7 +20,6 @@ from rsmcm.apps.experiments.bench import people as bench
 from rsmcm.apps.experiments.body import BodyTracker, SignerFilm, in_turns
 from rsmcm.chains.body.articulated_pose import ArticulatedPose
 from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.models.body.upper_body import JOINTS
 from rsmcm.models.numerics.threads import set_threads, thread_count
 
 RSMCM = BodyTracker("RSMCM", "rsmcm", 100)
@@ -54,10 +53,6 @@ def trial(text: str, *hidden: int) -> BodyTrial:
         np.zeros(n),
         50.0,
     )
-
-
-def test_one_bad_frame_is_no_mis_track() -> None:
-    assert mis_tracks(0, errors_of("..x..x-x.."), hidden_in(11)) == []
 
 
 def test_a_mis_track_lasts_until_the_error_is_small() -> None:
@@ -136,13 +131,6 @@ def test_all_trackers_start_at_the_truth(film: SignerFilm) -> None:
             np.testing.assert_allclose(one.errors[3], shown)
 
 
-def test_turns_change_nothing(film: SignerFilm) -> None:
-    other = BodyTracker("cloud", "condensation", 50)
-    alone = in_turns(film, [RSMCM])[0]
-    beside = in_turns(film, [other, RSMCM])[1]
-    np.testing.assert_array_equal(alone.errors, beside.errors)
-
-
 def test_the_sampler_is_what_it_is_without_the_flesh_tracker(film: SignerFilm) -> None:
     body, parts = film.scene.body, film.parts
     model, name = BodyTracker("sampler", "sampler", 100).connected(film)
@@ -153,27 +141,13 @@ def test_the_sampler_is_what_it_is_without_the_flesh_tracker(film: SignerFilm) -
         np.testing.assert_array_equal(one[name].log_weights, other[name].log_weights)
 
 
-def test_the_sampler_hears_nothing_of_the_flesh(film: SignerFilm) -> None:
-    model, name = BodyTracker("sampler", "sampler", 100).connected(film)
-    assert name == "pose"
-    assert set(model.chains) == {"flesh", "pose"}
-    assert model.senders["parts"] == ("pose",)
-
-
-def test_film_knows_the_true_head(film: SignerFilm) -> None:
-    assert film.parts.head_height == film.scene.body.head_height
-    assert film.parts.skin is not None
-    assert len(film.frames) == 5
-    assert [JOINTS[place] for place in PLACES][1] == "left_hand"
-
-
 def test_the_benchmark_of_bodies_times_one_thread_beside_two(
     film: SignerFilm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = bench.BodyFilm("generated", film.frames, film.scene.body, film.parts)
     for name, value in {"SAMPLES": 50, "WARM_UP": 1, "TURN": 2}.items():
         monkeypatch.setattr(bench, name, value)
-    monkeypatch.setattr(bench.BodyFilm, "found", lambda: one)
+    monkeypatch.setattr(bench.BodyFilm, "load", lambda: one)
     before, opencv = thread_count(), cv2.getNumThreads()
     try:
         rates = bench.bodies().expectations

@@ -1,29 +1,21 @@
 """Trials of face trackers: measures on made-up errors, honest covariances, and a short clip in earnest."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from rsmcm.apps.experiments import experiment, faces, run_experiment
+from rsmcm.apps.experiments import faces
 from rsmcm.apps.experiments.faces import (
     Clip,
     Evaluation,
     Measured,
     Tracker,
-    median,
-    n_lost,
     normalised_square,
-    quartiles,
     vertex_errors,
 )
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.morphable_model import Poses
-
-from ...conftest import names
 
 SIZE, DT = 40.0, 0.04
 
@@ -44,14 +36,6 @@ def test_the_first_frame_was_given_and_does_not_count() -> None:
     one = evaluation([100.0, 1.0, 3.0])
     assert one.error == pytest.approx(2.0)
     assert one.error_3d == pytest.approx(4.0)
-
-
-def test_words_and_counts() -> None:
-    evaluations = [evaluation([0.0, error]) for error in (1.0, 2.0, 3.0, 40.0, 5.0)]
-    assert median(evaluations) == 3.0
-    assert quartiles(evaluations) == "3 (2-5)"
-    assert n_lost(evaluations) == 1
-    assert [one.lost for one in evaluations] == [False, False, False, True, False]
 
 
 def test_depth_offset_is_no_error_and_shift_is() -> None:
@@ -94,13 +78,6 @@ def test_oracle_is_a_floor(clip: Clip) -> None:
     assert np.isfinite(taught.nees[1:]).all()
     assert np.isnan(own.nees).all()
     assert not own.lost
-
-
-def test_scattered_experts_are_as_far_as_they_should_be(clip: Clip) -> None:
-    poses = faces.scattered(clip.scene, np.random.default_rng(1))
-    off = clip.scene.model.project(poses) - clip.scene.vertices[0]
-    assert np.linalg.norm(off, axis=2).mean() == pytest.approx(faces.SCATTER, rel=1e-3)
-    assert len(poses) == faces.N_EXPERTS
 
 
 def test_a_known_texture_brings_scattered_experts_back(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,22 +159,3 @@ def test_a_run_with_a_background(method: str, monkeypatch: pytest.MonkeyPatch) -
     assert one.error < 2
     assert one.time > 0
     assert not one.lost
-
-
-def test_page_of_face_and_background(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Every evaluation stands at its condition, method and seed."""
-    order = [(condition, method) for condition, methods in faces.COMPARED.items() for method in methods]
-
-    def numbered(label: str, work: list[tuple[Any, tuple[Any, ...]]]) -> list[dict[str, Evaluation]]:
-        return [{case[1]: evaluation([0.0, 1.0 + order.index(case) + seed / 10])} for _, (case, seed) in work]
-
-    monkeypatch.setattr(experiment, "in_parallel", numbered)
-    run_experiment("face-background", tmp_path / "out")
-    assert names(tmp_path / "out") == {"index.html", "results.json"}
-    (table,) = json.loads((tmp_path / "out" / "results.json").read_text())["tables"]
-    for number, (row, case) in enumerate(zip(table["rows"], order, strict=True)):
-        errors = [evaluation([0.0, 1.0 + number + seed / 10]) for seed in faces.SEEDS]
-        assert row[:4] == [*case, quartiles(errors), 0]
-    assert "the better of these" in capsys.readouterr().out

@@ -1,15 +1,20 @@
-"""The trial of hidden points: bars, what counts as found again, and the command."""
+"""The trial of hidden points: bars, and what counts as found again."""
 
-from pathlib import Path
-
-import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.experiments import hidden_points as trial
-from rsmcm.apps.experiments.hidden_points import ENTER, SOON, compared, with_bar
+from rsmcm.apps.experiments.hidden_points import (
+    ENTER,
+    MODELS,
+    SOON,
+    behind_a_bar,
+    compared,
+    expectations_of,
+    tracked,
+    with_bar,
+)
 from rsmcm.models.core.frame import Frame
 
-from ...support.pictures import HEIGHT, WIDTH, film, sliding
+from ...support.pictures import film, sliding
 
 N_FRAMES = ENTER + 30
 
@@ -57,22 +62,9 @@ def test_what_counts_as_found_again() -> None:
     np.testing.assert_allclose(result.false, [0.1, 0, 0, 0, 0])
 
 
-def test_a_point_that_is_hidden_in_part_is_neither_hidden_nor_clear() -> None:
-    truth = np.full((N_FRAMES, 1, 2), 20.0)
-    hidden = np.zeros((N_FRAMES, 50, 80), bool)
-    hidden[ENTER + 2 : ENTER + 12, 10:30] = True
-    hidden[ENTER + 12 : ENTER + 20, 22:30] = True
-    found = np.where(np.arange(N_FRAMES)[:, None, None] < ENTER + 20, np.nan, truth)
-    assert compared(found, truth, hidden).again.tolist() == [True]
-    found[: ENTER + 25] = np.nan
-    assert compared(found, truth, hidden).again.tolist() == [False]
-
-
-def test_the_command_prints_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for number, grey in enumerate(film(sliding(ENTER + 12)), 1):
-        assert grey.shape == (HEIGHT, WIDTH)
-        cv2.imwrite(str(tmp_path / f"{number:03d}.png"), grey)
-    trial.main(tmp_path, seeds=1, jobs=1)
-    printed = capsys.readouterr().out
-    for name in trial.MODELS:
-        assert f"{name}: found again within {SOON} frames, share" in printed
+def test_both_models_are_tried_behind_a_bar() -> None:
+    frames = [Frame(grey, t / 25, t + 1) for t, grey in enumerate(film(sliding(ENTER + 12)))]
+    truth = {name: tracked(frames, feedback) for name, feedback in MODELS.items()}
+    refound = {name: [each] for name, each in behind_a_bar(frames, truth, None, 0).items()}
+    names = [each.what.partition(":")[0] for each in expectations_of(refound)]
+    assert list(dict.fromkeys(names)) == list(MODELS)

@@ -1,11 +1,10 @@
 """Records are read back as they were, and know where they were made."""
 
 import math
-import subprocess
 from pathlib import Path
 
 import pytest
-from rsmcm.apps.experiments.record import ROOT, Expectation, Record, Stopwatch, Table
+from rsmcm.apps.experiments.record import Expectation, Record, Stopwatch, Table
 
 
 def test_read_back(tmp_path: Path) -> None:
@@ -32,16 +31,3 @@ def test_damaged_records_are_named(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(ValueError, match=r"results\.json: no record of an experiment"):
             Record.read(path)
-
-
-def test_provenance() -> None:
-    made = Stopwatch().provenance()
-    assert made.date.endswith("+00:00")
-    assert 0 <= made.seconds < 10
-    assert made.cores >= 1
-    assert {"python", "rsmcm", "numpy", "opencv"} <= set(made.versions)
-    assert made.machine.endswith("GB")
-    if (ROOT / ".git").exists():
-        head = subprocess.run(["git", "-C", ROOT, "rev-parse", "HEAD"], capture_output=True, text=True)
-        assert head.stdout.startswith(made.commit)
-        assert made.commit

@@ -10,12 +10,10 @@ from rsmcm.apps.experiments.results import (
     SCALE,
     Documents,
     collect,
-    figures,
     main,
     readme_with,
     results_page,
     scale_page,
-    write_pages,
 )
 
 from ...support.made_up_records import MADE
@@ -97,14 +95,6 @@ def test_pages_are_what_is_made_of_the_records() -> None:
     assert scale == scale_page(scale, found.records, "")
 
 
-def test_figures_of_readme_are_in_its_records() -> None:
-    found = Documents.read(ROOT / "docs" / "results")
-    for each in found.chosen:
-        assert each["record"] in found.notes
-    for one in found.records.values():
-        assert len(one.by_what) == len(one.expectations), one.name
-
-
 def test_page(checkout: Path) -> None:
     page = results_page(documents(checkout), BEFORE)
     assert page.index("## Second") < page.index("## First")
@@ -118,24 +108,6 @@ def test_page(checkout: Path) -> None:
     assert "by hand" in page
     assert "never shown" not in page
     assert "earlier state**" not in page
-
-
-def test_records_of_another_state_are_marked(checkout: Path) -> None:
-    found = documents(checkout)
-    assert results_page(found, AFTER).count("**of an earlier state**") == 2
-    assert "**of an earlier state**" not in results_page(found, BEFORE)
-    figures = readme_with(f"{BEGIN}{END}", found, AFTER)
-    assert "`0123456789`, **of an earlier state** |" in figures
-
-
-def test_figures_in_readme(checkout: Path) -> None:
-    text = readme_with((checkout / "README.md").read_text(), documents(checkout), BEFORE)
-    assert text.startswith(f"before\n{BEGIN}\n")
-    assert text.endswith(f"\n{END}\nafter\n")
-    assert "| a ratio | ≤ 1 | 0.5 ± 0.012 | holds | 2026-11-22, `0123456789` |" in text
-    assert "the last ones" not in text
-    assert "not recorded yet" not in text
-    assert readme_with(text, documents(checkout), BEFORE) == text
 
 
 def test_what_does_not_fit_is_named(checkout: Path) -> None:
@@ -165,20 +137,6 @@ def test_younger_records_are_collected(tmp_path: Path, capsys: pytest.CaptureFix
     collect(tmp_path / "results", kept)
     assert Record.read(kept / "first.json").made.commit == "0123456789"
     assert capsys.readouterr().out == "first: 2026-11-22T10:00:00+00:00\n"
-
-
-def test_quartiles_and_loads_are_shown_where_they_are_known() -> None:
-    quick = Expectation("over MOG2", 0.2, "<=", 0.3, seeds=8, quartiles=(0.19, 0.22), ratio=True)
-    lines = figures(record("speeds", quick, Expectation("ms", 3.0, loaded=True))).splitlines()
-    assert lines[0] == "| measure | wanted | measured | ± | n |  |"
-    assert lines[2] == "| over MOG2 | ≤ 0.3 | 0.2 | 0.19–0.22 | 8 | holds |"
-    assert lines[3] == "| ms |  | 3 |  |  | loaded |"
-
-
-def test_pages_are_written(checkout: Path) -> None:
-    write_pages(checkout, BEFORE)
-    assert (checkout / "docs" / "results.md").read_text() == results_page(documents(checkout), BEFORE)
-    assert "a ratio" in (checkout / "README.md").read_text()
 
 
 def test_a_damaged_record_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,18 +1,13 @@
 """The cylinder and turning objects: cells, expectations, pictures; and one sequence in earnest."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from rsmcm.apps.evaluation.structure import StructureScores
 from rsmcm.apps.experiments import run_experiment
 from rsmcm.apps.experiments import structure as experiment
-from rsmcm.apps.experiments.experiment import Plot, by_seed
 from rsmcm.apps.experiments.structure import DUAL_COHERENT, METHODS, ORACLE, SINGLE, SINGLE_COHERENT, Cell
-from rsmcm.apps.scenes import cylinder
 
 from ...support.reconstructions import write_film
 
@@ -46,11 +41,6 @@ def test_cells_cover_the_panels_and_both_ways_of_regaining() -> None:
     assert max(cell.drift for cell in cells) == 0.3
 
 
-def test_points_are_regained_as_the_cell_says() -> None:
-    rare, often = Cell(0.1, 0.0, None).sequence(1), Cell(0.1, 0.0, 0.5).sequence(1)
-    assert rare.visible.mean() < 0.7 < often.visible.mean()
-
-
 def test_claims_hold_where_they_should() -> None:
     verdicts = [expectation.verdict for expectation in experiment.expectations_of(made_up())]
     assert verdicts.count("pass") == len(verdicts) - 1
@@ -72,34 +62,6 @@ def test_worst_cell_decides() -> None:
     assert expectations[f"{DUAL_COHERENT}: share of pure points"].measured == pytest.approx(0.9)
 
 
-def test_panels() -> None:
-    canvas = Figure()
-    experiment.draw_panels(made_up(), canvas)
-    assert [axis.get_title() for axis in canvas.axes] == [
-        "P(loose) = 0",
-        "P(loose) = 0.12",
-        "P(drift) = 0",
-        "P(drift) = 0.2",
-    ]
-    n_lines = [len(axis.lines) for axis in canvas.axes]
-    assert n_lines == [5, 10, 10, 10]
-    assert canvas.axes[3].lines[0].get_xdata().tolist() == list(experiment.LOOSE)  # type: ignore[union-attr]
-
-
-def test_shapes_are_drawn_where_they_belong(tmp_path: Path) -> None:
-    truth = cylinder(seed=2)
-    generator = np.random.default_rng(0)
-    mapped = truth.shape @ generator.normal(size=(3, 3)) + 5
-    points = truth.point_of_track.copy()
-    points[0] = -1
-    found = experiment.Recovered(truth.positions, mapped, points)
-    np.testing.assert_allclose(experiment.aligned(found, truth), truth.shape, atol=1e-10)
-    shapes = dict.fromkeys(METHODS, found)
-    Plot("a.png", partial(experiment.draw_shapes, shapes, truth), (9, 4), "").write(tmp_path / "a.png")
-    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
-
-
 def test_the_methods_on_one_sequence() -> None:
     """What is wanted of medians over 20 sequences holds on this one, with some room."""
     scores = experiment.scores(Cell(0.06, 0.1, 0.5), seed=0)
@@ -111,23 +73,7 @@ def test_the_methods_on_one_sequence() -> None:
     assert dual.n_points <= 46
 
 
-def test_all_methods_agree_where_nothing_is_lost() -> None:
-    scores = experiment.scores(Cell(0.0, 0.0, 0.5), seed=0)
-    for name in METHODS:
-        assert scores[name].shape_error == pytest.approx(scores[ORACLE].shape_error, rel=0.05)
-        assert (scores[name].n_points, scores[name].purity) == (40, 1)
-    for name in (SINGLE_COHERENT, DUAL_COHERENT):
-        assert scores[name].reprojection_error == pytest.approx(scores[ORACLE].reprojection_error, rel=0.02)
-
-
-@pytest.mark.slow
-def test_everything_in_two_processes() -> None:
-    cells = [Cell(0.0, 0.0, 0.5), Cell(0.12, 0.3, None)]
-    measured = by_seed("cylinder", experiment.scores, cells, range(2))
-    assert list(measured) == cells
-    assert measured[cells[1]][DUAL_COHERENT][1] == experiment.scores(cells[1], 1)[DUAL_COHERENT]
-
-
+@pytest.mark.usefixtures("in_this_process")
 def test_tables_and_pictures_of_turning_objects(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -135,6 +81,7 @@ def test_tables_and_pictures_of_turning_objects(
     film.mkdir()
     write_film(film, n_frames=8)
     monkeypatch.setattr(experiment, "SEQUENCES", ("film",))
+    monkeypatch.setattr(experiment, "NOISE_SEEDS", range(1))
     monkeypatch.setattr(experiment, "data_folder", lambda name: film)
     run_experiment("box", out)
     printed = capsys.readouterr().out

@@ -49,7 +49,7 @@ def body(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def talking(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of `rsmcm face`."""
     folder = tmp_path_factory.mktemp("face")
-    scene = face(8, 3, (200, 160))
+    scene = face(4, 3, (200, 160))
     np.save(folder / "landmarks.npy", scene.vertices)
     film = written(folder / "film", scene.images())
     options = ("--landmarks", folder / "landmarks.npy", "--experts", 4)

@@ -14,8 +14,6 @@ from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import PixelLabels
 
-COVARIANCE = ((4.0, 1.0), (1.0, 9.0))
-
 
 def test_a_belief_becomes_detections() -> None:
     pixels = PixelLabels()
@@ -82,16 +80,3 @@ def test_ellipses_are_drawn_where_points_are_and_as_wide_as_they_are_unsure() ->
         assert (columns[near].min(), columns[near].max()) == pytest.approx((x - 20, x + 20), abs=1)
         assert (rows[near].min(), rows[near].max()) == pytest.approx((y - 4, y + 4), abs=1)
     assert not drawn[:, 115:].any()
-
-
-def test_joints_of_a_body_are_drawn(body: Path) -> None:
-    with np.load(body / "poses.npz") as poses:
-        joints, covariances = poses["joints_2d"], poses["joints_2d_covariances"]
-    key_points = to_key_points(joints[-1], covariances[-1])
-    np.testing.assert_allclose(key_points.xy[0], joints[-1], rtol=1e-6)
-    outlines = supervision.VertexEllipseOutlineAnnotator(
-        sigma=3.0, color=supervision.Color.WHITE, thickness=1
-    )
-    drawn = outlines.annotate(np.zeros((180, 320, 3), np.uint8), key_points)
-    for x, y in joints[-1]:
-        assert drawn[int(max(y - 30, 0)) : int(y + 30), int(max(x - 30, 0)) : int(x + 30)].any()

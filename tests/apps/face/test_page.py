@@ -1,6 +1,5 @@
 """A face's page: what of a run is on it, and what can be done with it in a browser."""
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -8,17 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.face.page import MOST_POINTS, FaceDrawing, FaceRecord, face_page
+from rsmcm.apps.face.page import FaceDrawing, FaceRecord, face_page
 from rsmcm.apps.face.texture import vertices_on_texture
 from rsmcm.apps.scenes import face
 from rsmcm.apps.scenes.talking_face import FaceScene
 from rsmcm.apps.view.film import Film, read_film
 from rsmcm.apps.view.page import SEEN, Page
-from rsmcm.models.core.frame import Frame
-from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.surface import SurfaceTexels
 
-from ...support.browser import PHONE, Browser, browsing, landmarks, overflow
+from ...support.browser import PHONE, Browser, landmarks, overflow
 from ...support.records import log_of
 from ...support.view_page import Turned, ViewPage, shown_page, write_pages
 
@@ -99,7 +96,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, scene: FaceScene, drawing: 
     write_pages(
         path,
         scene,
-        lambda index: drawing.drawn(row(scene, index), np.nan if index == 0 else 1.5),
+        lambda index: drawing.view_row(row(scene, index), np.nan if index == 0 else 1.5),
         lambda film: page_of(film, scene, drawing),
     )
     return path
@@ -130,37 +127,6 @@ def test_what_is_on_the_page(folder: Path, scene: FaceScene, drawing: FaceDrawin
     np.testing.assert_allclose(plots["picture explained"], 90, rtol=1e-6)
     np.testing.assert_allclose(plots["points ±"], np.sqrt(5), rtol=1e-6)
     assert np.isnan(plots["error"][0])
-
-
-def test_of_a_fine_model_some_points_are_shown() -> None:
-    fine = face_model(3)
-    scene = face(2, size=SIZE)
-    drawing = FaceDrawing(fine)
-    poses = scene.poses
-    made = {**row(scene, 0), "vertices_2d": fine.project(poses)[0]}
-    made["covariance"] = np.tile(np.eye(3), (fine.n_vertices, 1, 1))
-    drawn = drawing.drawn(made, np.nan)
-    assert len(drawn["points"]) == MOST_POINTS < fine.n_vertices
-    held = drawn["points"][:, :2]
-    low, high = (getattr(made["vertices_2d"], name)(axis=0) for name in ("min", "max"))
-    assert (np.ptp(held, axis=0) > 0.95 * (high - low)).all(), "from all over the face"
-
-
-def test_a_face_without_landmarks_and_errors(scene: FaceScene, drawing: FaceDrawing, tmp_path: Path) -> None:
-    frame = Frame(scene.image(0), 0.0, 1)
-    made = {**row(scene, 0), "landmarks": np.zeros((0, 2))}
-    plots: list[str] = []
-
-    def filled(film: Film) -> Page:
-        page = page_of(film, scene, drawing, np.nan)
-        plots.extend(plot.name for plot in page.plots)
-        return page
-
-    write_pages(tmp_path, [frame], lambda _: drawing.drawn(made, np.nan), filled)
-    assert "error" not in plots
-    with browsing() as browser, shown_page(browser, tmp_path, SIZE) as shown:
-        assert not shown.page.get_by_label("landmarks").count()
-        assert "error" not in shown.details
 
 
 # --- in a browser -------------------------------------------------------------------------------------------
@@ -197,19 +163,6 @@ def test_what_is_said_of_the_face(shown: ViewPage, scene: FaceScene) -> None:
     assert shown.numbers("error") == [1.5]
     shown.show(0)
     assert "error" not in shown.details
-
-
-@pytest.mark.parametrize(
-    ("name", "key"), [("^mesh", "m"), ("^90 % regions", "u"), ("^landmarks", "l"), ("^points", "d")]
-)
-def test_layers_are_switched(shown: ViewPage, name: str, key: str) -> None:
-    box = shown.page.locator("#switches label").filter(has_text=re.compile(name)).locator("input")
-    before, was_on = shown.inked(), box.is_checked()
-    shown.page.keyboard.press(key)
-    assert box.is_checked() != was_on
-    assert shown.inked() != before
-    shown.page.keyboard.press(key)
-    assert shown.inked() == before
 
 
 def head(scene: FaceScene, shown: ViewPage) -> Turned:
@@ -263,16 +216,6 @@ def test_the_texture_lies_where_it_was(shown: ViewPage) -> None:
     assert len(greys) > 80
     assert greys[-len(greys) // 4 :].mean() - greys[: len(greys) // 4].mean() > 60
     assert np.corrcoef(np.arange(len(greys)), greys)[0, 1] > 0.6, "but for the light on its facets"
-
-
-def test_keys_and_the_film(shown: ViewPage) -> None:
-    shown.page.locator(".space").focus()
-    before = shown.inked(".space")
-    shown.page.keyboard.press("ArrowLeft")
-    assert shown.inked(".space") != before
-    assert shown.frame == 1
-    shown.page.locator("#play").click()
-    shown.page.wait_for_function("document.querySelector('video').currentTime > 0.3")
 
 
 @pytest.mark.parametrize("dark", [False, True])

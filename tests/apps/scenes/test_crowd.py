@@ -16,12 +16,6 @@ def test_walkers_are_all_seen_as_far_as_they_are_in_the_picture(n_walkers: int) 
         assert 0.4 * n_walkers * area < changed.sum() < 1.05 * n_walkers * area
 
 
-def test_one_seed_gives_the_same_bytes() -> None:
-    one, two = (list(crowd(5, 3, (240, 320), seed=7)) for _ in range(2))
-    for frame, other in zip(one, two, strict=True):
-        np.testing.assert_array_equal(frame.image, other.image)
-
-
 def test_who_does_not_fit_in_is_refused() -> None:
     with pytest.raises(ValueError, match="n_walkers: got 5000, expected fewer"):
         next(crowd(5000, 2, (120, 320)))

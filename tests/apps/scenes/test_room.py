@@ -23,23 +23,3 @@ def test_shadow_and_reflection_are_seen_and_are_no_foreground() -> None:
     assert (shadow < -15).sum() > 100
     ratio = seen[60:80, 40:60].mean() / empty[60:80, 40:60].mean()
     assert 0.6 < ratio < 1
-
-
-def test_without_both_only_the_person_differs_from_the_empty_room() -> None:
-    scene = standing_in_a_room(
-        300, size=SMALL, stand=200, noise=0, light_drift=0, shadow=0, reflection=0, seed=2
-    )
-    changed = np.any(scene[200].image != scene[0].image, axis=2)
-    near = cv2.dilate(scene.foreground(200).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    assert changed.any()
-    assert not (changed & ~near).any()
-
-
-def test_same_seed_same_bytes_and_the_person_leaves() -> None:
-    one, other = (standing_in_a_room(320, seed=3, size=SMALL, stand=50) for _ in range(2))
-    assert np.array_equal(one[150].image, other[150].image)
-    assert not np.array_equal(
-        one[150].image, standing_in_a_room(320, seed=4, size=SMALL, stand=50)[150].image
-    )
-    assert one.foreground(150).any()
-    assert not all(one.foreground(index).any() for index in range(150, 320, 5))

@@ -39,10 +39,3 @@ def test_masks_follow_the_frames() -> None:
     mask = np.zeros((72, 96), bool)
     mask[20:40, 30:50] = True
     assert (film.mask(mask, 0) == mask[6:-6, 6:-6]).all()
-
-
-def test_what_is_out_of_range_is_refused() -> None:
-    with pytest.raises(ValueError, match="amount"):
-        shaken(sleeping_man(2), -1.0)
-    with pytest.raises(ValueError, match="film"):
-        shaken([])

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import Scene, sleeping_man
-from rsmcm.apps.scenes.street import LIGHT_AFTER_JUMP
+from rsmcm.apps.scenes.street import CLOUD_SHADE, LIGHT_AFTER_JUMP
 
 SMALL = (160, 120)
 
@@ -22,20 +22,7 @@ def test_same_seed_same_bytes_in_any_order() -> None:
     assert not np.array_equal(early, sleeping_man(seed=4, size=SMALL)[10].image)
 
 
-def test_frames_have_times_and_numbers_from_one() -> None:
-    scene = sleeping_man(3, size=SMALL)
-    frames = list(scene)
-    assert [frame.number for frame in frames] == [1, 2, 3]
-    assert [frame.time for frame in frames] == [0, scene.dt, 2 * scene.dt]
-    assert frames[0].image.shape == (120, 160, 3)
-    assert len(scene) == len(scene.masks) == 3
-    assert np.array_equal(scene[-1].image, frames[-1].image)
-    assert len(scene[1:]) == 2
-    with pytest.raises(IndexError):
-        scene.masks[3]
-
-
-@pytest.mark.parametrize("index", [60, 150, 330])
+@pytest.mark.parametrize("index", [60, 150])
 def test_mask_covers_what_differs_from_the_empty_street(index: int) -> None:
     scene = quiet(car_leaves=400)
     changed = np.any(scene[index].image != scene[0].image, axis=-1)
@@ -59,12 +46,6 @@ def test_person_walks_in_stands_and_walks_out() -> None:
     # swaying: consecutive standing masks differ a little, and by little
     differing = (scene.person(150) != scene.person(156)).sum()
     assert 0 < differing < 0.1 * scene.person(150).sum()
-
-
-def test_longer_stand_and_further_visits() -> None:
-    assert quiet(1500, stand=1300).person(1300).any()
-    again = [quiet(2000).boxes(index) for index in range(400, 800, 20)]
-    assert {box.identity for boxes in again for box in boxes if box.kind == "pedestrian"} == {3}
 
 
 def test_parked_car_is_background_until_it_leaves() -> None:
@@ -96,18 +77,10 @@ def test_noise_has_the_deviation_asked_for() -> None:
 
 
 def test_clouds_darken_and_move() -> None:
-    clear = sleeping_man(size=SMALL, noise=0)
-    cloudy = sleeping_man(size=SMALL, noise=0, clouds=True)
-    shares = [cloudy[i].image / np.maximum(clear[i].image, 1.0) for i in (0, 25)]
-    assert shares[0].min() > 0.6
-    assert shares[0].min() < 0.75
-    assert shares[0].max() <= 1
-    assert np.abs(shares[0] - shares[1]).max() > 0.2
-
-
-@pytest.mark.parametrize(
-    "settings", [{"size": (20, 20)}, {"n_frames": 0}, {"noise": -1.0}, {"light_drift": 1.0}, {"stand": -1}]
-)
-def test_settings_out_of_range_are_named(settings: dict[str, object]) -> None:
-    with pytest.raises(ValueError, match=next(iter(settings))):
-        sleeping_man(**settings)
+    clear, cloudy = (sleeping_man(size=SMALL, noise=0, clouds=each) for each in (False, True))
+    # four moments in which the clouds have moved by the picture's width: all of them
+    shares = np.stack([cloudy[i].image / np.maximum(clear[i].image, 1.0) for i in (0, 100, 200, 300)])
+    lit = np.stack([clear[i].image for i in (0, 100, 200, 300)]) > 80
+    assert shares[lit].min() == pytest.approx(1 - CLOUD_SHADE, abs=0.03)
+    assert shares.max() <= 1
+    assert np.abs(shares[0] - shares[1])[lit[0] & lit[1]].max() > 0.2

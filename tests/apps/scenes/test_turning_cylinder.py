@@ -18,14 +18,6 @@ def many() -> Cylinder:
     return cylinder(n_points=400, n_frames=300, p_loose=0.1, p_drift=0.05, p_regain=0.3, seed=7)
 
 
-def test_points_lie_evenly_on_the_unit_cylinder(many: Cylinder) -> None:
-    np.testing.assert_allclose(np.hypot(many.shape[:, 0], many.shape[:, 1]), 1)
-    assert np.abs(many.shape[:, 2]).max() <= 1
-    # Means of 400 values of variance 1/2 (coordinates on a circle) and 1/3 (uniform); 5 deviations.
-    assert np.abs(many.shape[:, :2].mean(axis=0)).max() < 5 * np.sqrt(0.5 / 400)
-    assert abs(many.shape[:, 2].mean()) < 5 * np.sqrt(1 / 3 / 400)
-
-
 def test_cameras_are_orthographic_and_turn_evenly() -> None:
     made = cylinder(n_frames=121, degrees_per_frame=3, noise=0)
     rows = made.cameras[:, :, :3]
@@ -80,13 +72,6 @@ def test_drift_has_its_length_and_lasts_its_time(many: Cylinder) -> None:
         assert (run[now & ~then] % DRIFT_FRAMES == 0).all()
 
 
-def test_directions_of_drift_are_even(many: Cylinder) -> None:
-    quiet = cylinder(n_points=400, n_frames=300, p_loose=0.1, p_drift=0, p_regain=0.3, seed=7)
-    mean = np.nanmean((many.observed - quiet.observed)[many.drifting] / DRIFT, axis=0)
-    n_independent = np.count_nonzero(many.drifting) / DRIFT_FRAMES
-    assert np.abs(mean).max() < 5 * np.sqrt(0.5 / n_independent)
-
-
 def test_noise_has_its_deviation(many: Cylinder) -> None:
     errors = (many.observed - many.positions)[many.visible & ~many.drifting]
     # the deviation of n values is known to 1 / sqrt(2 n)
@@ -118,34 +103,3 @@ def test_tracks_are_the_stretches_between_gaps(
         for beside in (frames[0] - 1, frames[-1] + 1):
             assert not 0 <= beside < n_frames or not made.visible[beside, point]
     assert np.count_nonzero(seen) == np.count_nonzero(made.visible)
-
-
-def test_order_of_tracks_tells_nothing() -> None:
-    made = cylinder(n_points=100, seed=5)
-    starts = np.argmax(~np.isnan(made.tracks()[:, :, 0]), axis=0)
-    order = np.arange(len(starts))
-    # correlations of n independent values deviate by 1 / sqrt(n)
-    for values in (starts, made.point_of_track):
-        assert abs(np.corrcoef(order, values)[0, 1]) < 5 / np.sqrt(len(starts))
-
-
-def test_seeds() -> None:
-    one, same, other = cylinder(seed=1), cylinder(seed=1), cylinder(seed=2)
-    np.testing.assert_array_equal(one.tracks(), same.tracks())
-    assert not np.array_equal(one.shape, other.shape)
-    np.testing.assert_array_equal(one.shape, cylinder(p_loose=0.3, seed=1).shape)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ({"p_loose": 1.5}, "p_loose: got 1.5, expected a probability"),
-        ({"p_drift": -0.1}, "p_drift: got -0.1"),
-        ({"p_regain": float("nan")}, "p_regain: got nan"),
-        ({"n_points": 0}, "n_points, n_frames: got 0, 60"),
-        ({"noise": -1.0}, "noise: got -1.0"),
-    ],
-)
-def test_settings_out_of_range_are_named(wrong: dict[str, float], words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        cylinder(**wrong)  # type: ignore[arg-type]

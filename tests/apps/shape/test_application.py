@@ -120,25 +120,6 @@ def test_error_in_space(finished: Path, truth: Numbers) -> None:
     assert f"{expected:.4f}" in (finished / "view.html").read_text()
 
 
-def test_selected_frames(source: Path, truth: Numbers, tmp_path: Path) -> None:
-    np.save(tmp_path / "truth.npy", truth)
-    few = ("--bases", 2, "--start", 2, "--stop", 14, "--step", 2, "--truth", tmp_path / "truth.npy")
-    assert run(source, *few, "--out", tmp_path / "out") == 0
-    with np.load(tmp_path / "out" / "shapes.npz") as content:
-        assert content["frame"].tolist() == [2, 4, 6, 8, 10, 12, 14]
-        expected = shape_error(content["shapes"], truth[1:14:2])
-    assert summary_of(tmp_path / "out")["e3d"] == pytest.approx(expected)
-
-
-def test_motion_capture_is_tracks_and_truth(truth: Numbers, tmp_path: Path) -> None:
-    from scipy.io import savemat
-
-    savemat(tmp_path / "x.mat", {"X": truth.transpose(2, 1, 0)})
-    arguments = ("--bases", N_BASES, "--truth", tmp_path / "x.mat", "--out", tmp_path / "out")
-    assert run(tmp_path / "x.mat", *arguments) == 0
-    assert summary_of(tmp_path / "out")["e3d"] < 0.1
-
-
 def test_number_of_bases_by_what_was_held_out(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     np.save(tmp_path / "tracks.npy", deforming(n_frames=20)[0][:, :12])
     assert run(tmp_path / "tracks.npy", "--bases", "auto", "--out", tmp_path / "out") == 0
@@ -166,13 +147,6 @@ def test_rivals_are_said(
 
 
 # --- pages --------------------------------------------------------------------------------------------------
-
-
-def test_the_page_has_everything(finished: Path) -> None:
-    page = (finished / "view.html").read_text()
-    for heading in ("Modes", "Over time", "Parameters"):
-        assert f">{heading}</h2>" in page
-    assert "nan px" not in page
 
 
 def test_the_page_turns_and_deforms(finished: Path) -> None:
@@ -277,7 +251,3 @@ def test_control_c(
     assert run(source, "--bases", 2, "--out", tmp_path / "out") == 130
     assert names(tmp_path / "out") == ALWAYS
     json.loads((tmp_path / "out" / "summary.json").read_text())
-
-
-def test_a_full_disk(source: Path, tmp_path: Path) -> None:
-    run.on_a_full_disk(tmp_path / "out", 4_000, source, "--bases", 2, "--quiet")

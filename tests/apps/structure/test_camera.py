@@ -116,24 +116,6 @@ def test_a_given_focal_length(source: Path, tmp_path: Path, film: PerspectiveFil
     assert "as given" in summary["camera_in_words"]
 
 
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        (("--focal", "-3"), "--focal: got -3, expected px, more than 0"),
-        (("--focal", "900", "--camera", "affine"), "--focal and --camera affine: got both"),
-    ],
-)
-def test_focal_lengths_that_cannot_be(
-    source: Path,
-    tmp_path: Path,
-    options: tuple[str, ...],
-    expected: str,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    assert expected in run.complaint(capfd, source, "--out", tmp_path / "out", *options)
-    assert not (tmp_path / "out").exists()
-
-
 def picture_with(path: Path, details: Mapping[int, object]) -> Path:
     exif = Image.Exif()
     exif.get_ifd(DETAILS).update(details)

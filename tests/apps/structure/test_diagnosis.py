@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.structure.diagnosis import no_points
+from rsmcm.apps.structure.diagnosis import no_depth, no_points
 from rsmcm.inference.sfm.depth import picture_motion
 from rsmcm.models.core.frame import Frame
 
@@ -17,6 +17,7 @@ from ...support.fruitless import N_FRAMES, tracks_in_depth, tracks_on_wall, wall
 
 run = Command("structure")
 Image = NDArray[np.uint8]
+ALONE = ("--association", "none")
 
 WHY = {
     "still": "nothing moves",
@@ -33,17 +34,16 @@ def fails(source: Path, out: Path, capfd: pytest.CaptureFixture[str], *options: 
     printed, complaint = capfd.readouterr()
     summary = summary_of(out)
     diagnosis: dict[str, Any] = summary["diagnosis"]
-    report = (out / "view.html").read_text()
+    page = (out / "view.html").read_text()
     for part in ("missing", "why", "advice"):
         assert diagnosis[part] in printed
         assert diagnosis[part] in summary["notes"]
-        assert diagnosis[part].partition("'")[0] in report
-    assert diagnosis["missing"] in complaint.splitlines()[-1]
-    assert complaint.splitlines()[-1].startswith(f"rsmcm: {source}: ")
-    said = re.sub(r"<script.*?</script>", "", report, flags=re.DOTALL)
-    assert not re.search(r"\bnan\b", printed + said, re.IGNORECASE)
+        assert diagnosis[part].partition("'")[0] in page
+    assert complaint.splitlines()[-1] == f"rsmcm: {source}: {diagnosis['missing']}"
+    text = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+    assert not re.search(r"\bnan\b", printed + text, re.IGNORECASE)
     if not summary["points"]:
-        assert 'data-plot="' not in report, "an empty plot"
+        assert 'data-plot="' not in page, "an empty plot"
         film = {"film.mp4", "view.npz"}
         assert names(out) - film == {"view.html", "summary.json", "state.npz", "manifest.json"}
     return diagnosis
@@ -55,26 +55,50 @@ def track_file(folder: Path, tracks: NDArray[np.float64]) -> Path:
 
 
 @pytest.mark.parametrize("kind", WHY)
-@pytest.mark.parametrize("association", ["dual-chain", "none"])
-def test_tracks_of_a_wall(
-    kind: str, association: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_why_tracks_of_a_wall_have_no_depth(kind: str) -> None:
     tracks = tracks_on_wall(kind)
-    found = fails(track_file(tmp_path, tracks), tmp_path / "out", capfd, "--association", association)
-    assert WHY[kind] in found["why"]
-    figures = found["figures"]
-    assert 57 <= figures["tracks"] <= 60, "what no affine camera shows may pass for an outlier"
-    assert figures["median_life_frames"] == 24
+    diagnosis = no_depth("a flat shape explains them", tracks)
+    assert "a flat shape explains them" in diagnosis.missing
+    assert WHY[kind] in diagnosis.why
+    assert "move" in diagnosis.advice.lower()
+    figures = diagnosis.figures
+    assert (figures["tracks"], figures["median_life_frames"]) == (60, 24)
     steps = np.median(np.linalg.norm(np.diff(tracks, axis=0), axis=2))
     assert figures["motion_px_per_frame"] == pytest.approx(steps, rel=0.1)
-    assert figures["parallax_px_per_point"] == pytest.approx(0.4, rel=0.5), "the noise of two pictures"
-    assert "move" in found["advice"].lower()
+    # the noise of two pictures, 0.2 px each: of 120 residuals less what a homography fits
+    assert figures["parallax_px_per_point"] == pytest.approx(0.4, rel=0.5)
+
+
+def test_tracks_of_a_plane_get_no_shape(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    diagnosis = fails(track_file(tmp_path, tracks_on_wall("plane")), tmp_path / "out", capfd, *ALONE)
+    assert WHY["plane"] in diagnosis["why"]
     assert summary_of(tmp_path / "out")["shape"] == "none"
     assert not (tmp_path / "out" / "structure.ply").exists()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("n_points", "most"), [(15, 0.75), (40, 0.05)])
+def test_share_of_still_points_that_are_given_a_shape(
+    n_points: int, most: float, tmp_path: Path, record_property: Any
+) -> None:
+    """Of 20 films of 12 frames with 0.3 px noise: 9 were, of 15 points, and none, of 40.
+
+    The test of parallax does not count how much is fitted to how few points. The bound is three standard
+    errors above what was counted.
+    """
+    shapes = []
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        still = random.uniform(20, 140, (1, n_points, 2)) + 0.3 * random.normal(size=(12, n_points, 2))
+        assert run(track_file(tmp_path, still), "--out", tmp_path / f"{seed}", *ALONE) in (0, 1)
+        shapes.append(summary_of(tmp_path / f"{seed}")["shape"])
+    share = float(np.mean([shape != "none" for shape in shapes]))
+    record_property("share given a shape", share)
+    assert share <= most
+
+
 def test_tracks_in_depth_have_no_diagnosis(tmp_path: Path) -> None:
-    assert run(track_file(tmp_path, tracks_in_depth()), "--out", tmp_path / "out") == 0
+    assert run(track_file(tmp_path, tracks_in_depth()), "--out", tmp_path / "out", *ALONE) == 0
     summary = summary_of(tmp_path / "out")
     assert summary["diagnosis"] is None
     assert summary["shape"] == "euclidean"
@@ -86,54 +110,45 @@ def test_tracks_in_depth_have_no_diagnosis(tmp_path: Path) -> None:
         (lambda t: t[:1], "1 frame to look at, and 3 are needed"),
         (lambda t: t[:2], "2 frames to look at, and 3 are needed"),
         (lambda t: t[:, :3], "3 points with an observation in 24 frames, and 4 are needed"),
-        (lambda t: t * np.nan, "0 points with an observation in 24 frames, and 4 are needed"),
     ],
 )
 def test_too_few(few: Any, words: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    found = fails(track_file(tmp_path, few(tracks_in_depth())), tmp_path / "out", capfd)
-    assert words in found["missing"]
+    diagnosis = fails(track_file(tmp_path, few(tracks_in_depth())), tmp_path / "out", capfd)
+    assert words in diagnosis["missing"]
 
 
 def pictures(kind: str) -> list[Image]:
-    random = np.random.default_rng(0)
-    match kind:
-        case "one":
-            return [wall()[:120, :160]]
-        case "grey":
-            return [np.full((120, 160), 90, np.uint8)] * 5
-        case "noise":
-            return [random.integers(0, 256, (120, 160)).astype(np.uint8) for _ in range(N_FRAMES)]
-        case _:
-            images = np.zeros((N_FRAMES, 120, 160), np.uint8)
-            for number, image in enumerate(images):
-                cv2.circle(image, (40 + 3 * number, 60), 3, 255, cv2.FILLED)
-            return list(images)
+    if kind == "grey":
+        return [np.full((120, 160), 90, np.uint8)] * 5
+    images = np.zeros((N_FRAMES, 120, 160), np.uint8)
+    for number, image in enumerate(images):
+        cv2.circle(image, (40 + 3 * number, 60), 3, 255, cv2.FILLED)
+    return list(images)
 
 
 @pytest.mark.parametrize(
     ("kind", "missing", "why"),
     [
-        ("one", "1 frame to look at, and 3 are needed", "several sides"),
         ("grey", "0 points can be followed, and 4 are needed", "grey levels deviate by 0 of 255"),
         ("dot", "points can be followed, and 4 are needed", "Only corners can be followed"),
-        ("noise", "0 points can be followed, and 4 are needed", "must stay in view for some frames"),
     ],
 )
 def test_pictures(
     kind: str, missing: str, why: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    found = fails(write_pictures(tmp_path / "film", pictures(kind)), tmp_path / "out", capfd)
-    assert missing in found["missing"]
-    assert why in found["why"]
-    assert "internal" not in found["why"]
-    assert (tmp_path / "out" / "film.mp4").exists()
+    source, out = write_pictures(tmp_path / "film", pictures(kind)), tmp_path / "out"
+    diagnosis = fails(source, out, capfd)
+    assert missing in diagnosis["missing"]
+    assert why in diagnosis["why"]
+    assert (out / "film.mp4").exists()
+    before = (out / "summary.json").read_bytes()
+    assert fails(source, out, capfd, "--resume") == diagnosis, "it is finished"
+    assert (out / "summary.json").read_bytes() == before
 
 
-@pytest.mark.parametrize("kind", ["still", "rotation"])
-def test_films_of_a_wall(kind: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    source = write_wall(tmp_path / "film", kind)
-    found = fails(source, tmp_path / "out", capfd, "--association", "none")
-    assert WHY[kind] in found["why"]
+def test_a_film_of_a_wall(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    diagnosis = fails(write_wall(tmp_path / "film", "still"), tmp_path / "out", capfd, *ALONE)
+    assert WHY["still"] in diagnosis["why"]
 
 
 def test_pictures_that_move_too_fast() -> None:
@@ -144,30 +159,21 @@ def test_pictures_that_move_too_fast() -> None:
     tracks = np.full((6, 60, 2), np.nan)
     for k, row in enumerate(tracks):
         row[10 * k : 10 * k + 10] = np.random.default_rng(k).uniform(0, 150, (10, 2))
-    found = no_points(frames, tracks, "")
-    assert found.missing == "No structure: none of 60 tracks became a point of a shape."
+    diagnosis = no_points(frames, tracks, "")
+    assert diagnosis.missing == "No structure: none of 60 tracks became a point of a shape."
     assert re.fullmatch(
-        r"Half of the tracks live 1 frame or fewer; the pictures move by 3[23](\.\d)? px a frame\.", found.why
+        r"Half of the tracks live 1 frame or fewer; the pictures move by 3[234](\.\d)? px a frame\.",
+        diagnosis.why,
     )
-    assert "--step" in found.advice
+    assert "--step" in diagnosis.advice
     assert "--step" not in no_points(frames[:1] * 6, tracks, "").advice, "they stand still"
     long = np.random.default_rng(9).uniform(0, 150, (6, 20, 2))
     assert "not of one rigid thing: too few agree" in no_points(frames, long, "too few agree").why
 
 
-def test_a_run_that_found_nothing_is_finished(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    source, out = write_pictures(tmp_path / "film", pictures("grey")), tmp_path / "out"
-    first = fails(source, out, capfd)
-    before = (out / "summary.json").read_bytes()
-    assert fails(source, out, capfd, "--resume") == first
-    assert (out / "summary.json").read_bytes() == before
-    assert Command("batch")("structure", source, "--out", tmp_path / "many") == 1
-    assert first["missing"] in (tmp_path / "many" / "summary.csv").read_text()
-
-
 def test_motion_of_pictures() -> None:
     texture = wall()
-    shifted = [texture[300 : 420 + 0, 300 + 12 * k : 460 + 12 * k] for k in range(4)]
+    shifted = [texture[300:420, 300 + 12 * k : 460 + 12 * k] for k in range(4)]
     assert picture_motion(shifted) == pytest.approx(12, abs=0.5)
     assert np.isnan(picture_motion([np.zeros((50, 50), np.uint8)] * 3))
     assert np.isnan(picture_motion([]))

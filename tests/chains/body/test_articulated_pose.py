@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from rsmcm.chains.body.articulated_pose import GROUPS, ArticulatedPose
 from rsmcm.chains.body.dynamics import BodyDynamics
-from rsmcm.chains.body.samples import moments, part_message
+from rsmcm.chains.body.samples import body_moments, part_message
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.engine.protocols import Incoming
 from rsmcm.models.body.image_features import BodyImage
@@ -62,7 +62,7 @@ def started(chain, seed=0):
 def test_first_frame_finds_the_parts(seed):
     chain = a_chain()
     state, pose = started(chain, seed)
-    found = moments(BODY, state)
+    found = body_moments(BODY, state)
     assert len(state.poses) == chain.samples
     assert found.joints[[0, 4, 7], :2] == pytest.approx(BODY.parts(pose)[0], abs=3.0)
     # seen for certain in two directions, but for the depth only the arm's length is known
@@ -82,7 +82,7 @@ def test_posterior_is_that_of_a_bootstrap_filter_with_many_samples(seed):
         [np.zeros(1)] * 3, list((target + 3.0)[:, None]), [60.0**2 * np.eye(2)[None]] * 3
     )
     message = PartMessage(told, picture(seen(target, 15.0)))
-    found = moments(BODY, chain.update(prediction, Incoming({NODE: message})))
+    found = body_moments(BODY, chain.update(prediction, Incoming({NODE: message})))
 
     past = prediction.ancestors
     ancestors = past.poses.take(random.choice(len(past.poses), 400_000, p=past.weights))
@@ -115,7 +115,7 @@ def test_nothing_is_invented_when_all_features_fail():
     spreads = []
     for _ in range(20):
         state = chain.update(chain.predict(state, DT), Incoming({NODE: PartMessage(NOTHING)}))
-        spreads.append(np.trace(moments(BODY, state).joint_covariances[4]))
+        spreads.append(np.trace(body_moments(BODY, state).joint_covariances[4]))
     assert spreads[-1] > 2 * spreads[0]  # it becomes less sure
 
 
@@ -126,7 +126,7 @@ def test_a_stationary_chain_still_hears_the_others():
     aside = np.einsum("n,npx->px", prediction.weights, BODY.parts(prediction.poses)) + np.array([15.0, 0.0])
     told = GaussianMixtures.of_parts([np.zeros(1)] * 3, list(aside[:, None]), [400.0 * np.eye(2)[None]] * 3)
     after = chain.update(prediction, Incoming({NODE: PartMessage(told)}))
-    moved = moments(BODY, after).joints[4, 0] - moments(BODY, prediction).joints[4, 0]
+    moved = body_moments(BODY, after).joints[4, 0] - body_moments(BODY, prediction).joints[4, 0]
     assert moved > 2
 
 
@@ -138,7 +138,7 @@ def test_detections_out_of_reach_leave_the_prediction():
     far = seen([[20.0, 20.0], [20.0, 340.0], [620.0, 20.0]], 1.0, chance=1 - 1e-12)
     after = chain.update(prediction, Incoming({NODE: PartMessage(NOTHING, picture(far))}))
     assert after.log_evidence == pytest.approx(3 * np.log(1e-12), abs=1e-3)
-    before, found = moments(BODY, prediction), moments(BODY, after)
+    before, found = body_moments(BODY, prediction), body_moments(BODY, after)
     spread = np.sqrt(before.joint_covariances.diagonal(axis1=1, axis2=2))
     # hundreds of effective samples on either side
     assert (np.abs(found.joints - before.joints) < 0.3 * spread + 0.1).all()

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rsmcm.apps.io import with_keypoints
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.chains import ArticulatedPose, FleshTracker
-from rsmcm.chains.body.samples import moments
+from rsmcm.chains.body.samples import body_moments
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import BodyParts, Frame
 from rsmcm.models.body.upper_body import JOINTS
@@ -53,7 +53,7 @@ def followed(seed: int, **detector: float | tuple[float, float] | None) -> Follo
     known = with_keypoints(frames, lambda frame: given[frame.number - 1]) if given else frames
     flat, deep, nees = [], [], []
     for tracked, truth in zip(RecursiveBP(model).run(known), scene.joints, strict=True):
-        found = moments(body, tracked["pose"])
+        found = body_moments(body, tracked["pose"])
         apart = (found.joints - truth)[ARMS]
         flat.append(np.linalg.norm(apart[:, :2], axis=1) / body.head_height)
         deep.append(np.abs(apart[:, 2]) / body.head_height)

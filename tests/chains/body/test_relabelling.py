@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import BodyDynamics
 from rsmcm.chains.body.hand_labelling import ELBOWS, HANDS, ROWS, SHOULDERS, exchange_hands, relabel_hands
-from rsmcm.chains.body.samples import BodySamples, moments
+from rsmcm.chains.body.samples import BodySamples, body_moments
 from rsmcm.models.body.upper_body import UpperBody
 
 from ...support.body_poses import resting
@@ -26,7 +26,7 @@ def row() -> dict[str, NDArray[Any]]:
     around.arms[:, :, 1] = np.array([[-0.6, 0.3, -0.75], [0.5, 0.1, -0.86]])
     poses = BodyDynamics(BODY, jumps=0).draw(around, 0.01, random)
     samples = BodySamples.even(poses, (360, 640), random)
-    found, joints = moments(BODY, samples), BODY.joints(poses)
+    found, joints = body_moments(BODY, samples), BODY.joints(poses)
     return {
         "joints_2d": found.joints[:, :2],
         "joints_2d_covariances": found.joint_covariances[:, :2, :2],

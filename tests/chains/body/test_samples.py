@@ -11,8 +11,8 @@ from rsmcm.chains.body.samples import (
     SAMPLE_STD,
     START_TIME,
     BodySamples,
+    body_moments,
     initial_samples,
-    moments,
     part_message,
     predict_samples,
     stationary_samples,
@@ -84,7 +84,7 @@ def test_message_does_not_vanish_where_no_sample_is() -> None:
 
 def test_moments_are_those_of_weighted_joints_and_angles() -> None:
     state = samples(some(80))
-    found = moments(BODY, state)
+    found = body_moments(BODY, state)
     joints = BODY.joints(state.poses)
     assert found.joints.shape == (len(JOINTS), 3)
     for joint in range(len(JOINTS)):

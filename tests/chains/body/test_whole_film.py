@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rsmcm.apps.scenes import signer
 from rsmcm.chains import ArticulatedPose, FleshTracker
-from rsmcm.chains.body.samples import moments
+from rsmcm.chains.body.samples import body_moments
 from rsmcm.inference import CoordinateAscent, MultiChain
 from rsmcm.models import BodyParts
 from rsmcm.models.core.frame import Frame
@@ -40,7 +40,7 @@ def test_the_body_is_followed(solution, scene):
     assert [each is None for each in trajectory.samples] == [True] + 13 * [False]
     assert trajectory.times.shape == trajectory.exchanged.shape == (14,)
     assert np.isfinite(trajectory.log_prior)
-    joints = np.array([moments(scene.body, each).joints for each in trajectory.samples[1:]])
+    joints = np.array([body_moments(scene.body, each).joints for each in trajectory.samples[1:]])
     errors = np.linalg.norm(joints[:, [0, 4, 7], :2] - scene.joints[1:, [0, 4, 7], :2], axis=2)
     assert np.median(errors) < 0.15 * scene.body.head_height
     assert (trajectory.exchanged < 0.5).all()

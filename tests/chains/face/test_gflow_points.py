@@ -13,7 +13,7 @@ from rsmcm.chains.points.point_tracker import PointTracker
 from rsmcm.inference.engine.graph import MultiChain
 from rsmcm.inference.engine.protocols import Incoming
 from rsmcm.inference.engine.recursive_bp import RecursiveBP, RunState
-from rsmcm.inference.validity import compare
+from rsmcm.inference.validity import compare_predictions
 from rsmcm.models.core.frame import Frame, GivenPoints
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.pixels.pixel_labels import PixelLabels
@@ -123,7 +123,7 @@ def test_the_tracker_is_helped_by_what_the_face_predicts() -> None:
             first, second = alone.step(first, frame).state, apart.step(second, frame).state
     rows = record.record()
     assert rows is not None
-    found = compare(rows.predictions, rows.frames)
+    found = compare_predictions(rows.predictions, rows.frames)
     # it pays, if little: the face knows its vertices better than tracks of half the looks do
     assert found.rms_first.estimate < found.rms_second.estimate
     assert found.correlation.estimate < found.bearable_correlation

@@ -1,9 +1,10 @@
 """Incoming messages by kind and node, and what is worked out once in a time slice."""
 
+import numpy as np
 import pytest
 from rsmcm.inference import Incoming
 from rsmcm.models import ObjectBoxes, PixelLabels
-from rsmcm.models.core.categorical import Categorical
+from rsmcm.models.core.categorical import Categorical, CategoricalMessage
 from rsmcm.models.pixels.pixel_labels import PixelMessage
 
 PIXELS = PixelLabels()
@@ -27,6 +28,16 @@ def test_nodes_of_one_kind_are_told_by_name() -> None:
     assert incoming.by_name(Categorical) == {node.name: incoming[node] for node in nodes}
     with pytest.raises(KeyError, match="Categorical: got 2 such nodes among f, g, expected one"):
         incoming[Categorical]
+
+
+def test_a_message_is_what_the_image_says_times_what_the_others_say() -> None:
+    node = Categorical("f", 2)
+    image, others = CategoricalMessage([0.0, 1.0]), CategoricalMessage([2.0, 3.0])
+    incoming = Incoming({node: others}, evidence={node: image})
+    assert incoming.evidence(node) is incoming.evidence(Categorical) is image
+    assert incoming.others(Categorical) is others
+    np.testing.assert_array_equal(incoming[Categorical].log_weights, [2.0, 4.0])
+    np.testing.assert_array_equal(Incoming({node: others}).evidence(node).log_weights, 0)
 
 
 class Counting:

@@ -225,6 +225,43 @@ class CavityListener(Listener):
     ports = (Port(Categorical, Cavity.OTHERS, many=True),)
 
 
+@pytest.mark.parametrize("cavity", Cavity)
+@pytest.mark.parametrize("missing", [False, True])
+def test_parts_of_a_message_are_the_image_and_the_other_chains(cavity: Cavity, missing: bool) -> None:
+    parts: dict[str, list[tuple[CategoricalMessage, CategoricalMessage, CategoricalMessage]]] = {}
+
+    class Parted(DiscreteChain):
+        ports = (Port(Categorical, cavity, many=True),)
+
+        def message(
+            self, state: DiscreteState, feature: Categorical, incoming: Incoming
+        ) -> CategoricalMessage:
+            self.note("message", feature, incoming)
+            return super().message(state, feature, incoming)
+
+        def update(self, state: DiscreteState, incoming: Incoming) -> DiscreteState:
+            self.note("update", f, incoming)
+            return super().update(state, incoming)
+
+        def note(self, what: str, feature: Categorical, incoming: Incoming) -> None:
+            of_feature = incoming.evidence(feature), incoming.others(feature), incoming[feature]
+            parts.setdefault(what, []).append(of_feature)
+
+    model = random_model(rng(), [("a", "f"), ("b", "f"), ("c", "f")], {"b": Parted})
+    f = model.features["f"]
+    frame = Frame(None if missing else image(1), 0.0, 2)
+    engine = RecursiveBP(model)
+    belief = engine.step(engine.step(RunState(), Frame(image(0), -1.0, 1)).state, frame)
+    belief["f"].probabilities()
+    evidence = belief.evidence(f).log_weights
+    said = [belief.message(name, f).log_weights for name in "ac"]
+    for what, wanted in (("message", cavity), ("update", Cavity.OTHERS)):
+        seen, others, together = (each.log_weights for each in parts[what][-1])
+        np.testing.assert_array_equal(seen, evidence if wanted >= Cavity.IMAGE else 0)
+        np.testing.assert_array_equal(others, sum(said) if wanted == Cavity.OTHERS else 0)
+        np.testing.assert_allclose(together, seen + others, rtol=0, atol=EXACT)
+
+
 def test_a_chain_gets_the_same_product_object_for_message_and_update() -> None:
     model = random_model(rng(), [("a", "f"), ("b", "f")], {"b": Listener})
     RecursiveBP(model).step(RunState(), Frame(image(1), 0.0, 1))

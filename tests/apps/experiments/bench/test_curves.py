@@ -4,14 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from rsmcm.apps.experiments.bench.curves import (
     LENGTH,
     PIECE,
     PIECES,
     Curve,
     broken_tracks,
-    plot,
     turning,
 )
 from rsmcm.inference.sfm.factor_analysis.em import expectation_maximisation
@@ -35,23 +33,6 @@ def test_a_power_is_found_and_its_error_is_that_of_a_regression() -> None:
     assert error == pytest.approx(math.sqrt(covariance[0, 0] * (left @ left) / 2))
     expectation = curve(noisy).expectation(1.1)
     assert (expectation.measured, expectation.spread, expectation.ratio) == (power, error, True)
-
-
-def test_picture() -> None:
-    found = [curve([1e-3 * size for size in SIZES], name) for name in ("one", "two")]
-    found += [Curve("three", unit, found[0].points) for unit in "abcde"]
-    drawn = plot(found)
-    canvas = Figure(figsize=drawn.size)
-    drawn.draw(canvas)
-    shown = [axes for axes in canvas.axes if axes.axison]
-    assert [axes.get_xlabel() for axes in shown] == ["things", *"abcde"]
-    assert [len(axes.lines) for axes in shown] == [2, 1, 1, 1, 1, 1]
-    assert list(shown[0].lines[0].get_ydata()) == pytest.approx(list(SIZES))
-
-
-def test_the_time_is_the_median_of_the_rounds() -> None:
-    found = Curve.of("some", "things", {7: [1.0, 2.0, 3.0, 4.0, 100.0], 8: [2.0]})
-    assert found.points == [(7, 3.0), (8, 2.0)]
 
 
 def test_lists_without_a_table_are_observations_like_all_others() -> None:

@@ -1,18 +1,10 @@
 """Methods take turns, and ratios are those of what was measured together."""
 
 from rsmcm.apps.background.application import build_model
-from rsmcm.apps.experiments.bench.timing import in_turns, of_chains, over_frames, over_rounds
+from rsmcm.apps.experiments.bench.timing import of_chains, over_frames, over_rounds
 from rsmcm.apps.experiments.record import Expectation
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame
-
-
-def test_methods_take_turns_after_a_round_that_does_not_count() -> None:
-    called: list[str] = []
-    spent = in_turns({name: lambda name=name: called.append(name) for name in "ab"}, rounds=2, turn=3)  # type: ignore[misc]
-    assert "".join(called) == "aaabbb" + "bbbaaa" + "aaabbb"
-    assert {name: len(seconds) for name, seconds in spent.items()} == {"a": 2, "b": 2}
-    assert all(second >= 0 for seconds in spent.values() for second in seconds)
 
 
 def test_methods_get_all_frames_in_order() -> None:
