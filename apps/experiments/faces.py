@@ -301,7 +301,7 @@ DENSE = f"dense, gain {SLOW:g}, 20 experts"
 TAUGHT = f"{DENSE}, texture learned at the truth"
 ORACLE = f"oracle: dense, gain {SLOW:g}"
 
-AT_PEAK = {"experts": 1, "spread": 0.0}
+AT_PEAK = {"experts": 1, "covariance_scale": 0.0}
 """One expert that stays at its peak: constrained optic flow, where the texture is the last picture."""
 PATCHES = {"surface": "patches", "gain": ALMOST_FLOW}
 SINGLE = {"surface": "patches", "gain": 1.0, **AT_PEAK}

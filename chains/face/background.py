@@ -1,8 +1,8 @@
-"""The pixels that an object covers, and the background behind it: terms of G-flow eq. (17) and (18).
+"""Pixels that an object covers, and the background behind it: terms of G-flow eq. (17) and (18).
 
-Densities are of raw grey values, relative to the uniform density, "anything": divided by its local mean, a
-background would change with the object's place. The object's density, of y' = 128 y / (m + 5), is brought to
-raw values by 128 / (m + 5).
+Densities are of raw grey values, relative to the uniform density: divided by its local mean, a background
+would change with the object's position. The object's density, of y' = 128 y / (m + 5), is converted to raw
+values by 128 / (m + 5).
 
 The exact form of eq. (2) and (4) has a map an expert. Its Kalman filter is that of the texels, eq. (10) to
 (12), with a gain of 0 where the object hides the pixel.
@@ -37,66 +37,64 @@ from .texture_likelihood import (
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]
 
-TRUST_TIME = 0.3  # s in which the trust in a pixel's background follows whether its prediction came true
-UNSEEN = -1.0  # trust in the background of a pixel hidden from the beginning; as good as none
-LOUDEST = 3.0  # nats of a pixel for or against an edge: else the edge would be found off to one side
-INDEPENDENT = 0.3  # share of them that counts: neighbours are alike, and err together
+TRUST_TIME = 0.3  # s: time constant of the trust in a pixel's background
+UNSEEN = -1.0  # trust in the background of a pixel hidden from the beginning, which counts as 0
+LOUDEST = 3.0  # nats of a pixel for or against an edge, at most: more would bias the edge's position
+INDEPENDENT = 0.3  # share of these nats that counts, since errors of neighbouring pixels are correlated
 
 N_GREYS = 256.0
 
-TONE_WIDTH = 4.0  # grey levels by which the histogram of an object's tones is smoothed
-OTHER_TONES = 0.2  # share of an object's pixels near its outline that have any tone
+TONE_WIDTH = 4.0  # grey levels: standard deviation by which the histogram of an object is smoothed
+OTHER_TONES = 0.2  # share of an object's pixels near its outline of uniform grey value
 
 
 @dataclass(frozen=True, eq=False)
 class BackgroundContrast:
     """The background of a frame, one for all experts or one for each."""
 
-    box: Box  # of the picture, outside of which nothing is known
-    # `(n_maps, height, width)` float32: nats for the background against anything, times `trust`
-    log_ratio: Map
-    trust: Map  # `(n_maps, height, width)` float32, from 0, nothing is known of the background there, to 1
-    # the same against the object's usual tones, as they count in a row of pixels
-    border: Map
+    box: Box  # of the picture, outside of which the background is unknown
+    log_ratio: Map  # `(n_maps, height, width)` float32: background over uniform density, nats times `trust`
+    trust: Map  # `(n_maps, height, width)` float32, from 0, unknown, to 1
+    border: Map  # `(n_maps, height, width)` float32: background over the object's tones, tempered nats
     # `(height, width)` float32 of the whole picture: see `units`
     unit: Map
     everywhere: Array  # `(n_maps,)`: sum of `log_ratio` over the whole picture, where there is a map for each
 
     @classmethod
     def of(cls, box: Box, ratio: Map, trust: Map, tones: Map, unit: Map, everywhere: Array) -> Self:
-        """Of the log `ratio` of background and anything `(n_maps, height, width)` in the box; `tones` is the
-        same of the object, `(height, width)` (see `Tones`)."""
+        """Return the contrast by the log `ratio` of background and uniform density, `(n_maps, height, width)`
+        of the box, and that of the object's `tones`, `(height, width)` (see `tone_densities`)."""
         border = INDEPENDENT * trust * np.clip(ratio - tones, -LOUDEST, LOUDEST)
         return cls(box, trust * ratio, trust, border.astype(np.float32), unit, everywhere)
 
 
 @dataclass(frozen=True, eq=False)
 class OccludedBackground:
-    """A background, and which of the object's surface hides it."""
+    """A background and the surface of the object that occludes it."""
 
-    contrast: BackgroundContrast  # of the frame
-    surface: TexturedObject  # the whole mesh with texels, whatever the object's texture is known on
-    # `(n_experts, n_texels)`: texels in front, if grazing; held while poses change, empty before `around`
+    contrast: BackgroundContrast
+    surface: TexturedObject  # texels over the whole mesh
+    # `(n_experts, n_texels)`: texels in front, grazing ones included; constant during a search
     covering: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), np.bool_))
 
     def around(self, poses: Poses) -> "OccludedBackground":
-        """As it is about one pose an expert."""
+        """Return this background with the texels that cover it in one pose an expert."""
         model = self.surface.model
         covering = visible(model.positions(poses), model.triangles, self.surface.texels, facing=0.0)
         return replace(self, covering=covering)
 
     def hidden_contrast(self, poses: Poses, owner: NDArray[np.int64]) -> Array:
-        """`(n,)` nats: what the background would explain of the pixels that the object hides."""
+        """Return the background's nats on the pixels that the object covers, `(n,)`."""
         contrast = self.contrast
         return _integral(self.surface, poses, owner, self.covering, contrast.log_ratio, contrast.box)
 
     def everywhere(self, owner: NDArray[np.int64]) -> Array:
-        """`(n,)` nats: what the background explains of the whole picture, where it is each expert's own."""
+        """Return the background's nats on the whole picture, `(n,)`; 0 if all experts share it."""
         whole = self.contrast.everywhere
         return whole[owner] if len(whole) > 1 else np.zeros(len(owner))
 
     def trusted_area(self, likelihood: TextureLikelihood, poses: Poses, owner: NDArray[np.int64]) -> Array:
-        """`(n,)` px squared under the visible texture whose background is known."""
+        """Return the area under the visible texture with a known background, `(n,)` px squared."""
         return _integral(
             likelihood.surface, poses, owner, likelihood.visible, self.contrast.trust, self.contrast.box
         )
@@ -110,7 +108,7 @@ def _integral(
     map_: Map,
     box: Box,
 ) -> Array:
-    """`(n,)`: integral of a map of the box over the texels that are `on` `(n_experts, n_texels)`."""
+    """Return the integral of a map of the box over the texels that are `on` `(n_experts, n_texels)`."""
     sums = np.empty(len(poses))
     positions = surface.positions(poses) - np.array([box.left, box.top], np.float32)
 
@@ -122,7 +120,7 @@ def _integral(
 
 
 def units(image: NDArray[np.uint8], size: float, *, local_mean: bool) -> Map:
-    """`(height, width)` float32: log of 256 dy'/dy, by which a density of y' exceeds the uniform one of y."""
+    """Return log(256 dy'/dy), which makes a log density of y' one of y over uniform, `(height, width)`."""
     grey = grey_of(image)
     if not local_mean:
         return np.full(grey.shape, np.log(N_GREYS), np.float32)
@@ -133,13 +131,13 @@ def units(image: NDArray[np.uint8], size: float, *, local_mean: bool) -> Map:
 
 @dataclass(frozen=True, eq=False)
 class SharedBackground:
-    """What a background that is shared through `PixelLabels` says of the picture."""
+    """Background of another chain, by its message to `PixelLabels`."""
 
     message: PixelMessage  # of the others to the feature, with image and background
 
     @cached_property
     def ratio(self) -> Map:
-        """`(height, width)` float32: log density of the background over that of anything, clipped."""
+        """Log density of the background over the uniform one, clipped, `(height, width)` float32."""
         background, subtraction = self.message.background, self.message.subtraction
         assert background is not None
         assert subtraction is not None
@@ -150,73 +148,74 @@ class SharedBackground:
         return odds
 
     def contrast(self, trust: Map, box: Box, tones: Map, unit: Map) -> BackgroundContrast:
-        """As poses within the box are judged by it; `trust` is of the whole picture."""
+        """Return the contrast in the box; `trust` is of the whole picture."""
         its_trust = np.maximum(trust[box.window], 0)[None]
         return BackgroundContrast.of(box, self.ratio[box.window][None], its_trust, tones, unit, np.zeros(1))
 
     def trust_after(self, trust: Map, hidden: NDArray[np.bool_], box: Box, elapsed: float) -> Map:
-        """Trust in each pixel after a picture, `elapsed` s after the last one.
+        """Update the trust in each pixel with a picture, `elapsed` s after the last one.
 
-        It goes up where what was predicted came true, and down where not; pixels of the box that may be
-        `hidden` by the object say nothing. What was behind it at first, `UNSEEN`, stays unknown until a pixel
-        differs from what the background remembers there, which may be the object. Where the background does
-        not know the scene, it does not remember the object either.
+        Trust rises where the prediction was right and falls where it was wrong; pixels of the box that may be
+        `hidden` by the object keep theirs. What the object hid at first, `UNSEEN`, stays unknown until a
+        pixel differs from the background's prediction, which may be the object itself. Where the background
+        has no prediction, it cannot have learned the object.
         """
-        came_true = self.ratio > 0
-        after: Map = trust - np.float32(np.expm1(-elapsed / TRUST_TIME)) * (came_true - trust)
-        after = np.where(trust < 0, np.where(came_true, trust, np.float32(0)), after)
+        right = self.ratio > 0
+        after: Map = trust - np.float32(np.expm1(-elapsed / TRUST_TIME)) * (right - trust)
+        after = np.where(trust < 0, np.where(right, trust, np.float32(0)), after)
         after[box.window][hidden] = trust[box.window][hidden]
         after[(after < 0) & (np.abs(self.ratio) < 1 / ODDS_STEPS)] = 0
         return after
 
 
 def first_trust(hidden: NDArray[np.bool_], box: Box, size: tuple[int, int]) -> Map:
-    """Trust in the background of a picture of `size` at first, when the object is `hidden` in the box."""
+    """Return the first trust in a background of `size`, `hidden` by the object in the box."""
     trust = np.zeros(size, np.float32)
     trust[box.window][hidden] = UNSEEN
     return trust
 
 
-def tones(image: NDArray[np.uint8], object_: NDArray[np.bool_], box: Box) -> Map:
-    """Log density of pixels of the box, if they are the object's, over that of anything, `(height, width)`.
+def tone_densities(image: NDArray[np.uint8], object_: NDArray[np.bool_], box: Box) -> Map:
+    """Return the log density of the object's grey values over uniform, at the pixels of the box.
 
-    From the histogram of the grey values in `object_`, of the box, which need not be complete.
+    The density is the smoothed histogram of the pixels `object_` `(height, width)` of the box, some of the
+    object's.
     """
     grey = grey_of(image[box.window])
     counts = np.bincount(grey[object_], minlength=256).astype(np.float32)
     density = cv2.GaussianBlur(counts[None], (0, 0), TONE_WIDTH, borderType=cv2.BORDER_REFLECT)[0]
     share = N_GREYS * density / max(float(density.sum()), 1e-9)
     log_density = np.log((1 - OTHER_TONES) * share + OTHER_TONES).astype(np.float32)
-    found: Map = log_density[grey]
-    return found
+    densities: Map = log_density[grey]
+    return densities
 
 
-UNKNOWN_VARIANCE = 60.0**2  # squared grey levels: of a pixel whose background has never been seen
-NOISE = 20.0  # squared grey levels of a picture at a pixel, sigma_w^2
-WANDERING = 25.0  # squared grey levels per second by which a pixel's background may change, Psi_b
-LEAST_RATIO = -9.0  # nats: no pixel speaks louder against the background, whatever has come before it
+UNKNOWN_VARIANCE = 60.0**2  # squared grey levels: of a background that was never seen
+NOISE = 20.0  # squared grey levels: noise of a pixel, sigma_w^2
+WANDERING = 25.0  # squared grey levels per second: change of a pixel's background, Psi_b
+LEAST_RATIO = -9.0  # nats: least log ratio of a pixel, since anything may come before the background
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class ExpertBackground(Rows):
-    """What each expert believes of the background, a Gaussian a pixel."""
+    """Background map of every expert, a Gaussian a pixel."""
 
     mean: Map  # `(n_experts, height, width)` float32, raw grey levels
     variance: Map  # `(n_experts, height, width)` float32, after the last picture
 
     @classmethod
     def unknown(cls, n_experts: int, size: tuple[int, int]) -> Self:
-        """Of a picture of `size` `(height, width)` of which nothing has been seen."""
+        """Return unseen maps of `size` `(height, width)`."""
         shape = (n_experts, *size)
         return cls(np.zeros(shape, np.float32), np.full(shape, UNKNOWN_VARIANCE, np.float32))
 
     def contrast(
         self, image: NDArray[np.uint8], box: Box, tones: Map, unit: Map, elapsed: float
     ) -> BackgroundContrast:
-        """As poses within the box are judged by it, `elapsed` s after the last picture.
+        """Return the contrast in the box, `elapsed` s after the last picture.
 
-        Trust in a pixel is the share of the first variance that is gone: what was never seen says nothing.
+        Trust in a pixel is the share by which its variance is below that of an unseen one.
         """
         grey, n = grey_of(image), len(self.mean)
         ratio, trust = np.empty((2, n, box.height, box.width), np.float32)
@@ -239,7 +238,7 @@ class ExpertBackground(Rows):
         box: Box,
         elapsed: float,
     ) -> Self:
-        """Backgrounds after a picture, `elapsed` s after the last one, of the children of `parents`.
+        """Update the maps of the children of `parents` with a picture, `elapsed` s after the last one.
 
         Pixels that are `hidden` `(n_experts, height, width)` in the box keep their mean.
         """
@@ -268,18 +267,17 @@ def _noise(elapsed: float) -> kernels.MapNoise:
     return kernels.MapNoise(np.float32(NOISE), np.float32(change), np.float32(UNKNOWN_VARIANCE))
 
 
-MARGIN = 4  # px about the object in which its model may be wrong, and nothing is learned of the background
-LEAST_SHARE = 1e-3  # weight of the experts who say that a pixel is covered, from which on it may be
-STRENGTH = 100.0  # how much likelier the object is where it is followed than something unknown
+MARGIN = 4  # px about the object in which its model may be wrong and the background is not learned
+LEAST_SHARE = 1e-3  # weight of the experts that cover a pixel from which on it may be covered
+STRENGTH = 100.0  # prior odds of the tracked object over something unknown
 
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
     """Pixels that an object covers."""
 
-    box: Box  # that holds the object, with a margin
-    # `(n_experts, height, width)`: 1 where the object covers the pixel as an expert sees it, else 0
-    inside: NDArray[np.uint8]
+    box: Box  # contains the object, with a margin
+    inside: NDArray[np.uint8]  # `(n_experts, height, width)` of the box: 1 where an expert's object covers it
     share: Map  # `(height, width)` float32 of the box: probability that the object covers the pixel
 
     @classmethod
@@ -291,7 +289,7 @@ class Coverage:
         size: tuple[int, int],
         margin: float = 2 * MARGIN,
     ) -> "Coverage":
-        """Of experts in `poses`, in a picture of `size` `(height, width)`; the box has a `margin` px wide."""
+        """Return the coverage by experts in `poses`, in a picture of `size`, with a `margin` in px."""
         positions = model.project(poses)
         box = Box.around(positions, margin, size)
         inside = covered(positions, model.triangles, box)
@@ -300,22 +298,22 @@ class Coverage:
 
     @cached_property
     def hidden(self) -> NDArray[np.bool_]:
-        """`(height, width)`: whether a likely expert, or the model's error, may cover the pixel."""
-        return widened(self.share > LEAST_SHARE)
+        """Pixels that may be covered, with a margin for the model's error, `(height, width)`."""
+        return dilate(self.share > LEAST_SHARE)
 
     @cached_property
     def inner(self) -> NDArray[np.bool_]:
-        """`(height, width)`: whether the pixel is the object's, well inside its outline."""
+        """Pixels of the object well inside its outline, `(height, width)`."""
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * MARGIN + 1, 2 * MARGIN + 1))
         inner: NDArray[np.bool_] = cv2.erode((self.share > 0.5).astype(np.uint8), disc) > 0
         return inner
 
     def layers(self, trust: Map | None) -> LayerStack:
-        """What is said of the pixels: the object, and that there is none where it was until now.
+        """Return the layers of the message to the pixels: the object, and a ghost where it was before.
 
-        The second is a ghost where nothing has been known of the background, by its `trust` of the whole
-        picture, and the object is not: what the background remembers there is the object itself. Colours
-        are left out: textures are grey and without the light, and backgrounds judge by colours.
+        The ghost covers pixels without `trust` in the background (of the whole picture) that the object has
+        left: there the background has learned the object itself. Layers have no colours: textures are grey
+        and without the light.
         """
         mask = cv2.dilate(self.share, np.ones((3, 3), np.uint8))
         layer = Layer(self.box.top, self.box.left, np.asarray(mask, np.float32), None, strength=STRENGTH)
@@ -334,8 +332,8 @@ class Coverage:
         return LayerStack((layer, Layer(top, left, free.astype(np.float32), None, ghost=True)))
 
 
-def widened(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The mask with a margin of `MARGIN` px."""
+def dilate(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the mask dilated by `MARGIN` px."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * MARGIN + 1, 2 * MARGIN + 1))
     wide: NDArray[np.bool_] = cv2.dilate(mask.astype(np.uint8), disc) > 0
     return wide

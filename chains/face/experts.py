@@ -20,28 +20,28 @@ from .texture_likelihood import NO_MAP, TextureLikelihood
 
 Array = NDArray[np.float64]
 
-LONGEST_STEP = (2.0, 4.0, 8.0)  # px that a vertex may move in a step, by level, for `REFERENCE_SIZE`
-RELATIVE_ROUNDING = 1e-6
+LONGEST_STEP = (2.0, 4.0, 8.0)  # px: longest motion of a vertex in a step, by level, at `REFERENCE_SIZE`
+RELATIVE_ROUNDING = 1e-6  # of float32 sums
 SHORTEST_STEP = 0.03  # px: shorter steps end the search on a level
-REFERENCE_SIZE = 40.0
-FIRST_DAMPING = 1e-3  # of Levenberg, on every level: a share of the curvature
-FEW = 3  # experts of which the search is done before another thread is awake
-MOST_STEPS = (6, 4, 4)  # evaluations on each level, fine to coarse, the first at the start included
+REFERENCE_SIZE = 40.0  # px: size of the object to which lengths of steps refer
+FIRST_DAMPING = 1e-3  # Levenberg's, a share of the curvature
+FEW = 3  # experts up to which one thread is faster than several
+MOST_STEPS = (6, 4, 4)  # evaluations on each level, fine to coarse, that at the start included
 
 
-BeliefAt = Callable[[Poses, NDArray[np.int64]], kernels.Belief]
+ObjectiveAt = Callable[[Poses, NDArray[np.int64]], kernels.Objective]
 
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Where each expert's belief has its mode."""
+    """Modes of the experts' posteriors."""
 
-    poses: Poses  # the modes
-    precision: Array  # `(n_experts, dimension, dimension)`: second derivatives of minus its log there
+    poses: Poses
+    precision: Array  # `(n_experts, dimension, dimension)`: second derivatives of the energy there
 
     @property
     def covariance(self) -> Array:
-        """Laplace's, `(n_experts, dimension, dimension)`."""
+        """Laplace's covariance `(n_experts, dimension, dimension)`."""
         return np.asarray(np.linalg.inv(self.precision), np.float64)
 
 
@@ -53,7 +53,7 @@ def find_modes(
     coarsest: int,
     more: Sequence[PoseEvidence] = (),
 ) -> Modes:
-    """Climb from `start`, one pose an expert, with all texels on level `coarsest` down to the finest.
+    """Find the mode of each expert's posterior from `start`, on level `coarsest` down to the finest.
 
     Minimises eq. (18) without its background and log terms, E(u) = beta / 2 sum a_i e_i^2 / tau_i - log
     p(u | u_t-1), with beta = effective_pixels / sum a_i: thousands of correlated pixels count for a few
@@ -68,14 +68,18 @@ def find_modes(
     precision = np.empty((n, start.dimension, start.dimension))
     for level in range(coarsest, -1, -1):
         terms = [evidence.around(poses, level) for evidence in more]
-        belief = partial(_belief, likelihood, level, effective_pixels, terms)
+        objective = partial(_objective, likelihood, level, effective_pixels, terms)
         after = kernels.PoseArrays(*(part.copy() for part in _parts(poses)))
 
         def work(
-            a: int, b: int, level: int = level, belief: BeliefAt = belief, after: kernels.PoseArrays = after
+            a: int,
+            b: int,
+            level: int = level,
+            objective: ObjectiveAt = objective,
+            after: kernels.PoseArrays = after,
         ) -> None:
             some = kernels.PoseArrays(*(part[a:b] for part in after))
-            precision[a:b] = _climbed(belief, prior, level, unit, some, np.arange(a, b))
+            precision[a:b] = _climb(objective, prior, level, unit, some, np.arange(a, b))
 
         over_bands(work, n, worth=n > FEW)
         poses = Poses(*after)
@@ -85,15 +89,15 @@ def find_modes(
     return Modes(poses, precision)
 
 
-def _belief(
+def _objective(
     likelihood: TextureLikelihood,
     level: int,
     effective_pixels: float,
     terms: Sequence[PointTerms],
     poses: Poses,
     owner: NDArray[np.int64],
-) -> kernels.Belief:
-    """Minus the log of what experts believe of poses on a level, but for the prior."""
+) -> kernels.Objective:
+    """Return the energy of poses on a level, without the prior, and its derivatives."""
     equations = likelihood.equations(level, poses, owner)
     area = equations.sums[:, 2]
     beta = effective_pixels / np.maximum(area, 1e-9)
@@ -105,23 +109,23 @@ def _belief(
         energy += its_energy
         gradient += its_gradient
         curvature += its_curvature
-    return kernels.Belief(energy, gradient, curvature, area > 0, equations.rows)
+    return kernels.Objective(energy, gradient, curvature, area > 0, equations.rows)
 
 
-def _climbed(
-    belief: BeliefAt,
+def _climb(
+    objective: ObjectiveAt,
     prior: PosePrior,
     level: int,
     unit: float,
     poses: kernels.PoseArrays,
     experts: NDArray[np.int64],
 ) -> Array:
-    """Climb from the `poses` of some experts, leave the best ones in their place; the curvature there."""
+    """Minimise the energy of some experts from `poses`, overwrite these, and return the curvature there."""
     n, dimension = len(experts), len(prior.variance)
     mean = kernels.PoseArrays(*(part[experts] for part in _parts(prior.mean)))
     active, tried = np.arange(n), Poses(*poses)
-    there = belief(tried, experts)
-    climb = kernels.Climb(
+    there = objective(tried, experts)
+    climb = kernels.SearchState(
         poses=poses,
         energy=np.empty(n),
         gradient=np.empty((n, dimension)),
@@ -132,10 +136,10 @@ def _climbed(
     longest, shortest = LONGEST_STEP[level] * unit, SHORTEST_STEP * unit
     for number in range(MOST_STEPS[level]):
         if number:
-            there = belief(tried, experts[active])
+            there = objective(tried, experts[active])
         going = np.empty_like(active)
         following = kernels.PoseArrays(*(np.empty_like(part) for part in _parts(tried)))
-        pace = kernels.Pace(longest, shortest, number == 0)
+        pace = kernels.StepLimits(longest, shortest, number == 0)
         n_going = kernels.advance(
             active, _parts(tried), there, mean, prior.precision, climb, pace, going, following
         )
@@ -153,11 +157,11 @@ def _parts(poses: Poses) -> kernels.PoseArrays:
 class Particles:
     """Experts after a frame."""
 
-    poses: Poses  # theirs
+    poses: Poses
     log_weights: Array  # `(n,)`, normalised
-    parents: NDArray[np.int64]  # `(n,)`: the expert of the frame before whose history and texture each has
+    parents: NDArray[np.int64]  # `(n,)`: the expert of the frame before from which each comes
     log_evidence: float  # nats: log p(y_t | y_1:t-1) of the effective pixels
-    covariance: Array  # `(n, dimension, dimension)`: Laplace's, of what each one's parent believed
+    covariance: Array  # `(n, dimension, dimension)`: Laplace's, of each one's parent
 
 
 def log_likelihood(
@@ -167,7 +171,7 @@ def log_likelihood(
     effective_pixels: float,
     background: OccludedBackground | None = None,
 ) -> Array:
-    """log p(y_t | u_1:t, y_1:t-1) of `effective_pixels`, `(n,)` nats, eq. (17).
+    """Return log p(y_t | u_1:t, y_1:t-1) of `effective_pixels`, `(n,)` nats, eq. (17).
 
     Departures: the sum over pixels is tempered to that over an effective number of independent ones. Without
     a background it is the mean over the pixels that the pose covers, since a sum would favour poses that
@@ -192,11 +196,11 @@ def log_likelihood(
     return np.where(nothing_seen, -np.inf, effective_pixels * total / area)
 
 
-def propagated(log_weights: Array, modes: Modes, prior: PosePrior, log_likelihoods: Array) -> Particles:
-    """Continuation frame: every expert goes on at its mode, weighed by Laplace's evidence.
+def propagate(log_weights: Array, modes: Modes, prior: PosePrior, log_likelihoods: Array) -> Particles:
+    """Move every expert to its mode, weighted by Laplace's evidence (continuation frame).
 
     The paper's single sample with alpha = 0 makes the proposal a point mass, against which nothing can be
-    weighed; the integral over the belief is (2 pi)^(d/2) |H|^(-1/2) times its maximum instead.
+    weighed; the integral over the posterior is (2 pi)^(d/2) |H|^(-1/2) times its maximum instead.
     """
     every = np.arange(len(log_weights))
     half_log_determinant = 0.5 * np.linalg.slogdet(modes.precision)[1]
@@ -212,37 +216,37 @@ def propagated(log_weights: Array, modes: Modes, prior: PosePrior, log_likelihoo
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Samples of what experts believe, from which the next particles are drawn."""
+    """Samples of the experts' posteriors, from which the next particles are drawn."""
 
-    poses: Poses  # `n_experts * n_samples` of them
+    poses: Poses  # `n_experts * n_samples`
     owner: NDArray[np.int64]  # expert of each
     log_proposal: Array  # log pi of each, in the tangent coordinates of its mode
     covariance: Array  # `(n_experts, dimension, dimension)`: Laplace's, before it is widened by alpha
 
 
-def sampled(modes: Modes, n_samples: int, spread: float, random: np.random.Generator) -> Proposal:
-    """`n_samples` an expert from its Gaussian, eq. (19): delta = L z with L L' = alpha H^-1."""
+def draw_samples(modes: Modes, n_samples: int, scale: float, random: np.random.Generator) -> Proposal:
+    """Draw `n_samples` of each expert's Gaussian, eq. (19): delta = L z with L L' = alpha H^-1."""
     n, d = len(modes.poses), modes.poses.dimension
     lower = np.linalg.cholesky(modes.precision)
     z = random.standard_normal((n, n_samples, d))
-    delta = np.sqrt(spread) * np.swapaxes(
+    delta = np.sqrt(scale) * np.swapaxes(
         np.linalg.solve(np.swapaxes(lower, 1, 2), np.swapaxes(z, 1, 2)), 1, 2
     )
-    log_determinant = 0.5 * d * np.log(spread) - np.log(np.einsum("nii->ni", lower)).sum(axis=1)
+    log_determinant = 0.5 * d * np.log(scale) - np.log(np.einsum("nii->ni", lower)).sum(axis=1)
     log_proposal = -0.5 * (z**2).sum(axis=2) - 0.5 * d * np.log(2 * np.pi) - log_determinant[:, None]
     owner = np.repeat(np.arange(n), n_samples)
     poses = modes.poses[owner].moved(delta.reshape(n * n_samples, d))
     return Proposal(poses, owner, log_proposal.reshape(-1), modes.covariance)
 
 
-def resampled(
+def resample(
     log_weights: Array,
     proposal: Proposal,
     prior: PosePrior,
     log_likelihoods: Array,
     random: np.random.Generator,
 ) -> Particles:
-    """Resampling frame: importance weights eq. (21), credibilities eq. (28), new particles eq. (31)."""
+    """Resample: importance weights eq. (21), credibilities eq. (28), new particles eq. (31)."""
     n, owner = len(log_weights), proposal.owner
     log_importance = log_likelihoods + prior.log_density(proposal.poses, owner) - proposal.log_proposal
     weights = log_weights[owner] + log_importance - np.log(len(owner) // n)

@@ -22,15 +22,15 @@ from .background import (
     ExpertBackground,
     OccludedBackground,
     SharedBackground,
+    dilate,
     first_trust,
-    tones,
+    tone_densities,
     units,
-    widened,
 )
-from .experts import Particles, find_modes, log_likelihood, propagated, resampled, sampled
+from .experts import Particles, draw_samples, find_modes, log_likelihood, propagate, resample
 from .pose_terms import PoseDynamics, PoseEvidence, PosePrior, Silhouette, measured_points, predicted_points
-from .recovery import CHANCE, ROUNDING, Finder, Trust, apart, brought_to, likely_places
-from .texture_filter import TexelNoise, Texture, explained
+from .recovery import CHANCE, ROUNDING, Finder, Trust, align_to_detections, disperse, search_grid
+from .texture_filter import TexelNoise, Texture, explained_variance
 from .texture_likelihood import Level, TexturedObject, TextureLikelihood, image_pyramid
 
 Array = NDArray[np.float64]
@@ -39,48 +39,44 @@ Mask = NDArray[np.bool_]
 __all__ = ["GFlow", "GFlowState"]
 
 N_LEVELS = 3
-ONE_AT_MODE: Mapping[str, Any] = {"experts": 1, "spread": 0.0, "recover": False}
+ONE_AT_MODE: Mapping[str, Any] = {"experts": 1, "covariance_scale": 0.0, "recover": False}
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class GFlowState:
-    """Experts: each a history of poses, of which the last is kept, and the texture that follows from it."""
+    """State of all experts: a pose, a weight and the texture that follows from the poses until now."""
 
-    poses: Poses  # of the experts
+    poses: Poses  # one an expert
     log_weights: Array  # `(n_experts,)`, normalised
-    texture: Texture  # of every expert
-    trusted: Poses  # poses in the last picture that left no doubt
+    texture: Texture  # one an expert
+    last_reliable: Poses  # poses in the last picture without a doubt
     size: float  # px: of the object at the start
     elapsed: float  # s since the last picture
-    frames_seen: int  # pictures until now
+    frames_seen: int  # number of pictures until now
     log_evidence: float  # nats: log p(y_t | y_1:t-1) of the last picture, of its effective pixels
     # share of the picture's variance under the object that the predicted texture explained, from -1 to 1:
-    # -log(1 - fit) / 2 nats a pixel is the evidence for the texture over a broad alternative, a Gaussian with
-    # the picture's own mean and variance there, where the noise is not taken for known
+    # -log(1 - fit) / 2 nats a pixel is the log likelihood ratio of the texture and a Gaussian with the
+    # picture's own mean and variance there, both with their noise estimated
     fit: float
-    trust: Trust  # what the tracker believes of itself
-    since_resampling: float  # s since experts were resampled
+    trust: Trust  # whether the object is tracked, doubted, lost or on trial
+    since_resampling: float  # s since the last resampling frame
     random: np.random.Generator  # source of all draws
-    # `(n_experts, dimension, dimension)`: of what each expert believed of its pose, by Laplace's method
-    covariance: Array
-    # `(height, width)`, from 0 to 1: how well the background is known that another chain predicts
-    known: NDArray[np.float32] | None = None
-    background: ExpertBackground | None = None  # of every expert, where each has its own
-    # `(n_experts, dimension)` per second: last change of each expert's pose, where there was one
-    motion: Array | None = None
-    # `(n_experts, n_texels)`: texels that the object does not hide itself; `None` where that is not known
-    visible: NDArray[np.bool_] | None = None
-    # texture of the best expert as it was lost, where an object with a new one is on trial
-    remembered: Texture | None = None
+    covariance: Array  # `(n_experts, dimension, dimension)`: Laplace's, of each expert's pose
+    # `(height, width)`, from 0 to 1: trust in the background that another chain predicts
+    background_trust: NDArray[np.float32] | None = None
+    background: ExpertBackground | None = None  # one an expert, where each has its own
+    velocity: Array | None = None  # `(n_experts, dimension)` per second: from the last change of each pose
+    visible: NDArray[np.bool_] | None = None  # `(n_experts, n_texels)`: texels not occluded by the object
+    previous_texture: Texture | None = None  # of the best expert before a trial
 
     @classmethod
     def first(cls, poses: Poses, texture: Texture, random: np.random.Generator) -> "GFlowState":
-        """Before the first picture: experts in their poses, with one common texture (Table 2, I)."""
+        """Return the state before the first picture: experts with one common texture (Table 2, I)."""
         n = len(poses)
         return cls(
             poses=poses,
-            trusted=poses,
+            last_reliable=poses,
             log_weights=np.full(n, -np.log(n)),
             texture=texture.of(np.zeros(n, np.int64)),
             size=float(poses.sizes.mean()),
@@ -96,39 +92,38 @@ class GFlowState:
 
     @property
     def weights(self) -> Array:
-        """`(n_experts,)`, sum 1."""
+        """Weights of the experts `(n_experts,)`, sum 1."""
         weights: Array = np.exp(self.log_weights)
         return weights
 
     @property
     def lost(self) -> bool:
-        """Whether the tracker knows that it does not follow the object."""
+        """Whether the object is lost."""
         return self.trust.lost
 
     @property
     def doubted(self) -> bool:
-        """Whether it may not follow it."""
+        """Whether the object may be lost: the fit has been too low in the last picture."""
         return self.trust.doubt > 0
 
     @property
     def relocations(self) -> int:
-        """How often it was lost and found again."""
+        """Number of times that the object was lost and found again."""
         return self.trust.relocations
 
 
-COVERING_TEXELS = 1500  # of the mesh where it is integrated over what it hides
+COVERING_TEXELS = 1500  # of the whole mesh, for integrals over the background that it occludes
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """A picture seen with particles and the textures that they remember."""
+class Observation:
+    """A picture sampled at the texels of particles, beside their predicted textures."""
 
-    particles: Particles  # poses
+    particles: Particles
     texture: Texture  # predicted, of every particle
     observed: NDArray[np.float32]  # `(n, n_levels, n_texels)` grey levels of the picture
-    # `(n, n_texels)`: texels that the object does not hide itself, and those that are seen in the picture
-    visible: Mask
-    inside: Mask
+    visible: Mask  # `(n, n_texels)`: not occluded by the object itself
+    inside: Mask  # `(n, n_texels)`: visible, and inside the picture
     fit: float  # as of `GFlowState`
 
 
@@ -143,18 +138,18 @@ class GFlow(PickledByFields):
         p(v_t | v_s) = N(v_s, Psi_v dt), p(b_t | b_s) = N(b_s, Psi_b dt), texel by texel, pixel by pixel
         p(y_t | u_t, v_t, b_t) = prod_i N(y_t(x_i(u_t)); v_t,i, sigma^2) prod_j N(y_t,j; b_t,j, sigma^2)
 
-    over texels i that are seen at x_i(u_t) and pixels j that the object does not cover. Its message to
-    `PixelLabels` is the probability that it covers a pixel, to `PointTracks` Gaussians of its vertices.
+    over visible texels i at x_i(u_t) and pixels j that the object does not cover. The message to
+    `PixelLabels` is the probability that the object covers a pixel, to `PointTracks` Gaussians of vertices.
 
-    Given a history of poses, an expert, texture and background are Kalman filters. Gauss-Newton finds the
-    mode of each expert's belief of the pose on coarse to fine levels. On resampling frames samples about the
-    modes, weighed by the full predictive distribution, become the next experts; on the others every expert
-    goes on at its mode.
+    An expert is a history of poses; given it, texture and background are Kalman filters. Gauss-Newton finds
+    the mode of each expert's posterior of the pose on coarse to fine levels. On resampling frames samples
+    about the modes, weighted by the full predictive distribution, become the next experts; on the others each
+    expert goes on at its mode.
 
-    Departures: the picture is divided by its local mean, which takes light out; sums over pixels are tempered
-    to an effective number of independent ones; only the finest level's texture is filtered (see `Texture`);
-    experts begin their search apart; the object may be lost, and is then searched for all over the picture. A
-    missing picture changes nothing but the time that has passed: points alone are not heard.
+    Departures: the picture is divided by its local mean, which removes the light; sums over pixels are
+    tempered to an effective number of independent ones; only the finest level's texture is filtered (see
+    `Texture`); experts start their search dispersed; the object may be lost, and is then searched for in the
+    whole picture. A missing picture changes only the elapsed time: points without a picture are not used.
 
     Parameters
     ----------
@@ -163,11 +158,11 @@ class GFlow(PickledByFields):
     start
         poses at the first picture, one for all experts or one each; or a function that finds them in it.
     experts
-        how many, eta.
+        number of experts, eta.
     surface
         `"dense"`: texels over all triangles; `"patches"`: discs about the vertices.
     texels
-        how many on a dense surface.
+        number of texels on a dense surface.
     radius
         px, of patches.
     gain
@@ -177,37 +172,37 @@ class GFlow(PickledByFields):
     temperature
         squared grey levels: noise of a texel's prediction in the steady state, tau.
     effective_pixels
-        number of independent pixels that the object's pixels are worth.
+        effective number of independent pixels among those of the object.
     samples
-        an expert on resampling frames, lambda.
-    spread
-        of the samples against Laplace's covariance, alpha; 0 for no resampling frames.
+        number of samples of each expert on resampling frames, lambda.
+    covariance_scale
+        covariance of the samples over Laplace's, alpha; 0 for no resampling frames.
     resample_interval
         s from one resampling frame to the next.
     levels
-        of the picture, from the finest; 1 for no coarse search.
+        number of levels of the picture, from the finest; 1 for no coarse search.
     local_mean
         divide the picture by its local mean.
     dynamics
-        of the pose.
+        random walk of the pose.
     texture
-        of the object where it is known at the start, of one expert. Without it every expert takes its texture
-        from the first picture where it stands: they should then start from one pose, for an expert that
-        starts off the object learns a wrong texture there and never comes back (Table 2, I, wants a common
-        texture for this reason).
+        of the object if it is known at the start, for one expert. Without it every expert learns its texture
+        from the first picture at its own pose: then they should start from one pose, since an expert that
+        starts off the object learns a wrong texture and never recovers (hence the common texture of Table 2,
+        I).
     recover
-        doubt what does not fit, and search for the object all over the picture when it is lost.
+        detect that the object is lost by the fit of its texture, and search for it all over the picture.
     finder
-        who is asked where the object is when it is doubted or lost, a `DetectedFace` say. Without one it is
-        found again by its texture only.
+        detector of the object for when it may be lost, such as `DetectedFace`. Without one it is found again
+        by its texture only.
     background
-        `"experts"`: each expert has a map of the background, eq. (2), and no other chain's is used. With
-        `"shared"` the background is the one that another chain predicts at the same feature node, or none.
+        `"experts"`: each expert has its own map of the background, eq. (2), and no other chain's is used.
+        `"shared"`: the background is the one that another chain predicts at the same feature node, if any.
     tracked
-        numbers of the vertices that are features of `PointTracks`, in increasing order, where it is connected
-        to one: an identity there is the number of a vertex.
+        numbers of the vertices that are points of the `PointTracks` node to which the chain is connected, in
+        increasing order; their identities there are these numbers.
     occlusion
-        leave out texels that the object hides itself or shows at a grazing angle.
+        leave out texels that the object occludes itself or shows at a grazing angle.
     seed
         of all draws.
     """
@@ -222,7 +217,7 @@ class GFlow(PickledByFields):
     temperature: float = 36.0
     effective_pixels: float = 150.0
     samples: int = 10
-    spread: float = 0.2
+    covariance_scale: float = 0.2
     resample_interval: float = 0.2
     levels: int = N_LEVELS
     local_mean: bool = True
@@ -243,7 +238,7 @@ class GFlow(PickledByFields):
         for names, right, expected in (
             ("experts texels samples radius", lambda value: value >= 1, "1 or more"),
             ("temperature effective_pixels resample_interval", lambda value: value > 0, "more than 0"),
-            ("spread", lambda value: value >= 0, "0 or more"),
+            ("covariance_scale", lambda value: value >= 0, "0 or more"),
             ("levels", lambda value: 1 <= value <= N_LEVELS, f"1 to {N_LEVELS}"),
             ("surface", lambda value: value in ("dense", "patches"), "'dense' or 'patches'"),
         ):
@@ -312,7 +307,7 @@ class GFlow(PickledByFields):
         return GFlowState.first(start[one_each], texture, np.random.default_rng(self.seed))
 
     def predict(self, state: GFlowState, dt: float) -> GFlowState:
-        """Poses may have changed by more when the next picture comes."""
+        """Add `dt` seconds to the time since the last picture, from which the pose prior follows."""
         return replace(state, elapsed=state.elapsed + dt)
 
     @overload
@@ -322,10 +317,10 @@ class GFlow(PickledByFields):
     def message(
         self, state: GFlowState, feature: PixelLabels | PointTracks, incoming: Incoming
     ) -> PixelMessage | PointMessage:
-        """What the object says to a feature (mu_{X -> F}); nothing while it is lost.
+        """Return the message to a feature (mu_{X -> F}); uniform while the object is lost.
 
-        To pixels: which it covers, registered with what reaches the feature where others have predicted the
-        background already. To points: where its vertices should be, before the picture.
+        To pixels: the share of the experts that covers each, at their poses in this picture if other chains
+        predict the background. To points: the predicted positions of the tracked vertices.
         """
         if isinstance(feature, PointTracks):
             if (state.doubted and self.recover) or not self.tracked or not state.elapsed:
@@ -342,33 +337,33 @@ class GFlow(PickledByFields):
             if seen.doubted and self.recover:
                 return feature.uniform()
         coverage = Coverage.of(self.model, seen.poses, seen.weights, others.size)
-        return PixelMessage(layers=coverage.layers(state.known))
+        return PixelMessage(layers=coverage.layers(state.background_trust))
 
     def update(self, state: GFlowState, incoming: Incoming) -> GFlowState:
-        """Experts and textures after the picture."""
-        return incoming.once(self._updated, state, incoming[PixelLabels], incoming.get(PointTracks))
+        """Update experts and textures with the picture."""
+        return incoming.once(self._process, state, incoming[PixelLabels], incoming.get(PointTracks))
 
     def mean_pose(self, state: GFlowState) -> Poses:
-        """One pose: the experts' weighted mean."""
+        """Return the experts' weighted mean pose."""
         return state.poses.mean(state.weights)
 
     def vertices(self, state: GFlowState) -> tuple[Array, Array]:
-        """Mean `(n_vertices, 3)` px and covariance `(n_vertices, 3, 3)` px squared of vertices, with depth.
+        """Return mean `(n_vertices, 3)` px and covariance `(n_vertices, 3, 3)` px^2 of vertices, with depth.
 
-        The covariance is the experts' spread and what each of them leaves open (nothing in the first one).
+        Moments of the mixture over experts, each with its Laplace covariance (zero in the first picture).
         """
         model = self.model
         positions, rows = model.positions(state.poses), model.jacobian(state.poses, 3)
         mean = np.einsum("n,nva->va", state.weights, positions)
         off = positions - mean
-        spread = np.einsum("n,nva,nvb->vab", state.weights, off, off)
+        between = np.einsum("n,nva,nvb->vab", state.weights, off, off)
         weighted = rows.reshape(len(rows), -1, rows.shape[3]) @ (
             state.weights[:, None, None] * state.covariance
         )
-        return mean, spread + np.einsum("nvap,nvbp->vab", weighted.reshape(rows.shape), rows)
+        return mean, between + np.einsum("nvap,nvbp->vab", weighted.reshape(rows.shape), rows)
 
     def points(self, state: GFlowState, points: SurfacePoints) -> Array:
-        """`(n, 2)` px: where points of the surface are in the mean pose."""
+        """Return positions `(n, 2)` px of points of the surface in the mean pose."""
         projected: Array = points.project(self.model, self.mean_pose(state))[0]
         return projected
 
@@ -378,7 +373,7 @@ class GFlow(PickledByFields):
 
     @cached_property
     def _whole(self) -> TexturedObject | None:
-        """The whole mesh, as it hides what is behind it."""
+        """Return texels over the whole mesh, which occludes the background; `None` without triangles."""
         model = self.model
         if not len(model.triangles):
             return None
@@ -388,8 +383,8 @@ class GFlow(PickledByFields):
     def _edges(self) -> MeshEdges:
         return MeshEdges.of(self.model.triangles)
 
-    def _updated(self, state: GFlowState, message: PixelMessage, points: PointMessage | None) -> GFlowState:
-        """The state after a picture, given the messages of the others to its pixels and points."""
+    def _process(self, state: GFlowState, message: PixelMessage, points: PointMessage | None) -> GFlowState:
+        """Return the state after a picture, given the others' messages to pixels and points."""
         image = message.image
         if image is None:
             return state
@@ -401,57 +396,57 @@ class GFlow(PickledByFields):
         )
         pyramid = image_pyramid(image, state.size, n_levels=self.levels, local_mean=self.local_mean)
         if state.frames_seen == 0:
-            seen = self._seen(state, *self._weighed(state, pyramid), pyramid)
-            after = self._learned(state, seen, state.trust)
+            seen = self._observe(state, *self._weigh_first_frame(state, pyramid), pyramid)
+            after = self._learn(state, seen, state.trust)
         elif state.lost and self.recover and not state.trust.trial:
-            seen, after = self._sought(state, pyramid, image)
+            seen, after = self._search(state, pyramid, image)
         else:
-            background = self._background_of(state, message, image)
-            seen = self._seen(state, *self._followed(state, pyramid, background, points), pyramid)
-            seen, after = self._judged(state, seen, pyramid, image)
+            background = self._occluded_background(state, message, image)
+            seen = self._observe(state, *self._track(state, pyramid, background, points), pyramid)
+            seen, after = self._check_track(state, seen, pyramid, image)
         if self._whole is None or (after.doubted and self.recover):
             return after
         if self.background == "experts":
-            return self._with_own_background(after, seen.particles, image, state.elapsed)
-        return after if message.background is None else self._with_known(after, message, state.elapsed)
+            return self._update_own_background(after, seen.particles, image, state.elapsed)
+        return after if message.background is None else self._update_trust(after, message, state.elapsed)
 
-    def _judged(
-        self, state: GFlowState, seen: Sight, pyramid: list[Level], image: NDArray[np.uint8]
-    ) -> tuple[Sight, GFlowState]:
-        """After a picture in which the object was followed; it is searched for if it fits no longer."""
+    def _check_track(
+        self, state: GFlowState, seen: Observation, pyramid: list[Level], image: NDArray[np.uint8]
+    ) -> tuple[Observation, GFlowState]:
+        """Return the state after a picture in which the object was tracked; search it if the fit is low."""
         trust, elapsed = state.trust, state.elapsed
         low = seen.fit < trust.least_fit
         if not self.recover:
             trust = trust.doubted(elapsed) if low else trust.confirmed(seen.fit, elapsed)
-            return seen, self._learned(state, seen, trust)
+            return seen, self._learn(state, seen, trust)
         if trust.trial:
-            return self._tried(state, seen, pyramid, image)
+            return self._continue_trial(state, seen, pyramid, image)
         if not low:
-            return seen, self._learned(state, seen, trust.confirmed(seen.fit, elapsed))
-        elsewhere = self._seen(state, *self._relocated(state, pyramid), pyramid)
+            return seen, self._learn(state, seen, trust.confirmed(seen.fit, elapsed))
+        elsewhere = self._observe(state, *self._relocate(state, pyramid), pyramid)
         if elsewhere.fit >= trust.return_fit:
-            return elsewhere, self._held(state, elsewhere, trust.seen_again(elapsed))
+            return elsewhere, self._hold_texture(state, elsewhere, trust.reacquired(elapsed))
         if not self._is_confirmed(image, seen):
-            return seen, self._held(state, seen, trust.doubted(elapsed))
+            return seen, self._hold_texture(state, seen, trust.doubted(elapsed))
         if seen.fit < CHANCE:  # it is there, but looks like another
-            seen = replace(seen, texture=seen.texture.forgotten())
-        return seen, self._learned(state, seen, trust.confirmed(seen.fit, elapsed))
+            seen = replace(seen, texture=seen.texture.reset())
+        return seen, self._learn(state, seen, trust.confirmed(seen.fit, elapsed))
 
-    def _sought(
+    def _search(
         self, state: GFlowState, pyramid: list[Level], image: NDArray[np.uint8]
-    ) -> tuple[Sight, GFlowState]:
-        """The state after a picture in which a lost object was searched for by texture and finder."""
+    ) -> tuple[Observation, GFlowState]:
+        """Return the state after a picture in which a lost object was searched for by texture and finder."""
         trust, best, places = state.trust, int(state.log_weights.argmax()), None
         if self.finder is not None:
-            places = self.finder.find(image, state.trusted[best], trust.searches)
-        seen = self._seen(state, *self._relocated(state, pyramid, places), pyramid)
+            places = self.finder.find(image, state.last_reliable[best], trust.searches)
+        seen = self._observe(state, *self._relocate(state, pyramid, places), pyramid)
         if seen.fit >= trust.return_fit:
-            return seen, self._held(state, seen, trust.seen_again(state.elapsed))
+            return seen, self._hold_texture(state, seen, trust.reacquired(state.elapsed))
         if places is None or not len(places):
-            return seen, self._remembering(state, seen)
-        known = seen.fit >= CHANCE
+            return seen, self._return_to_last(state, seen)
+        matches = seen.fit >= CHANCE
         n = len(state.poses)
-        chosen = seen.particles.poses[int(seen.particles.log_weights.argmax())] if known else places[0]
+        chosen = seen.particles.poses[int(seen.particles.log_weights.argmax())] if matches else places[0]
         begun = Particles(
             chosen[np.zeros(n, np.int64)],
             np.full(n, -np.log(n)),
@@ -459,43 +454,43 @@ class GFlow(PickledByFields):
             seen.particles.log_evidence,
             np.zeros_like(state.covariance),
         )
-        anew = replace(
-            state, texture=state.texture.forgotten(), remembered=state.texture.of(np.array([best]))
+        restarted = replace(
+            state, texture=state.texture.reset(), previous_texture=state.texture.of(np.array([best]))
         )
-        first = self._seen(anew, begun, self._visible(begun.poses), pyramid)
-        return seen, replace(self._learned(anew, first, trust.on_trial(known=known)), fit=seen.fit)
+        first = self._observe(restarted, begun, self._visible_texels(begun.poses), pyramid)
+        return seen, replace(self._learn(restarted, first, trust.start_trial(matches=matches)), fit=seen.fit)
 
-    def _tried(
-        self, state: GFlowState, seen: Sight, pyramid: list[Level], image: NDArray[np.uint8]
-    ) -> tuple[Sight, GFlowState]:
-        """The state after a picture with an object on trial; the old texture may know better."""
+    def _continue_trial(
+        self, state: GFlowState, seen: Observation, pyramid: list[Level], image: NDArray[np.uint8]
+    ) -> tuple[Observation, GFlowState]:
+        """Return the state after a picture with an object on trial, of which the old texture is the rival."""
         trust = state.trust
-        if state.remembered is not None:
+        if state.previous_texture is not None:
             every = np.zeros(len(state.poses), np.int64)
-            rival = replace(state, texture=state.remembered.of(every))
-            known = self._seen(rival, *self._relocated(rival, pyramid, seen.particles.poses[:1]), pyramid)
-            if known.fit >= trust.return_fit:
-                after = self._held(rival, known, trust.seen_again(state.elapsed))
-                return known, replace(after, remembered=None)
+            rival = replace(state, texture=state.previous_texture.of(every))
+            old = self._observe(rival, *self._relocate(rival, pyramid, seen.particles.poses[:1]), pyramid)
+            if old.fit >= trust.return_fit:
+                after = self._hold_texture(rival, old, trust.reacquired(state.elapsed))
+                return old, replace(after, previous_texture=None)
         if seen.fit < trust.least_fit or not self._is_confirmed(image, seen):
-            return seen, self._remembering(state, seen)
-        tried = trust.tried(seen.fit, state.elapsed)
-        after = self._learned(state, seen, tried)
-        return seen, after if tried.trial else replace(after, remembered=None)
+            return seen, self._return_to_last(state, seen)
+        tried = trust.continue_trial(seen.fit, state.elapsed)
+        after = self._learn(state, seen, tried)
+        return seen, after if tried.trial else replace(after, previous_texture=None)
 
-    def _is_confirmed(self, image: NDArray[np.uint8], seen: Sight) -> bool:
-        """Whether the finder says that the object is where it is followed."""
+    def _is_confirmed(self, image: NDArray[np.uint8], seen: Observation) -> bool:
+        """Return whether the finder detects the object in the tracked pose."""
         if self.finder is None:
             return False
         particles = seen.particles
         return self.finder.confirms(image, particles.poses.mean(np.exp(particles.log_weights)))
 
     def _prior(self, state: GFlowState) -> PosePrior:
-        """Of the poses now, `state.elapsed` seconds after the last picture."""
+        """Return the prior of the poses, `state.elapsed` seconds after the last picture."""
         return PosePrior.after(state.poses, self.dynamics, state.size, state.elapsed)
 
-    def _visible(self, poses: Poses) -> Mask:
-        """`(n, n_texels)`: texels that the object does not hide itself."""
+    def _visible_texels(self, poses: Poses) -> Mask:
+        """Return the texels that the object does not occlude itself, `(n, n_texels)`."""
         if self.occlusion:
             return self.object.visible(poses)
         return np.ones((len(poses), len(self.object.texels)), np.bool_)
@@ -504,70 +499,70 @@ class GFlow(PickledByFields):
         texture = state.texture
         return TextureLikelihood(self.object, pyramid, texture.mean, texture.temperature(self.noise), visible)
 
-    def _weighed(self, state: GFlowState, pyramid: list[Level]) -> tuple[Particles, Mask]:
-        """Weights at t = 1 (Table 2, I), and the texels that are seen in each pose `(n, n_texels)`."""
-        likelihood = self._likelihood(state, pyramid, self._visible(state.poses))
+    def _weigh_first_frame(self, state: GFlowState, pyramid: list[Level]) -> tuple[Particles, Mask]:
+        """Return weights at t = 1 (Table 2, I), and the visible texels of each pose `(n, n_texels)`."""
+        likelihood = self._likelihood(state, pyramid, self._visible_texels(state.poses))
         every = np.arange(len(state.poses))
         weights = state.log_weights + log_likelihood(likelihood, state.poses, every, self.effective_pixels)
         evidence = float(log_sum(weights))
         particles = Particles(state.poses, normalised(weights), every, evidence, state.covariance)
         return particles, likelihood.visible
 
-    def _followed(
+    def _track(
         self,
         state: GFlowState,
         pyramid: list[Level],
         background: OccludedBackground | None,
         points: PointMessage | None,
     ) -> tuple[Particles, Mask]:
-        """Continuation or resampling frame (Table 2, II)."""
-        visible = self._visible(state.poses) if state.visible is None else state.visible
+        """Move the experts in a continuation or resampling frame (Table 2, II)."""
+        visible = self._visible_texels(state.poses) if state.visible is None else state.visible
         likelihood = self._likelihood(state, pyramid, visible)
         prior = self._prior(state)
         more: list[PoseEvidence] = []
-        known = None
+        measured = None
         if points is not None and len(self._tracked):
-            known = measured_points(self.model, points.positions, self._tracked)
-            more.append(known)
+            measured = measured_points(self.model, points.positions, self._tracked)
+            more.append(measured)
         if background is not None:
             more.append(Silhouette(self.model, self._edges, background.contrast, self.effective_pixels))
         start = state.poses
-        if len(start) > 1 and state.motion is not None:
-            start = apart(start, state.elapsed * state.motion, prior.variance, state.random)
+        if len(start) > 1 and state.velocity is not None:
+            start = disperse(start, state.elapsed * state.velocity, prior.variance, state.random)
         modes = find_modes(likelihood, prior, start, self.effective_pixels, len(pyramid) - 1, more)
-        likelihood = replace(likelihood, visible=self._visible(modes.poses))
+        likelihood = replace(likelihood, visible=self._visible_texels(modes.poses))
         background = None if background is None else background.around(modes.poses)
 
         def density(poses: Poses, owner: NDArray[np.int64]) -> Array:
             nats = log_likelihood(likelihood, poses, owner, self.effective_pixels, background)
-            return nats if known is None else nats - known.equations(poses, owner)[0]
+            return nats if measured is None else nats - measured.equations(poses, owner)[0]
 
-        if not self._resamples(state):
+        if not self._is_resampling_frame(state):
             nats = density(modes.poses, np.arange(len(start)))
-            return propagated(state.log_weights, modes, prior, nats), likelihood.visible
-        proposal = sampled(modes, self.samples, self.spread, state.random)
+            return propagate(state.log_weights, modes, prior, nats), likelihood.visible
+        proposal = draw_samples(modes, self.samples, self.covariance_scale, state.random)
         nats = density(proposal.poses, proposal.owner)
-        particles = resampled(state.log_weights, proposal, prior, nats, state.random)
-        return particles, self._visible(particles.poses)
+        particles = resample(state.log_weights, proposal, prior, nats, state.random)
+        return particles, self._visible_texels(particles.poses)
 
-    def _resamples(self, state: GFlowState) -> bool:
-        """Whether it is time to resample."""
-        return self.spread > 0 and state.since_resampling > self.resample_interval - ROUNDING
+    def _is_resampling_frame(self, state: GFlowState) -> bool:
+        """Return whether this is a resampling frame."""
+        return self.covariance_scale > 0 and state.since_resampling > self.resample_interval - ROUNDING
 
-    def _relocated(
-        self, state: GFlowState, pyramid: list[Level], shown: Poses | None = None
+    def _relocate(
+        self, state: GFlowState, pyramid: list[Level], detected: Poses | None = None
     ) -> tuple[Particles, Mask]:
-        """Search with the best expert's texture all over the picture, and where others have `shown` it."""
+        """Search with the best expert's texture all over the picture, and at `detected` poses."""
         n, best = len(state.poses), int(state.log_weights.argmax())
-        last = state.trusted[best]
-        remembered = replace(state, texture=state.texture.of(np.array([best])))
-        visible = self._visible(last)
-        likelihood = self._likelihood(remembered, pyramid, visible)
+        last = state.last_reliable[best]
+        best_only = replace(state, texture=state.texture.of(np.array([best])))
+        visible = self._visible_texels(last)
+        likelihood = self._likelihood(best_only, pyramid, visible)
         coarse = partial(likelihood.misfit, level=len(pyramid) - 1)
         size = pyramid[0].image.shape[0], pyramid[0].image.shape[1]
-        places = likely_places(coarse, size, last, self.object.positions(last)[0].mean(axis=0), n)
-        if shown is not None and len(shown):
-            places = Poses.concatenated([places, brought_to(self.model, last, shown[:n])])
+        places = search_grid(coarse, size, last, self.object.positions(last)[0].mean(axis=0), n)
+        if detected is not None and len(detected):
+            places = Poses.concatenated([places, align_to_detections(self.model, last, detected[:n])])
         every = np.full(len(places), best)
         prior = PosePrior.after(places, self.dynamics, state.size, 1.0)
         likelihood = self._likelihood(
@@ -575,7 +570,7 @@ class GFlow(PickledByFields):
         )
         modes = find_modes(likelihood, prior, places, self.effective_pixels, len(pyramid) - 1)
         modes = find_modes(likelihood, prior, modes.poses, self.effective_pixels, 1)
-        likelihood = replace(likelihood, visible=self._visible(modes.poses))
+        likelihood = replace(likelihood, visible=self._visible_texels(modes.poses))
         weights = log_likelihood(likelihood, modes.poses, np.arange(len(places)), self.effective_pixels)
         chosen = np.sort(np.argsort(-weights, kind="stable")[:n])
         evidence = float(log_sum(weights[chosen]) - np.log(n))
@@ -588,56 +583,59 @@ class GFlow(PickledByFields):
         )
         return particles, likelihood.visible[chosen]
 
-    def _seen(self, state: GFlowState, particles: Particles, visible: Mask, pyramid: list[Level]) -> Sight:
-        """What the picture shows of the object in these poses, and how well that was predicted."""
+    def _observe(
+        self, state: GFlowState, particles: Particles, visible: Mask, pyramid: list[Level]
+    ) -> Observation:
+        """Sample the picture at the texels of these poses, and measure how well they were predicted."""
         texture = state.texture.of(particles.parents)
         observed, inside = self.object.observe(pyramid, particles.poses, visible)
         fit = 1.0
         if state.frames_seen or self.texture is not None:
-            shares = explained(observed, texture.mean, visible, inside)
+            shares = explained_variance(observed, texture.mean, visible, inside)
             fit = float(np.exp(particles.log_weights) @ shares)
-        return Sight(particles, texture, observed, visible, inside, fit)
+        return Observation(particles, texture, observed, visible, inside, fit)
 
-    def _learned(self, state: GFlowState, seen: Sight, trust: Trust) -> GFlowState:
-        """Poses, and textures given the poses (Table 2, III)."""
+    def _learn(self, state: GFlowState, seen: Observation, trust: Trust) -> GFlowState:
+        """Update poses, and textures given the poses (Table 2, III)."""
         particles = seen.particles
-        motion = None
+        velocity = None
         if state.elapsed and not trust.doubt:
-            motion = particles.poses.changes_from(state.poses[particles.parents]) / state.elapsed
+            velocity = particles.poses.changes_from(state.poses[particles.parents]) / state.elapsed
         texture = seen.texture.updated(seen.observed, seen.inside, self.noise, state.elapsed)
         return replace(
-            self._after(state, seen, trust),
+            self._advance(state, seen, trust),
             texture=texture,
-            trusted=state.trusted[particles.parents] if trust.doubt else particles.poses,
-            motion=motion,
+            last_reliable=state.last_reliable[particles.parents] if trust.doubt else particles.poses,
+            velocity=velocity,
         )
 
-    def _held(self, state: GFlowState, seen: Sight, trust: Trust) -> GFlowState:
-        """Poses, but nothing is learned of what may not be the object."""
-        parents = seen.particles.parents
-        background = state.background
-        if background is not None:  # else it follows when it learns
-            background = background.only(parents)
-        after = self._after(state, seen, trust)
-        return replace(after, texture=seen.texture, trusted=state.trusted[parents], background=background)
+    def _hold_texture(self, state: GFlowState, seen: Observation, trust: Trust) -> GFlowState:
+        """Update poses only: the picture may not show the object."""
+        parents, background = seen.particles.parents, state.background
+        return replace(
+            self._advance(state, seen, trust),
+            texture=seen.texture,
+            last_reliable=state.last_reliable[parents],
+            background=None if background is None else background.only(parents),
+        )
 
-    def _remembering(self, state: GFlowState, seen: Sight) -> GFlowState:
-        """As it was last seen: it is not found, or what was on trial is not the object."""
+    def _return_to_last(self, state: GFlowState, seen: Observation) -> GFlowState:
+        """Return to the last reliable poses and texture: nothing was found, or a trial has failed."""
         texture = state.texture
-        if state.remembered is not None:
-            texture = state.remembered.of(np.zeros(len(state.poses), np.int64))
+        if state.previous_texture is not None:
+            texture = state.previous_texture.of(np.zeros(len(state.poses), np.int64))
         trust = state.trust.doubted(state.elapsed)
         return replace(
-            self._after(state, seen, replace(trust, searches=trust.searches + 1)),
-            poses=state.trusted,
+            self._advance(state, seen, replace(trust, searches=trust.searches + 1)),
+            poses=state.last_reliable,
             visible=None,
             log_weights=state.log_weights,
             texture=texture,
-            remembered=None,
+            previous_texture=None,
         )
 
-    def _after(self, state: GFlowState, seen: Sight, trust: Trust) -> GFlowState:
-        """What every picture changes."""
+    def _advance(self, state: GFlowState, seen: Observation, trust: Trust) -> GFlowState:
+        """Update what every picture changes."""
         particles = seen.particles
         return replace(
             state,
@@ -647,44 +645,44 @@ class GFlow(PickledByFields):
             trust=trust,
             elapsed=0.0,
             covariance=particles.covariance,
-            motion=None,
+            velocity=None,
             frames_seen=state.frames_seen + 1,
             log_evidence=particles.log_evidence,
             fit=seen.fit,
-            since_resampling=0.0 if self._resamples(state) else state.since_resampling,
+            since_resampling=0.0 if self._is_resampling_frame(state) else state.since_resampling,
         )
 
-    def _background_of(
+    def _occluded_background(
         self, state: GFlowState, message: PixelMessage, image: NDArray[np.uint8]
     ) -> OccludedBackground | None:
-        """The background of this picture near the object, if somebody predicts it."""
-        own, known = state.background, state.known
-        if self._whole is None or (own is None and (message.background is None or known is None)):
+        """Return the background of this picture near the object; `None` if no chain predicts it."""
+        own, trust = state.background, state.background_trust
+        if self._whole is None or (own is None and (message.background is None or trust is None)):
             return None
         coverage = self._coverage(state, message.size, margin=state.size)
-        near = coverage.box, tones(image, coverage.inner, coverage.box)
+        near = coverage.box, tone_densities(image, coverage.inner, coverage.box)
         unit = units(image, state.size, local_mean=self.local_mean)
         if own is not None:
             return OccludedBackground(own.contrast(image, *near, unit, state.elapsed), self._whole)
-        assert known is not None
-        return OccludedBackground(SharedBackground(message).contrast(known, *near, unit), self._whole)
+        assert trust is not None
+        return OccludedBackground(SharedBackground(message).contrast(trust, *near, unit), self._whole)
 
-    def _with_known(self, state: GFlowState, message: PixelMessage, elapsed: float) -> GFlowState:
-        """How well the background is known that another chain predicts."""
-        coverage, known = self._coverage(state, message.size), state.known
-        if known is None:
-            known = first_trust(coverage.hidden, coverage.box, message.size)
-        background = SharedBackground(message)
-        return replace(state, known=background.trust_after(known, coverage.hidden, coverage.box, elapsed))
+    def _update_trust(self, state: GFlowState, message: PixelMessage, elapsed: float) -> GFlowState:
+        """Update the trust in the background that another chain predicts."""
+        coverage, trust = self._coverage(state, message.size), state.background_trust
+        if trust is None:
+            trust = first_trust(coverage.hidden, coverage.box, message.size)
+        after = SharedBackground(message).trust_after(trust, coverage.hidden, coverage.box, elapsed)
+        return replace(state, background_trust=after)
 
-    def _with_own_background(
+    def _update_own_background(
         self, state: GFlowState, particles: Particles, image: NDArray[np.uint8], elapsed: float
     ) -> GFlowState:
-        """Backgrounds given the poses (Table 2, III)."""
+        """Update the experts' backgrounds given the poses (Table 2, III)."""
         size = (image.shape[0], image.shape[1])
         before = state.background or ExpertBackground.unknown(len(state.poses), size)
         coverage = self._coverage(state, size)
-        hidden = np.stack([widened(inside > 0) for inside in coverage.inside]).view(np.uint8)
+        hidden = np.stack([dilate(inside > 0) for inside in coverage.inside]).view(np.uint8)
         after = before.updated(image, particles.parents, hidden, coverage.box, elapsed)
         return replace(state, background=after)
 

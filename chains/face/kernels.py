@@ -349,7 +349,7 @@ def learn_lasting(observed, seen, lasting, memory, weight, after):
 
 @compiled
 def explain(observed, mean, visible, seen, least_inside, share):
-    """Share of the picture's variance that predictions explain, as of `texture_filter.explained`."""
+    """Share of the picture's variance that predictions explain, as of `texture_filter.explained_variance`."""
     for d in range(len(seen)):
         look, expected, shown = observed[d, 0], mean[d, 0], seen[d]
         count = facing = 0
@@ -641,7 +641,7 @@ class PoseArrays(NamedTuple):
     morphs: Array
 
 
-class Belief(NamedTuple):
+class Objective(NamedTuple):
     """Minus the log of beliefs at tried poses, but for the prior.
 
     `energy` `(m,)`, `gradient` `(m, dimension)`, `curvature` `(m, dimension, dimension)`; `seen` `(m,)`:
@@ -655,7 +655,7 @@ class Belief(NamedTuple):
     rows: NDArray[np.float32]
 
 
-class Climb(NamedTuple):
+class SearchState(NamedTuple):
     """Where experts are: the best pose of each until now, and its belief there, prior included."""
 
     poses: PoseArrays
@@ -666,7 +666,7 @@ class Climb(NamedTuple):
     damping: Array
 
 
-class Pace(NamedTuple):
+class StepLimits(NamedTuple):
     """px that a vertex may move in a step, and must for a step to be made; whether this is the first look at
     a level, which is taken as it is."""
 

@@ -8,7 +8,7 @@ from ...models.face.morphable_model import RIGID, MorphableModel, Poses, Surface
 Array = NDArray[np.float64]
 
 LANDMARK_NOISE = 0.03  # standard deviation of a landmark in units of c_1: about 2 % of a face's width
-FEWEST = 4  # landmarks that a frame must have: three do for a rigid object, but leave its depth ambiguous
+MIN_LANDMARKS = 4  # of a frame: three determine a rigid object, but leave its depth ambiguous
 _BATCH = 256  # frames fitted at once, which bounds the memory of their Jacobians
 
 _MOST_STEPS = 60
@@ -73,7 +73,7 @@ def fit_landmarks(
     if not noise > 0:
         raise ValueError(f"noise: got {noise}, expected a positive share of the object's size")
     shape = model.of_points(points)
-    given, seen = _checked(given)
+    given, seen = _validate(given)
     if start is not None:
         if len(start) not in (1, len(given)) or start.morphs.shape[1] != shape.n_bases:
             raise ValueError(
@@ -89,7 +89,7 @@ def fit_landmarks(
         poses = _rigid_poses(shape, given[batch], seen[batch], noise) if start is None else start[batch]
         # twice: noise is relative to a size that only the first fit tells
         for _ in range(2):
-            poses, _ = _peak(shape, given[batch], seen[batch], poses, noise)
+            poses, _ = _maximise(shape, given[batch], seen[batch], poses, noise)
         parts.append(poses)
     return Poses.concatenated(parts)
 
@@ -111,16 +111,16 @@ def own_points(model: MorphableModel, n_given: int) -> tuple[NDArray[np.int64], 
     )
 
 
-def _checked(landmarks: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _validate(landmarks: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Landmarks with zeros where they are missing, and which ones are there."""
     if np.isinf(landmarks).any():
         frame, point = np.argwhere(np.isinf(landmarks))[0, :2]
         raise ValueError(f"landmark {point} of frame {frame}: got infinity, expected px, NaN where missing")
     seen: NDArray[np.bool_] = np.logical_not(np.isnan(landmarks).any(axis=2))
     counts = seen.sum(axis=1)
-    if (counts < FEWEST).any():
-        frame = int(np.argmax(counts < FEWEST))
-        raise ValueError(f"frame {frame}: got {counts[frame]} landmarks, expected at least {FEWEST}")
+    if (counts < MIN_LANDMARKS).any():
+        frame = int(np.argmax(counts < MIN_LANDMARKS))
+        raise ValueError(f"frame {frame}: got {counts[frame]} landmarks, expected at least {MIN_LANDMARKS}")
     landmarks = np.where(seen[..., None], landmarks, 0.0)
     middle = landmarks.sum(axis=1, keepdims=True) / counts[:, None, None]
     apart = np.where(seen[..., None], np.abs(landmarks - middle), 0.0).max(axis=(1, 2))
@@ -155,7 +155,7 @@ def _rigid_poses(points: MorphableModel, landmarks: Array, seen: NDArray[np.bool
     flat[:, 1, 0], flat[:, 0, 1] = np.sin(angle), -np.sin(angle)
     size = np.maximum(scales[:, :1], 1e-6)  # where nothing agrees with the shape
     modes = [
-        _peak(typical, landmarks, seen, Poses(rotations, cameras[:, 3], size), noise)
+        _maximise(typical, landmarks, seen, Poses(rotations, cameras[:, 3], size), noise)
         for rotations in (turned, mirror @ turned @ mirror, flat)
     ]
     chosen = np.argmin([cost for _, cost in modes], axis=0)
@@ -165,7 +165,7 @@ def _rigid_poses(points: MorphableModel, landmarks: Array, seen: NDArray[np.bool
     return Poses(best.rotations, best.translations, morphs)
 
 
-def _peak(
+def _maximise(
     points: MorphableModel, landmarks: Array, seen: NDArray[np.bool_], poses: Poses, noise: float
 ) -> tuple[Poses, Array]:
     """The likeliest poses nearby, by Levenberg and Marquardt's steps, and their costs, -2 log p."""

@@ -78,11 +78,11 @@ class PoseDynamics:
         rates[3:RIGID] = (self.translation * size) ** 2
         rates[RIGID] = (self.size * size) ** 2
         walk = rates * max(elapsed, SHORTEST)
-        spread = np.full(dimension - RIGID, (self.morph_range * size) ** 2)
-        spread[0] = (self.size_range * size) ** 2
-        forgotten = walk[RIGID:] / spread
-        walk[RIGID:] = -spread * np.expm1(-forgotten)
-        return np.exp(-0.5 * forgotten), walk
+        range_variance = np.full(dimension - RIGID, (self.morph_range * size) ** 2)
+        range_variance[0] = (self.size_range * size) ** 2
+        decay = walk[RIGID:] / range_variance
+        walk[RIGID:] = -range_variance * np.expm1(-decay)
+        return np.exp(-0.5 * decay), walk
 
 
 @dataclass(frozen=True, eq=False)

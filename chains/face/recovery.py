@@ -1,4 +1,4 @@
-"""Recovery of a doubted or lost object: trust in the track, where to search, detection by a finder."""
+"""Recovery of an object that may be lost: tests of the track, places to search, detection by a finder."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,25 +18,26 @@ from ...models.numerics.rotations import exponential
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-FARTHEST_AHEAD = 1.5  # share of an expert's last motion, up to which experts begin their search ahead
-ASIDE = 0.5  # how far they begin it aside, in standard deviations of the motion
-STRAIGHT = 0.25  # share of the experts that do not
-STEP = 0.3  # distance between places that are tried for a lost object, in its sizes
+# Where experts start their search, chosen on generated faces in quick motion:
+FARTHEST_AHEAD = 1.5  # greatest share of an expert's last motion by which it starts ahead
+ASIDE = 0.5  # noise added to the start, in standard deviations of the motion
+STRAIGHT = 0.25  # share of the experts without that noise
 
-SIZES = (0.8, 1.0, 1.25)
-TURNS = (-0.35, 0.0, 0.35)  # rad about the upright axis, against the pose that it was last seen in
-AT_ONCE = 2000  # poses that are tried at once, which bounds the memory
+# Grid of poses for a lost object, within the basin of Gauss-Newton on the coarsest level:
+STEP = 0.3  # distance between places, in sizes of the object
+SIZES = (0.8, 1.0, 1.25)  # of the last size
+TURNS = (-0.35, 0.0, 0.35)  # rad about the upright axis, from the last pose
+BATCH = 2000  # poses evaluated at a time, which bounds the memory
 
 
-def apart(poses: Poses, motion: Array, walk: Array, random: np.random.Generator) -> Poses:
-    """Poses from which experts begin, so that not all of them take a wrong mode for the right one.
+def disperse(poses: Poses, motion: Array, walk: Array, random: np.random.Generator) -> Poses:
+    """Return dispersed starts of the experts' searches, so that not all of them end in one wrong mode.
 
-    They go on by different shares of their last motion, and most of them step aside, too. What they believe
-    is not touched by it: all climb on the same likelihood and prior, each from a place of its own.
+    Each expert continues by another share of its last motion, and most of them with noise. This changes only
+    where the search starts: likelihood and prior are the same.
 
-    `poses`: of the experts in the picture before; `motion` `(n, dimension)`: how each would have moved until
-    now, had it gone on; `walk` `(dimension,)` variances of the motion; `random`: to draw from; it is moved
-    on.
+    `poses`: of the experts in the last picture; `motion` `(n, dimension)`: their change until now at constant
+    velocity; `walk` `(dimension,)`: variances of the motion.
     """
     n, dimension = motion.shape
     share = np.linspace(0.0, FARTHEST_AHEAD, n)[random.permutation(n)]
@@ -45,14 +46,13 @@ def apart(poses: Poses, motion: Array, walk: Array, random: np.random.Generator)
     return poses.moved(share[:, None] * motion + aside)
 
 
-def likely_places(
+def search_grid(
     misfit: Callable[[Poses], Array], size: tuple[int, int], last: Poses, middle: Array, n: int
 ) -> Poses:
-    """The `n` poses, of a grid of places, sizes and turns, whose coarse texture fits the picture best.
+    """Return the `n` poses, of a grid of places, sizes and turns, whose coarse texture fits the picture best.
 
-    `misfit`: of poses, `(n,)`, infinite where nothing of them is in the picture; `size` `(height, width)` px
-    of the picture; `last`: the pose in which it was seen last, which gives turns and shape; `middle` `(2,)`
-    px of the object in that pose; `n`: how many.
+    `misfit`: of poses, `(n,)`, infinite outside of the picture; `size` `(height, width)` px of the picture;
+    `last`: the last reliable pose, which gives rotation and shape; `middle` `(2,)` px of the object there.
     """
     height, width = size
     step = STEP * float(last.sizes[0])
@@ -61,56 +61,56 @@ def likely_places(
     centre = middle - last.translations[0]
     turns = exponential(grid[:, 3:] * np.array([0.0, 1.0, 0.0]))
     tried = Poses(turns @ last.rotations[0], grid[:, :2] - centre * grid[:, 2:3], last.morphs * grid[:, 2:3])
-    parts = [misfit(tried[first : first + AT_ONCE]) for first in range(0, len(tried), AT_ONCE)]
+    parts = [misfit(tried[first : first + BATCH]) for first in range(0, len(tried), BATCH)]
     return tried[np.argsort(np.concatenate(parts), kind="stable")[:n]]
 
 
-def brought_to(model: MorphableModel, last: Poses, shown: Poses) -> Poses:
-    """One pose turned in the picture's plane, scaled and moved to where others have the object, `n` poses."""
-    angle = np.zeros((len(shown), 3))
-    angle[:, 2] = rolls(shown) - rolls(last)
-    ratio = shown.sizes[:, None] / last.sizes
-    there = Poses(exponential(angle) @ last.rotations[0], np.zeros((len(shown), 2)), ratio * last.morphs)
-    off = model.project(shown).mean(axis=1) - model.project(there).mean(axis=1)
+def align_to_detections(model: MorphableModel, last: Poses, detected: Poses) -> Poses:
+    """Turn one pose in the picture's plane, scale it and move it to each of `n` detected poses."""
+    angle = np.zeros((len(detected), 3))
+    angle[:, 2] = roll_angles(detected) - roll_angles(last)
+    ratio = detected.sizes[:, None] / last.sizes
+    there = Poses(exponential(angle) @ last.rotations[0], np.zeros((len(detected), 2)), ratio * last.morphs)
+    off = model.project(detected).mean(axis=1) - model.project(there).mean(axis=1)
     return replace(there, translations=off)
 
 
-def rolls(poses: Poses) -> Array:
-    """`(n,)` rad by which poses lean clockwise in the picture."""
+def roll_angles(poses: Poses) -> Array:
+    """Return the clockwise roll of poses in the picture, `(n,)` rad."""
     turns = poses.rotations
     return np.asarray(
         np.arctan2(turns[:, 1, 0] - turns[:, 0, 1], turns[:, 0, 0] + turns[:, 1, 1]), np.float64
     )
 
 
-WIDTH_OF_FACE = 0.85  # of a detector's box: what lies between the ears, which a model of a face spans
-FACE = 52.0  # px: width of a face in pictures given to a detector: twice what cascades were trained at
-AROUND = 2.0  # side of the picture about a pose, in widths of the face's box
-OFF = 0.2  # how far the middle of a box may be from that of a face which it confirms, in its widths
-TRIED_SIZES = 0.7, 1.45  # of a box that confirms a face, in its widths
+WIDTH_OF_FACE = 0.85  # width between the ears, which a face model spans, over that of a detector's box
+FACE = 52.0  # px: width of a face in pictures given to a detector: twice that of the cascades' training
+AROUND = 2.0  # side of the picture cut out about a pose, in widths of the face's box
+OFF = 0.2  # greatest distance of a confirming box from the face, in widths of the box
+TRIED_SIZES = 0.7, 1.45  # range of a confirming box's width over the expected one
 
 HERE, ANYWHERE = 1, 4
-"""Neighbouring detections of a cascade that make one face: where one is known to have been, and all over a
-picture. At 2400 places of films without faces four were confirmed."""
+"""`min_neighbors` of a cascade that confirms a face at a known place, and of one that searches a picture. At
+2400 places of films without faces four were confirmed."""
 
 TRIED_TURNS = (0.0, 0.45, -0.45)
-"""rad by which a lost face is looked for turned in the picture's plane, from how it was seen last and from
-upright, one in each picture: detectors find faces up to about 0.3 rad from upright."""
+"""Rolls at which a lost face is searched for, rad, from its last roll and from upright, one in each picture:
+detectors find faces up to about 0.3 rad from upright."""
 
-LARGEST = 640  # px: longer side of the picture in which a lost face is looked for
+LARGEST = 640  # px: longer side of the picture in which a lost face is searched for
 
 
 class Finder(Protocol):
-    """Anything that knows where an object is without having followed it."""
+    """Detector of an object, without memory of its track."""
 
     def confirms(self, image: Image, pose: Poses) -> bool:
-        """Whether the object is about where one pose has it."""
+        """Return whether the object is detected about the given pose."""
         ...
 
     def find(self, image: Image, last: Poses, attempt: int) -> Poses:
-        """Poses that it may have, the likeliest first, perhaps none.
+        """Return candidate poses, the likeliest first; there may be none.
 
-        `last` is the pose that it had when it was last seen, `attempt` counts the pictures since, from 0.
+        `last` is the last reliable pose, `attempt` counts the pictures since then, from 0.
         """
         ...
 
@@ -118,7 +118,7 @@ class Finder(Protocol):
 @short_repr
 @dataclass(frozen=True, eq=False)
 class DetectedFace(PickledByFields):
-    """A face that a detector finds."""
+    """Finder of a face by a face detector."""
 
     model: MorphableModel  # of the person
     detector: PartDetector  # of faces
@@ -132,18 +132,18 @@ class DetectedFace(PickledByFields):
         return for_height(self.detector, FACE, ANYWHERE)
 
     def confirms(self, image: Image, pose: Poses) -> bool:
-        """Whether the detector finds a face in the picture about the pose, turned upright."""
+        """Return whether the detector finds a face about the pose, in the picture turned upright."""
         middle, width = self._box(pose)
-        view = UprightView.of(middle, float(rolls(pose)[0]), FACE / width, (round(AROUND * FACE),) * 2)
-        boxes = self._here(Frame(view.drawn(image), 0.0, 1))
+        view = UprightView.of(middle, float(roll_angles(pose)[0]), FACE / width, (round(AROUND * FACE),) * 2)
+        boxes = self._here(Frame(view.warp(image), 0.0, 1))
         off = np.abs(boxes[:, :2] + boxes[:, 2:] / 2 - np.array(view.size) / 2).max(axis=1, initial=0)
         size = boxes[:, 2] / FACE
         return bool(((off < OFF * FACE) & (size > TRIED_SIZES[0]) & (size < TRIED_SIZES[1])).any())
 
     def find(self, image: Image, last: Poses, attempt: int) -> Poses:
-        """Poses in the boxes that the detector finds in the picture turned by an angle, another each time."""
+        """Return poses in the detector's boxes, in the picture turned by another angle at each attempt."""
         turn = TRIED_TURNS[attempt // 2 % len(TRIED_TURNS)] + (
-            float(rolls(last)[0]) if attempt % 2 == 0 else 0.0
+            float(roll_angles(last)[0]) if attempt % 2 == 0 else 0.0
         )
         _, width = self._box(last)
         height, across = image.shape[:2]
@@ -155,10 +155,10 @@ class DetectedFace(PickledByFields):
         middle = np.array([across - 1, height - 1]) / 2
         wide, high = np.ceil(scale * size).astype(int).tolist()
         view = UprightView.of(middle, turn, scale, (wide, high))
-        return view.poses(self.model, self._anywhere(Frame(view.drawn(image), 0.0, 1)))
+        return view.poses(self.model, self._anywhere(Frame(view.warp(image), 0.0, 1)))
 
     def _box(self, pose: Poses) -> tuple[Array, float]:
-        """Middle and width, px, of the box that a detector would draw about a face."""
+        """Return middle and width, px, of the box that a detector would give for a face."""
         places = self.model.project(pose)[0]
         typical = self.model.bases[0, :, 0]
         width = float(pose.sizes[0] * np.ptp(typical)) / WIDTH_OF_FACE
@@ -167,32 +167,32 @@ class DetectedFace(PickledByFields):
 
 @dataclass(frozen=True, eq=False)
 class UprightView:
-    """A part of a picture, turned and scaled."""
+    """View of a part of a picture, turned upright and scaled."""
 
     matrix: Array  # `(2, 3)`: from places of the picture to those of the view, px
     size: tuple[int, int]  # `(width, height)` px of the view
 
     @classmethod
     def of(cls, middle: Array, turn: float, scale: float, size: tuple[int, int]) -> Self:
-        """With `middle` of the picture in its middle; what leans clockwise by `turn` rad is upright in it."""
+        """Return the view about `middle` in which a clockwise lean by `turn` rad is upright."""
         linear = scale * np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
         centre = (np.array(size) - 1) / 2
         return cls(np.column_stack([linear, centre - linear @ middle]), size)
 
     @property
     def scale(self) -> float:
-        """Px of the view per px of the picture."""
+        """Px of the view for a px of the picture."""
         return float(np.hypot(*self.matrix[0, :2]))
 
-    def drawn(self, image: Image) -> Image:
-        """What it shows of a picture; beyond its edges they go on."""
-        if self.scale < 1:  # of what is finer than the view's pixels nothing must be left
+    def warp(self, image: Image) -> Image:
+        """Return the picture in this view, with its border replicated."""
+        if self.scale < 1:  # anti-aliasing
             image = np.asarray(cv2.GaussianBlur(image, (0, 0), 0.4 / self.scale), np.uint8)
-        drawn = cv2.warpAffine(image, self.matrix, self.size, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(drawn, np.uint8)
+        view = cv2.warpAffine(image, self.matrix, self.size, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(view, np.uint8)
 
     def poses(self, model: MorphableModel, boxes: Array) -> Poses:
-        """The typical shape upright in boxes `(n, 4)` px of the view, as the picture has it."""
+        """Return poses, in the picture, of the typical shape upright in boxes `(n, 4)` px of the view."""
         upright = poses_in_boxes(model, boxes)
         back = np.linalg.inv(self.matrix[:, :2])
         turn = np.eye(3)
@@ -202,7 +202,7 @@ class UprightView:
 
 
 def poses_in_boxes(model: MorphableModel, boxes: Array) -> Poses:
-    """The typical shape upright in boxes `(n, 4)` px of faces: x, y, width, height."""
+    """Return poses of the typical shape upright in face boxes `(n, 4)` px: x, y, width, height."""
     low, high = model.bases[0, :, :2].min(axis=0), model.bases[0, :, :2].max(axis=0)
     sizes = WIDTH_OF_FACE * boxes[:, 2] / (high[0] - low[0])
     centres = boxes[:, :2] + boxes[:, 2:] / 2
@@ -210,78 +210,76 @@ def poses_in_boxes(model: MorphableModel, boxes: Array) -> Poses:
 
 
 LEAST_SHARE = 0.5  # of the usual fit, below which the object is doubted
-RETURN_SHARE = 0.75  # the same for a lost object found elsewhere: chance has had many places to try
+RETURN_SHARE = 0.75  # of the usual fit, above which a lost object is found: higher, for many places are tried
 
 CHANCE, CHANCE_ANYWHERE = 0.2, 0.4
-"""Fits below which they are doubted whatever is usual. In films of other things, the texture of a face
-explained less than 0.12 of the variance, also in the best of all places."""
+"""Least fits, whatever the usual one, of a tracked and of a found object. In films of other things the
+texture of a face explained less than 0.12 of the variance, also in the best of all places."""
 
-MEMORY = 1.0  # s over which the usual fit is averaged
-PATIENCE = 0.1  # s of doubt after which the object is lost; one picture, however late, counts for half of it
+MEMORY = 1.0  # s: time constant of the usual fit
+MAX_DOUBT_TIME = 0.1  # s of low fit after which the object is lost; one picture counts for half of it at most
 
 SHORTEST_TRIAL, TRIAL = 0.06, 0.2
-"""s for which an object that a detector shows has to be seen there, with a texture taken there, before it is
-believed: where the texture that is remembered fits better than by chance, and where it does not. Of 1200
-pictures without a face four showed one, and one of these for more than three pictures."""
+"""s for which a detected object has to be confirmed before it is tracked again: if the old texture fits
+better than by chance, and if it does not. Of 1200 pictures without a face four showed one, and one of these
+for more than three pictures."""
 
-ROUNDING = 1e-6  # s by which sums of frame times may be off
+ROUNDING = 1e-6  # s: rounding of sums of frame times
 
 
 @short_repr
 @dataclass(frozen=True)
 class Trust:
-    """Belief of a tracker in itself."""
+    """Whether an object is tracked, doubted, lost, or on trial after a detection."""
 
-    # running mean of the fit over the last second in which there was no doubt; 1 before anything was seen
-    usual: float = 1.0
-    doubt: float = 0.0  # s for which the fit has been too low; 0 without a doubt
-    # s for which an object that a detector has shown must still be seen; 0 where none is on trial
-    trial: float = 0.0
-    relocations: int = 0  # how often the object was lost and found again
-    searches: int = 0  # pictures in which it was looked for since it was lost
+    usual_fit: float = 1.0  # running mean of the fit without a doubt; 1 before the first picture
+    doubt: float = 0.0  # s for which the fit has been too low
+    trial: float = 0.0  # s for which a detected object must still be confirmed; 0 without a trial
+    relocations: int = 0  # number of times that the object was lost and found again
+    searches: int = 0  # pictures searched since it was lost
 
     @property
     def lost(self) -> bool:
-        """Whether the tracker knows that it does not follow the object."""
-        return self.doubt > PATIENCE - ROUNDING
+        """Whether the object is lost."""
+        return self.doubt > MAX_DOUBT_TIME - ROUNDING
 
     @property
     def least_fit(self) -> float:
-        """Below which the object is doubted where it is followed."""
-        return max(LEAST_SHARE * self.usual, CHANCE)
+        """Fit of a tracked object below which it is doubted."""
+        return max(LEAST_SHARE * self.usual_fit, CHANCE)
 
     @property
     def return_fit(self) -> float:
-        """From which on it is believed where it is found by its texture."""
-        return max(RETURN_SHARE * self.usual, CHANCE_ANYWHERE)
+        """Fit from which on an object found by its texture is accepted."""
+        return max(RETURN_SHARE * self.usual_fit, CHANCE_ANYWHERE)
 
     def confirmed(self, fit: float, elapsed: float) -> Self:
-        """After a picture in which the object was where it was followed."""
+        """Update with a picture in which the object was tracked."""
         share = -float(np.expm1(-elapsed / MEMORY))
-        return replace(self, doubt=0.0, searches=0, usual=self.usual + share * (fit - self.usual))
+        return replace(self, doubt=0.0, searches=0, usual_fit=self.usual_fit + share * (fit - self.usual_fit))
 
     def doubted(self, elapsed: float) -> Self:
-        """After a picture in which it may not have been there."""
+        """Update with a picture in which the fit was too low."""
         return replace(self, doubt=self.doubt + pictures_worth(elapsed), trial=0.0)
 
-    def seen_again(self, elapsed: float) -> Self:
-        """After a picture in which its texture was found: it takes one more until it is believed."""
+    def reacquired(self, elapsed: float) -> Self:
+        """Update with a picture in which the texture was found; one more picture has to confirm it."""
         return replace(
             self, doubt=pictures_worth(elapsed), trial=0.0, searches=0, relocations=self.relocations + 1
         )
 
-    def on_trial(self, *, known: bool) -> Self:
-        """After a picture in which a detector has shown it; `known` where its texture says so, too."""
-        return replace(self, trial=SHORTEST_TRIAL if known else TRIAL)
+    def start_trial(self, *, matches: bool) -> Self:
+        """Start a trial of a detected object, a shorter one if the old texture `matches`."""
+        return replace(self, trial=SHORTEST_TRIAL if matches else TRIAL)
 
-    def tried(self, fit: float, elapsed: float) -> Self:
-        """After a picture in which an object on trial was there once more."""
+    def continue_trial(self, fit: float, elapsed: float) -> "Trust":
+        """Update with a picture that confirmed an object on trial."""
         left = self.trial - elapsed
         if left > ROUNDING:
             return replace(self, trial=left)
-        return replace(self, usual=fit, doubt=0.0, trial=0.0, searches=0, relocations=self.relocations + 1)
+        return Trust(usual_fit=fit, relocations=self.relocations + 1)
 
 
 def pictures_worth(elapsed: float) -> float:
-    """S of doubt for a picture that comes so long after the one before."""
-    return min(max(elapsed, ROUNDING), PATIENCE / 2)
+    """Return the doubt, s, that one picture adds, `elapsed` s after the last one."""
+    return min(max(elapsed, ROUNDING), MAX_DOUBT_TIME / 2)

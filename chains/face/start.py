@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ...models.core.frame import BoundingBox, Frame
 from ...models.face.detectors import PartDetector, for_height
 from ...models.face.morphable_model import MorphableModel, Poses, SurfacePoints
-from .landmark_fit import FEWEST, LANDMARK_NOISE, fit_landmarks, own_points
+from .landmark_fit import LANDMARK_NOISE, MIN_LANDMARKS, fit_landmarks, own_points
 from .recovery import AROUND, FACE, UprightView, poses_in_boxes
 
 Array = NDArray[np.float64]
@@ -74,10 +74,10 @@ def start_from_landmarks(
     chosen, points = _points_of(model, landmarks, pairs)
     places = landmarks[chosen]
     known = ~np.isnan(places[:, 0])
-    if np.count_nonzero(known) < FEWEST:
+    if np.count_nonzero(known) < MIN_LANDMARKS:
         raise ValueError(
             f"landmarks: got {np.count_nonzero(known)} in the first frame that the model has as well, "
-            f"expected {FEWEST} or more"
+            f"expected {MIN_LANDMARKS} or more"
         )
     fitted = fit_landmarks(model, places, points)
     person = model.personalised(fitted.morphs[0])
@@ -152,7 +152,7 @@ def find_face(frame: Frame, faces: PartDetector, *, small: bool = True) -> Bound
 def _about(image: Image, box: Array) -> Image:
     """The picture about a face, which has the size that detectors know."""
     view = UprightView.of(box[:2] + box[2:] / 2, 0.0, FACE / box[2], (round(AROUND * FACE),) * 2)
-    return view.drawn(image)
+    return view.warp(image)
 
 
 def _largest(boxes: Array) -> BoundingBox | None:

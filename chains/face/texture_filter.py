@@ -182,7 +182,7 @@ class Texture:
             LastingTexture(*np.zeros((2, n_experts, n_texels), np.float32)),
         )
 
-    def forgotten(self) -> Self:
+    def reset(self) -> Self:
         """As before anything was seen."""
         n_experts, n_levels, n_texels = self.mean.shape
         return self.unknown(n_experts, n_levels, n_texels, learn=self.learned is not None)
@@ -260,7 +260,7 @@ class Texture:
         return np.full((1, self.variance.shape[1]), number, np.float32)
 
 
-def explained(observed: Map, mean: Map, visible: NDArray[np.bool_], seen: NDArray[np.bool_]) -> Map:
+def explained_variance(observed: Map, mean: Map, visible: NDArray[np.bool_], seen: NDArray[np.bool_]) -> Map:
     """Share of the picture's variance that a predicted texture explains, `(n,)` from -1 to 1.
 
     `observed`, `mean` `(n, n_levels, n_texels)` grey levels: as the picture shows the texels, and as they

@@ -50,7 +50,7 @@ def image_pyramid(image: NDArray[np.uint8], size: float, *, n_levels: int, local
     raw = grey_of(image).astype(np.float32)
 
     def fine() -> list[Level]:
-        picture = without_light(raw, FINE_LIGHT_REACH * size) if local_mean else raw
+        picture = divide_by_local_mean(raw, FINE_LIGHT_REACH * size) if local_mean else raw
         return [Level(smoothed(picture, SMOOTHING[0] * size), 1.0)]
 
     def coarse() -> list[Level]:
@@ -61,7 +61,7 @@ def image_pyramid(image: NDArray[np.uint8], size: float, *, n_levels: int, local
 
 def _coarse_levels(picture: Map, size: float, *, n_levels: int, local_mean: bool) -> Iterator[Level]:
     if local_mean and n_levels > 1:
-        picture = without_light(picture, COARSE_LIGHT_REACH * size)
+        picture = divide_by_local_mean(picture, COARSE_LIGHT_REACH * size)
     already = 0.0
     for number in range(1, n_levels):
         scale = 0.5**number
@@ -75,7 +75,7 @@ def _coarse_levels(picture: Map, size: float, *, n_levels: int, local_mean: bool
         yield Level(picture, scale)
 
 
-def without_light(picture: Map, reach: float) -> Map:
+def divide_by_local_mean(picture: Map, reach: float) -> Map:
     """The picture divided by its mean about every pixel, of standard deviation `reach` px."""
     return picture * (np.float32(MIDDLE_GREY) / (blurred(picture, reach) + np.float32(DARKEST)))
 

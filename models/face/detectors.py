@@ -46,7 +46,7 @@ FRONTAL_PIXELS, PROFILE_PIXELS = 52.0, 36.0
 faces below these sizes; larger ones only cost time."""
 
 SIZES = (0.7, 1.5)  # around the known size
-STEP, AGREEING = 1.1, 4  # ratio of two sizes that are tried, and neighbouring detections that make one face
+STEP, MIN_NEIGHBORS = 1.1, 4  # OpenCV's `scaleFactor` and `minNeighbors`
 
 
 class PartDetector(Protocol):
@@ -70,8 +70,8 @@ class HaarFaces:
     height
         px: of a face's box. Faces from 0.7 to 1.5 times as high are found; without, those above an eighth of
         the image's shorter side.
-    agreeing
-        neighbouring detections that make one face of known height.
+    min_neighbors
+        number of neighbouring detections that make one face of known height.
     upright
         whether faces look at the viewer, upright.
     file
@@ -86,7 +86,7 @@ class HaarFaces:
     """
 
     height: float | None = None
-    agreeing: int = AGREEING
+    min_neighbors: int = MIN_NEIGHBORS
     upright: bool = False
     file: Path | None = None
     _frontal: Any = field(init=False, repr=False, compare=False)
@@ -105,7 +105,8 @@ class HaarFaces:
             object.__setattr__(self, name, cascade)
 
     def __reduce__(self) -> tuple[type[Self], tuple[float | None, int, bool, Path | None]]:
-        return type(self), (self.height, self.agreeing, self.upright, self.file)  # cascades cannot be copied
+        # cascades cannot be copied
+        return type(self), (self.height, self.min_neighbors, self.upright, self.file)
 
     def __call__(self, frame: Frame) -> Array:
         """Boxes `(k, 4)` px, the largest first."""
@@ -115,13 +116,13 @@ class HaarFaces:
         if self.height is None:
             least = max(24, min(grey.shape) // 8)
             return _largest_first(self._frontal.detectMultiScale(grey, 1.1, 5, minSize=(least, least)))
-        found = _search(self._frontal, grey, self.height, FRONTAL_PIXELS, self.agreeing)
+        found = _search(self._frontal, grey, self.height, FRONTAL_PIXELS, self.min_neighbors)
         if self._profile is None:
             return found
         if not len(found):
-            found = _search(self._profile, grey, self.height, PROFILE_PIXELS, self.agreeing)
+            found = _search(self._profile, grey, self.height, PROFILE_PIXELS, self.min_neighbors)
         if not len(found):  # the cascade knows faces that look to the left
-            found = _search(self._profile, cv2.flip(grey, 1), self.height, PROFILE_PIXELS, self.agreeing)
+            found = _search(self._profile, cv2.flip(grey, 1), self.height, PROFILE_PIXELS, self.min_neighbors)
             found[:, 0] = grey.shape[1] - found[:, 0] - found[:, 2]
         return found
 
@@ -219,12 +220,12 @@ def default_faces(path: Path | None = None, otherwise: str = "a model file of Yu
 
 
 def for_height(
-    detector: PartDetector, height: float, agreeing: int = AGREEING, *, upright: bool = True
+    detector: PartDetector, height: float, min_neighbors: int = MIN_NEIGHBORS, *, upright: bool = True
 ) -> PartDetector:
     """The detector for faces about `height` px high, which cascades are glad to know, upright or not."""
     if not isinstance(detector, HaarFaces):
         return detector
-    return replace(detector, height=height, agreeing=agreeing, upright=upright)
+    return replace(detector, height=height, min_neighbors=min_neighbors, upright=upright)
 
 
 def _cascade(name: str) -> Any:
@@ -260,13 +261,13 @@ def _read_cascade(path: Path) -> Any:
     return cascade
 
 
-def _search(cascade: Any, grey: Any, height: float, pixels: float, agreeing: int) -> Array:
+def _search(cascade: Any, grey: Any, height: float, pixels: float, min_neighbors: int) -> Array:
     """Boxes of faces about `height` px high, in an image scaled so that they have `pixels`."""
     scale = min(1.0, pixels / height)
     if scale < 1:
         grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     least, most = (round(size * height * scale) for size in SIZES)
-    found = cascade.detectMultiScale(grey, STEP, agreeing, minSize=(least, least), maxSize=(most, most))
+    found = cascade.detectMultiScale(grey, STEP, min_neighbors, minSize=(least, least), maxSize=(most, most))
     return _largest_first(found) / scale
 
 

@@ -63,7 +63,9 @@ def _frames(scene: FaceScene) -> Sequence[Frame]:
 
 def seconds_a_frame(scene: FaceScene, experts: int, texels: int) -> Numbers:
     """Of every frame after the first few."""
-    chain = GFlow(scene.model, scene.poses[0], experts=experts, texels=texels, spread=float(experts > 1))
+    chain = GFlow(
+        scene.model, scene.poses[0], experts=experts, texels=texels, covariance_scale=float(experts > 1)
+    )
     state: GFlowState | None = None
     seconds = []
     for frame in _frames(scene):
@@ -103,7 +105,7 @@ def flow_expectations(scene: FaceScene) -> list[Expectation]:
     """One expert, dense, beside optic flow of as many points, forwards only and without a model."""
     after = _frames(scene)[FACE_WARM_UP + 1]
     here, there = scene.image(FACE_WARM_UP), scene.image(FACE_WARM_UP + 1)
-    chain = GFlow(scene.model, scene.poses[0], experts=1, texels=TEXELS, spread=0.0)
+    chain = GFlow(scene.model, scene.poses[0], experts=1, texels=TEXELS, covariance_scale=0.0)
     state: GFlowState | None = None
     for frame in _frames(scene)[: FACE_WARM_UP + 1]:
         state = _followed(chain, state, frame)

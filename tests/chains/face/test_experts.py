@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.face.experts import Modes, log_likelihood, propagated, resampled, sampled
+from rsmcm.chains.face.experts import Modes, draw_samples, log_likelihood, propagate, resample
 from rsmcm.chains.face.pose_terms import PoseDynamics, PosePrior
 from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood
 from rsmcm.models.face.morphable_model import Poses
@@ -30,7 +30,7 @@ def precisions(n: int, d: int, seed: int) -> Array:
 @pytest.mark.parametrize("spread", [1.0, 0.3])
 def test_samples_have_laplaces_covariance(spread: float) -> None:
     n_samples, modes = 20000, Modes(poses_near(3, 2, 0), precisions(3, 7, 0))
-    proposal = sampled(modes, n_samples, spread, np.random.default_rng(0))
+    proposal = draw_samples(modes, n_samples, spread, np.random.default_rng(0))
     changes = proposal.poses.changes_from(modes.poses[proposal.owner]).reshape(3, n_samples, 7)
     density = proposal.log_proposal.reshape(3, n_samples)
     for expert in range(3):
@@ -84,7 +84,7 @@ def toy(seed: int, n: int = 4) -> tuple[PosePrior, Gaussian, Array]:
 def test_going_on_is_exact_for_a_gaussian(seed: int) -> None:
     prior, picture, log_weights = toy(seed)
     modes, evidence = picture.modes(prior)
-    found = propagated(log_weights, modes, prior, picture.log_likelihood(modes.poses))
+    found = propagate(log_weights, modes, prior, picture.log_likelihood(modes.poses))
     assert found.log_evidence == pytest.approx(np.logaddexp.reduce(log_weights + evidence), abs=1e-8)
     np.testing.assert_allclose(found.log_weights, log_weights + evidence - found.log_evidence, atol=1e-8)
     assert found.parents.tolist() == [0, 1, 2, 3]
@@ -97,8 +97,8 @@ def test_resampling_keeps_evidence_and_shares(spread: float) -> None:
     random = np.random.default_rng(1)
     repeats, shares, evidences = 60, np.zeros(4), []
     for _ in range(repeats):
-        proposal = sampled(modes, 200, spread, random)
-        found = resampled(log_weights, proposal, prior, picture.log_likelihood(proposal.poses), random)
+        proposal = draw_samples(modes, 200, spread, random)
+        found = resample(log_weights, proposal, prior, picture.log_likelihood(proposal.poses), random)
         evidences.append(found.log_evidence)
         shares += np.bincount(found.parents, minlength=4) / 4
         np.testing.assert_allclose(found.log_weights, np.log(0.25))
@@ -137,9 +137,9 @@ def test_evidence_of_a_picture_that_is_not_gaussian_is_its_integral() -> None:
     peak = Modes(prior.mean, np.tile(np.diag(prior.precision), (2, 1, 1)))
     random, found = np.random.default_rng(3), []
     for _ in range(40):
-        proposal = sampled(peak, 500, 1.5, random)
+        proposal = draw_samples(peak, 500, 1.5, random)
         density = says(proposal.poses.translations[:, 0])
-        found.append(resampled(log_weights, proposal, prior, density, random).log_evidence)
+        found.append(resample(log_weights, proposal, prior, density, random).log_evidence)
     ratio = np.exp(np.array(found) - wanted)
     assert abs(ratio.mean() - 1) < 5 * ratio.std() / np.sqrt(40) + 2e-3
 
@@ -148,15 +148,15 @@ def test_a_million_nats_more_or_less_change_nothing() -> None:
     prior, picture, log_weights = toy(0)
     modes, _ = picture.modes(prior)
     density = picture.log_likelihood(modes.poses)
-    near, far = (propagated(log_weights, modes, prior, density + shift) for shift in (0.0, -1e6))
+    near, far = (propagate(log_weights, modes, prior, density + shift) for shift in (0.0, -1e6))
     assert far.log_evidence == pytest.approx(near.log_evidence - 1e6)
     np.testing.assert_allclose(far.log_weights, near.log_weights, atol=1e-8)
-    one = propagated(log_weights, modes, prior, density + np.array([-1e6, 0, -1e6, -1e6]))
+    one = propagate(log_weights, modes, prior, density + np.array([-1e6, 0, -1e6, -1e6]))
     np.testing.assert_allclose(np.exp(one.log_weights), [0, 1, 0, 0])
-    proposal = sampled(modes, 5, 1.0, np.random.default_rng(0))
+    proposal = draw_samples(modes, 5, 1.0, np.random.default_rng(0))
     density = picture.log_likelihood(proposal.poses)
     drawn = [
-        resampled(log_weights, proposal, prior, density + shift, np.random.default_rng(1))
+        resample(log_weights, proposal, prior, density + shift, np.random.default_rng(1))
         for shift in (0.0, -1e6)
     ]
     assert drawn[0].parents.tolist() == drawn[1].parents.tolist()

@@ -7,9 +7,9 @@ from rsmcm.chains.face.recovery import (
     TRIED_TURNS,
     DetectedFace,
     UprightView,
-    brought_to,
+    align_to_detections,
     poses_in_boxes,
-    rolls,
+    roll_angles,
 )
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.built_in_model import face_model
@@ -28,7 +28,7 @@ def leaning(roll: float, place: tuple[float, float] = (150.0, 100.0), size: floa
 def test_a_view_is_upright(roll: float) -> None:
     """The pose, as the view has it, is the upright one in a box; and the way back leads to it."""
     pose = leaning(roll)
-    np.testing.assert_allclose(rolls(pose), roll, atol=1e-12)
+    np.testing.assert_allclose(roll_angles(pose), roll, atol=1e-12)
     places = MODEL.project(pose)[0]
     view = UprightView.of(places.mean(axis=0), roll, 1.7, (200, 180))
     seen = places @ view.matrix[:, :2].T + view.matrix[:, 2]
@@ -45,9 +45,9 @@ def test_what_a_view_shows() -> None:
     rows, columns = np.indices((120, 160))
     image = np.where(np.hypot(columns - 100, rows - 40) < 8, 250, 10).astype(np.uint8)
     view = UprightView.of(np.array([90.0, 50.0]), 0.4, 0.7, (80, 70))
-    drawn = view.drawn(image)
-    assert drawn.shape == (70, 80)
-    found = np.argwhere(drawn > 130).mean(axis=0)[::-1]
+    warp = view.warp(image)
+    assert warp.shape == (70, 80)
+    found = np.argwhere(warp > 130).mean(axis=0)[::-1]
     np.testing.assert_allclose(found, view.matrix @ (100, 40, 1), atol=0.5)
 
 
@@ -97,7 +97,7 @@ def test_finds_it_turned_in_the_end(roll: float) -> None:
     finder = DetectedFace(MODEL, upright_faces)
     last = leaning(0.2, (60.0, 60.0), 26.0)
     found = [finder.find(image, last, attempt) for attempt in range(2 * len(TRIED_TURNS))]
-    best = next(each for each in found if len(each) and abs(rolls(each)[0] - roll) < 0.1)
+    best = next(each for each in found if len(each) and abs(roll_angles(each)[0] - roll) < 0.1)
     off = MODEL.project(best)[0] - MODEL.project(pose)[0]
     assert np.linalg.norm(off, axis=1).mean() < 0.15 * pose.sizes[0]
     nothing = np.full_like(image, 128)
@@ -108,8 +108,8 @@ def test_a_pose_is_brought_to_where_it_is_shown() -> None:
     """Its turns out of the picture's plane and its expression stay."""
     last = leaning(0.3).moved(np.array([[0.2, -0.3, 0.0, *np.zeros(3), *np.full(MODEL.n_bases - 1, 4.0)]]))
     shown = leaning(-0.4, (60.0, 70.0), 45.0)
-    there = brought_to(MODEL, last, shown)
-    np.testing.assert_allclose(rolls(there) - rolls(shown), 0, atol=0.05)
+    there = align_to_detections(MODEL, last, shown)
+    np.testing.assert_allclose(roll_angles(there) - roll_angles(shown), 0, atol=0.05)
     np.testing.assert_allclose(there.morphs / there.sizes[0], last.morphs / last.sizes[0])
     np.testing.assert_allclose(there.sizes, shown.sizes)
     np.testing.assert_allclose(MODEL.project(there)[0].mean(axis=0), MODEL.project(shown)[0].mean(axis=0))

@@ -45,7 +45,7 @@ def error(chain: GFlow, scene: FaceScene, state: GFlowState, number: int) -> flo
 
 
 @pytest.mark.parametrize(
-    "settings", [{}, {"surface": "patches"}, {"gain": "learned"}, {"experts": 1, "spread": 0.0}]
+    "settings", [{}, {"surface": "patches"}, {"gain": "learned"}, {"experts": 1, "covariance_scale": 0.0}]
 )
 def test_follows_a_face(
     scene: FaceScene, images: list[NDArray[np.uint8] | None], settings: dict[str, object]
@@ -177,7 +177,7 @@ def test_a_face_that_looks_like_another_is_found_by_a_detector(
     assert all(state.lost for state in found[12:18]), "it is on trial for some pictures"
     assert not any(state.lost for state in found[21:])
     assert found[-1].relocations == 1
-    assert found[-1].remembered is None
+    assert found[-1].previous_texture is None
     seen = other.model.project(found[-1].poses.mean(found[-1].weights))[0]
     assert np.linalg.norm(seen - other.model.project(shifted)[11], axis=1).mean() < 3
 
@@ -198,9 +198,9 @@ def test_a_detector_that_errs_once_is_not_believed(
     save(tmp_path / "state.npz", {"face": cut[14]}, {"face": GFlowState})
     loaded = load(tmp_path / "state.npz", {"face": GFlowState})["face"]
     assert loaded.trust == cut[14].trust
-    assert loaded.remembered is not None
-    assert cut[14].remembered is not None
-    np.testing.assert_array_equal(loaded.remembered.mean, cut[14].remembered.mean)
+    assert loaded.previous_texture is not None
+    assert cut[14].previous_texture is not None
+    np.testing.assert_array_equal(loaded.previous_texture.mean, cut[14].previous_texture.mean)
     assert cut[15].trust.trial == 0
     assert all(state.lost for state in cut[12:18])
     assert not cut[-1].lost
@@ -253,7 +253,7 @@ def test_experts_agree_with_their_summary(scene: FaceScene, images: list[NDArray
     positions = scene.model.positions(state.poses)
     np.testing.assert_allclose(mean, np.average(positions, axis=0, weights=state.weights), atol=1e-9)
     assert (np.linalg.eigvalsh(covariance) > 0).all()
-    drawn = scene.model.positions(_drawn(state, 4000))
+    drawn = scene.model.positions(draw_poses(state, 4000))
     np.testing.assert_allclose(
         covariance, np.stack([np.cov(v.T) for v in drawn.swapaxes(0, 1)]), atol=0.15 * covariance.max()
     )
@@ -263,7 +263,7 @@ def test_experts_agree_with_their_summary(scene: FaceScene, images: list[NDArray
     )
 
 
-def _drawn(state: GFlowState, n: int) -> Poses:
+def draw_poses(state: GFlowState, n: int) -> Poses:
     """Poses from the mixture of what experts believe."""
     random = np.random.default_rng(0)
     expert = random.choice(len(state.weights), n, p=state.weights)
@@ -281,7 +281,8 @@ def test_starts_where_a_function_finds_the_face(
 @pytest.mark.parametrize(
     ("setting", "value"),
     [("experts", 0), ("gain", 1.5), ("gain", "much"), ("temperature", 0.0), ("texels", 0), ("radius", 0.0),
-     ("effective_pixels", 0.0), ("samples", 0), ("spread", -1.0), ("resample_interval", 0.0), ("levels", 4)],
+     ("effective_pixels", 0.0), ("samples", 0), ("covariance_scale", -1.0),
+     ("resample_interval", 0.0), ("levels", 4)],
 )  # fmt: skip
 def test_settings_that_make_no_sense_are_refused(scene: FaceScene, setting: str, value: object) -> None:
     with pytest.raises(ValueError, match=setting):

@@ -20,7 +20,7 @@ from rsmcm.chains.face.background import (
     OccludedBackground,
     SharedBackground,
     first_trust,
-    tones,
+    tone_densities,
     units,
 )
 from rsmcm.chains.face.experts import log_likelihood
@@ -65,7 +65,7 @@ def test_tones_are_a_density_over_grey_values() -> None:
     image = np.tile(np.arange(256, dtype=np.uint8), (4, 1))
     where = np.zeros(image.shape, np.bool_)
     where[:, 100:120] = True
-    found = np.exp(tones(image, where, Box(0, 0, 4, 256))[0].astype(float)) / 256
+    found = np.exp(tone_densities(image, where, Box(0, 0, 4, 256))[0].astype(float)) / 256
     assert found.sum() == pytest.approx(1, abs=0.01)
     assert found[100:120].sum() > 0.6
     assert found[200] == pytest.approx(0.2 / 256, rel=0.01)
@@ -244,7 +244,7 @@ def test_what_the_face_hid_at_first_is_learned_when_it_leaves() -> None:
     off = np.abs(belief[background].picture().astype(float) - scene._room)[left]
     assert left.sum() > 300
     assert np.median(off) < 6
-    known = belief[chain].known
+    known = belief[chain].background_trust
     assert known is not None
     assert np.median(known[left]) > 0.5
 

@@ -25,8 +25,8 @@ class Case(NamedTuple):
     poses: Poses
     prior: Poses
     precision: Array
-    belief: newton.Belief
-    climb: newton.Climb
+    belief: newton.Objective
+    climb: newton.SearchState
 
 
 def case(seed: int) -> Case:
@@ -36,14 +36,14 @@ def case(seed: int) -> Case:
     roots = random.normal(size=(N, D, 2 * D))
     rows = np.zeros((N, 7, 2, 16), np.float32)
     rows[..., :D] = random.normal(size=(N, 7, 2, D))
-    belief = newton.Belief(
+    belief = newton.Objective(
         random.uniform(1, 2, N),
         random.normal(size=(N, D)),
         roots @ np.swapaxes(roots, 1, 2),
         np.ones(N, bool),
         rows,
     )
-    climb = newton.Climb(
+    climb = newton.SearchState(
         parts(poses),
         np.full(N, np.inf),
         np.zeros((N, D)),
@@ -54,7 +54,7 @@ def case(seed: int) -> Case:
     return Case(poses, prior, random.uniform(0.5, 2, D), belief, climb)
 
 
-def advanced(one: Case, pace: newton.Pace) -> tuple[NDArray[np.int64], Poses]:
+def advanced(one: Case, pace: newton.StepLimits) -> tuple[NDArray[np.int64], Poses]:
     going, following = np.empty(N, np.int64), parts(one.poses)
     n = newton.advance(
         np.arange(N),
@@ -73,7 +73,7 @@ def advanced(one: Case, pace: newton.Pace) -> tuple[NDArray[np.int64], Poses]:
 @pytest.mark.parametrize("seed", range(3))
 def test_the_first_look_is_taken_and_the_step_is_levenbergs(seed: int) -> None:
     one = case(seed)
-    going, following = advanced(one, newton.Pace(1e9, 0.0, first=True))
+    going, following = advanced(one, newton.StepLimits(1e9, 0.0, first=True))
     change = one.poses.changes_from(one.prior)
     energy = one.belief.energy + 0.5 * (change**2 * one.precision).sum(axis=1)
     gradient = one.belief.gradient + change * one.precision
@@ -91,28 +91,28 @@ def test_the_first_look_is_taken_and_the_step_is_levenbergs(seed: int) -> None:
 
 def test_steps_are_capped_and_end_where_they_are_short() -> None:
     one = case(3)
-    _, far = advanced(one, newton.Pace(1e9, 0.0, first=True))
+    _, far = advanced(one, newton.StepLimits(1e9, 0.0, first=True))
     step = far.changes_from(one.poses)
     moves = np.einsum("nvad,nd->nva", one.belief.rows[..., :D], step)
     longest = np.sqrt((moves**2).sum(axis=2).max(axis=1))
     bound = float(np.sort(longest)[2] * 1.001)
-    _, capped = advanced(one, newton.Pace(bound, 0.0, first=True))
+    _, capped = advanced(one, newton.StepLimits(bound, 0.0, first=True))
     share = np.minimum(1, bound / longest)
     np.testing.assert_allclose(capped.changes_from(one.poses), share[:, None] * step, atol=1e-5)
-    going, _ = advanced(one, newton.Pace(1e9, bound, first=True))
+    going, _ = advanced(one, newton.StepLimits(1e9, bound, first=True))
     np.testing.assert_array_equal(going, np.flatnonzero(longest > bound))
 
 
 def test_only_better_poses_are_taken() -> None:
     one = case(4)
-    advanced(one, newton.Pace(1e9, 0.0, first=True))
+    advanced(one, newton.StepLimits(1e9, 0.0, first=True))
     one.climb.damping[:] = 0.1
     before = one.climb.poses.translations.copy()
     one.climb.energy[:2] -= 1.0  # where they are is better than what is tried
     one.climb.energy[2:] += 1.0
     moved = one._replace(poses=Poses(one.poses.rotations, one.poses.translations + 0.01, one.poses.morphs))
     moved.belief.energy[:] -= 0.5
-    advanced(moved, newton.Pace(1e9, 0.0, first=False))
+    advanced(moved, newton.StepLimits(1e9, 0.0, first=False))
     np.testing.assert_allclose(one.climb.damping, [1.0, 1.0, 0.03, 0.03, 0.03])
     np.testing.assert_array_equal(one.climb.poses.translations[:2], before[:2])
     np.testing.assert_array_equal(one.climb.poses.translations[2:], before[2:] + 0.01)
@@ -120,8 +120,8 @@ def test_only_better_poses_are_taken() -> None:
 
 def test_a_pose_of_which_nothing_faces_the_viewer_is_never_better() -> None:
     one = case(5)
-    advanced(one, newton.Pace(1e9, 0.0, first=True))
+    advanced(one, newton.StepLimits(1e9, 0.0, first=True))
     before = one.climb.energy.copy()
     hidden = one._replace(belief=one.belief._replace(energy=one.belief.energy - 10, seen=np.zeros(N, bool)))
-    advanced(hidden, newton.Pace(1e9, 0.0, first=False))
+    advanced(hidden, newton.StepLimits(1e9, 0.0, first=False))
     np.testing.assert_array_equal(one.climb.energy, before)

@@ -1,7 +1,7 @@
 """Experts begin their search apart, some of them straight ahead."""
 
 import numpy as np
-from rsmcm.chains.face.recovery import ASIDE, FARTHEST_AHEAD, STRAIGHT, apart
+from rsmcm.chains.face.recovery import ASIDE, FARTHEST_AHEAD, STRAIGHT, disperse
 from rsmcm.models.face.morphable_model import Poses
 
 N, BASES = 4000, 3
@@ -12,7 +12,7 @@ def test_shares_of_the_motion_and_steps_aside() -> None:
     motion = np.zeros((N, poses.dimension))
     motion[:, 3] = 10.0
     walk = np.array([0.01, 0.02, 0.01, 4.0, 9.0, 1.0, 2.0, 3.0])
-    changes = apart(poses, motion, walk, np.random.default_rng(0)).changes_from(poses)
+    changes = disperse(poses, motion, walk, np.random.default_rng(0)).changes_from(poses)
     straight = np.abs(np.delete(changes, 3, axis=1)).max(axis=1) < 1e-12
     bar = 5 / np.sqrt(N)
     assert abs(straight.mean() - STRAIGHT) < bar
@@ -27,5 +27,5 @@ def test_shares_of_the_motion_and_steps_aside() -> None:
 def test_the_same_draws_the_same() -> None:
     poses = Poses.upright(np.zeros((5, 2)), np.full(5, 40.0), BASES)
     motion, walk = np.ones((5, poses.dimension)), np.ones(poses.dimension)
-    first, second = (apart(poses, motion, walk, np.random.default_rng(1)).morphs for _ in range(2))
+    first, second = (disperse(poses, motion, walk, np.random.default_rng(1)).morphs for _ in range(2))
     np.testing.assert_array_equal(first, second)
