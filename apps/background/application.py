@@ -127,7 +127,7 @@ def found_in(belief: Belief, size: tuple[int, int], region: NDArray[np.uint8] | 
     if pixels.view is None:
         return Found(foreground, tracks)
     view = pixels.view.map
-    return Found(view.in_frame(foreground), [track.seen_by(view) for track in tracks])
+    return Found(view.warp_to_frame(foreground), [track.seen_by(view) for track in tracks])
 
 
 def run_background(job: BackgroundJob) -> Outcome:

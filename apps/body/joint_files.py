@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...chains.body.start import ClickedJoints
 from ...models.body.upper_body import JOINTS
 from ...models.files import LAST_FRAME, MOST_SETTINGS, read_text
-from ..io.point_files import FARTHEST
+from ..io.point_files import MAX_COORDINATE
 
 Array = NDArray[np.float64]
 
@@ -66,8 +66,8 @@ def _take(clicked: dict[int, Array], cells: list[str]) -> None:
         place = float(x), float(y)
     except ValueError:
         raise ValueError(f"got the place {x[:60]!r}, {y[:60]!r}, expected numbers of px") from None
-    if not (np.abs(place) <= FARTHEST).all():
-        raise ValueError(f"got the place {x[:60]}, {y[:60]}, expected finite px up to {FARTHEST:g}")
+    if not (np.abs(place) <= MAX_COORDINATE).all():
+        raise ValueError(f"got the place {x[:60]}, {y[:60]}, expected finite px up to {MAX_COORDINATE:g}")
     places = clicked.setdefault(int(frame), np.full((len(JOINTS), 2), np.nan))
     if not np.isnan(places[JOINTS.index(joint), 0]):
         raise ValueError(f"got {joint} of frame {frame} a second time, expected it once")

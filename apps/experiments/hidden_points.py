@@ -130,7 +130,7 @@ def tracked(frames: Sequence[Frame], feedback: bool) -> Numbers:
     model = MultiChain().connect(PointTracker(), points)
     model.connect(RecursiveStructure(), points, feedback=feedback)
     views = [belief.evidence(points).view for belief in RecursiveBP(model).run(frames)]
-    found = [view.found for view in views if view is not None]
+    found = [view.points for view in views if view is not None]
     places = np.full((len(frames), 1 + max(each.identities.max(initial=0) for each in found), 2), np.nan)
     for time, each in enumerate(found):
         places[time, each.identities] = each.positions
@@ -143,7 +143,7 @@ def compared(places: Numbers, truth: Numbers, hidden: Mask) -> Refound:
     Until the bar comes both runs are the same, and so are the numbers of points. A point is hidden where its
     centre is, and clear where nothing of its patch is.
     """
-    half = PointTracks().patch // 2
+    half = PointTracks().patch_size // 2
     again, wrong, false = [], [], []
     for point in np.flatnonzero(~np.isnan(truth[ENTER - 1, :, 0])).tolist():
         behind, clear = np.zeros((2, len(truth)), np.bool_)

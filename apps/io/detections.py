@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...models.core.frame import Frame, GivenBoxes
 from ...models.core.short_repr import short_repr
 from ..options.complaints import meant
-from .point_files import FARTHEST
+from .point_files import MAX_COORDINATE
 from .sources.open_source import Source
 from .tables import Column, Pictures, Row, csv_rows, first_line, image_id, json_rows, read_json, rows_of_frame
 from .tracks import mot_rows
@@ -284,8 +284,8 @@ def _table(
         left, top, right, bottom = edges
         if not (right > left and bottom > top):
             raise row.wrong(f"a box of {right - left:g} x {bottom - top:g} px", "a width and height above 0")
-        if not (min(left, top) >= -FARTHEST and max(right, bottom) <= FARTHEST):
-            raise row.wrong(f"a box at {left:g}, {top:g}", f"px up to {FARTHEST:g}")
+        if not (min(left, top) >= -MAX_COORDINATE and max(right, bottom) <= MAX_COORDINATE):
+            raise row.wrong(f"a box at {left:g}, {top:g}", f"px up to {MAX_COORDINATE:g}")
         if score is not None and not abs(score) < np.inf:
             raise row.wrong(f"a score of {score:g}", "a finite one")
         unit = row.unit

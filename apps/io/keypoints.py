@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...models.core.frame import COCO, KEYPOINTS, KNOWN, POINTS, SKELETONS, Frame, GivenKeypoints
 from ...models.core.short_repr import short_repr
 from .detections import check_not_live, last_frame, with_found
-from .point_files import FARTHEST
+from .point_files import MAX_COORDINATE
 from .sources.open_source import Source
 from .tables import Column, Pictures, Row, csv_rows, digest, first_line, json_rows, read_json, rows_of_frame
 
@@ -262,8 +262,8 @@ def _triples(row: Row, values: object, n_points: int) -> list[tuple[float, float
 
 def _write(row: Row, points: Array, name: str, x: float, y: float, score: float) -> None:
     """Write a point of a person into its `points`, if it is one of `POINTS`."""
-    if not (abs(x) <= FARTHEST and abs(y) <= FARTHEST):
-        raise row.wrong(f"{name} at {x:g}, {y:g}", f"px up to {FARTHEST:g}")
+    if not (abs(x) <= MAX_COORDINATE and abs(y) <= MAX_COORDINATE):
+        raise row.wrong(f"{name} at {x:g}, {y:g}", f"px up to {MAX_COORDINATE:g}")
     if not abs(score) < np.inf:
         raise row.wrong(f"a score of {score:g}", "a finite one")
     if name in POINTS:

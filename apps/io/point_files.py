@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.array_files import SINGLE, Arrays, read_arrays
-from ...models.points.point_tracks import FARTHEST, check_points, frames_of_tracks
+from ...models.points.point_tracks import MAX_COORDINATE, check_points, frames_of_tracks
 from .sources.open_source import Selection
 
-__all__ = ["FARTHEST", "frames_of_tracks", "read_points", "read_shapes"]
+__all__ = ["MAX_COORDINATE", "frames_of_tracks", "read_points", "read_shapes"]
 
 KEY = "tracks"
 EXPECTED = "expected (n_frames, n_points, 2) px, NaN where missing"
@@ -96,7 +96,7 @@ def read_points(path: str | Path, *, half: bool = False) -> NDArray[np.float64]:
             raise _wrong(path, key, array, EXPECTED)
         points = _as_floats(array)
         points = points.reshape(-1, *points.shape[-2:])
-    check_points(str(path), points, half=half)
+    check_points(str(path), points, allow_single=half)
     return points
 
 
@@ -220,7 +220,7 @@ def read_track_file(
     ValueError
         naming what came and what was expected, if it is no such file, or the selection lies beyond its end.
     """
-    tracks = read_points(path, half=half)
+    tracks = read_points(path, allow_single=half)
     numbers = selection.numbers(len(tracks))
     if not numbers:
         raise ValueError(f"start: got {selection.start}, but {path} has only {len(tracks)} frames")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...models.core.frame import BoundingBox
 from ...models.files import LAST_FRAME
 from .files import LineWriter
-from .point_files import FARTHEST
+from .point_files import MAX_COORDINATE
 from .tables import Row, is_frame, lines_of
 
 TABLE = "tracks.csv"
@@ -199,8 +199,8 @@ def check_box(row: Row, name: str, frame: float, identity: float, box: Sequence[
         raise row.wrong(
             f"frame {frame:g}, {name} {identity:g}", f"whole numbers, frames from 1 to {LAST_FRAME}"
         )
-    if min(width, height) < 0 or max(map(abs, box)) > FARTHEST:
+    if min(width, height) < 0 or max(map(abs, box)) > MAX_COORDINATE:
         raise row.wrong(
             f"a box of {width:g} x {height:g} pixels at {left:g}, {top:g}",
-            f"a size that is not negative and px up to {FARTHEST:g}",
+            f"a size that is not negative and px up to {MAX_COORDINATE:g}",
         )

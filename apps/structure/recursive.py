@@ -12,7 +12,7 @@ from ...chains.reconstruction import Numbers, Reconstruction, recursive_reconstr
 from ...chains.structure.recursive_structure import RecursiveStructure, Structure
 from ...inference import Belief, MultiChain
 from ...models.core.frame import Frame
-from ...models.points.point_tracks import NOWHERE, PointTracks
+from ...models.points.point_tracks import NO_POINTS, PointTracks
 from ..io.row_log import RowLog
 from ..io.sources.open_source import Source
 from ..runs.loop import Application, Columns, Engine, Start
@@ -51,11 +51,11 @@ class RecursiveRun(Application[StructureJob]):
 
     def columns(self, belief: Belief) -> Columns:
         """The camera, and where the frame shows which points; NaN as long as there is no shape."""
-        frame, structure, seen = belief.frame, self._structure(belief.states), NOWHERE
+        frame, structure, seen = belief.frame, self._structure(belief.states), NO_POINTS
         if belief.states:
             view = belief[self._tracker].view
             if view is not None and view.time == frame.time:
-                seen = view.found
+                seen = view.points
         camera, covariance = np.full((2, 4), np.nan), np.full((4, 4), np.nan)
         if structure is not None:
             camera, covariance = structure.motion.camera, structure.motion.camera_covariance

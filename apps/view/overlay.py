@@ -30,7 +30,7 @@ Row = Mapping[str, NDArray[Any]]
 AHEAD = 8  # frames that wait to be drawn while a run saves its state
 LONGEST_SIDE = 4096  # px: H.264 takes four times as many
 FRACTION_BITS = 4  # of coordinates in OpenCV's drawing
-FARTHEST = 20_000.0  # px; coordinates beyond would overflow there
+MAX_COORDINATE = 20_000.0  # px; coordinates beyond would overflow there
 
 EDGE: Colour = (20, 20, 20)
 
@@ -97,7 +97,7 @@ def _unit(canvas: Canvas) -> float:
 
 def _fixed(points: Array) -> NDArray[np.int32]:
     """Coordinates as OpenCV takes them below whole pixels."""
-    near = np.clip(np.nan_to_num(points), -FARTHEST, FARTHEST)
+    near = np.clip(np.nan_to_num(points), -MAX_COORDINATE, MAX_COORDINATE)
     return np.rint(near * (1 << FRACTION_BITS)).astype(np.int32)
 
 
@@ -400,7 +400,7 @@ class BodyOverlay:
 
 def _on_canvas(places: Array, scale: int) -> Array:
     """Places of the frame, px, on its enlarged copy; far ones are brought near enough to be drawn."""
-    return np.clip(np.nan_to_num((places + 0.5) * scale - 0.5), -FARTHEST, FARTHEST)
+    return np.clip(np.nan_to_num((places + 0.5) * scale - 0.5), -MAX_COORDINATE, MAX_COORDINATE)
 
 
 def _draw_skeleton(canvas: Canvas, joints: Array, colour: Colour | None, thickness: int) -> None:
@@ -418,7 +418,7 @@ def _draw_dashed(canvas: Canvas, joints: Array, unit: float) -> None:
             continue
         pale = tuple((each + 255) // 2 for each in colour)
         for start, end in pairwise(joints[list(chain)]):
-            length = min(float(np.hypot(*(end - start))), FARTHEST)
+            length = min(float(np.hypot(*(end - start))), MAX_COORDINATE)
             edges = np.arange(0.0, 1.0, 2 * DASH * unit / max(length, 1.0))
             dashes = np.stack([edges, np.minimum(edges + DASH * unit / max(length, 1.0), 1.0)], axis=1)
             lines = _fixed(start + dashes[..., None] * (end - start))
@@ -442,7 +442,7 @@ def _draw_translucent(canvas: Canvas, joints: Array, unit: float) -> None:
 def _draw_region(canvas: Canvas, place: Array, covariance: Array, colour: Colour) -> None:
     """Draw the ellipse that holds 90 % of a Gaussian."""
     values, vectors = np.linalg.eigh(np.nan_to_num(covariance))
-    axes = np.minimum(np.sqrt(REGION_90 * np.maximum(values, 0)), FARTHEST)
+    axes = np.minimum(np.sqrt(REGION_90 * np.maximum(values, 0)), MAX_COORDINATE)
     turn = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
     (x, y), (minor, major) = (_fixed(each).tolist() for each in (place, axes))
     for ink, thickness in ((INK, 2), (colour, 1)):

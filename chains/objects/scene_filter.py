@@ -205,7 +205,7 @@ class SceneFilter:
         blank = Frame(np.zeros(empty.shape, np.uint8), time, 1)
         states: dict[str, Any] = {name: chain.initial(blank) for name, chain in self.model.chains.items()}
         name = self._background() or ""
-        states[name] = self.model.chains[name].in_scene(states[name], empty)
+        states[name] = self.model.chains[name].warp_to_scene(states[name], empty)
         return RunState(states, 0, math.nextafter(time, -math.inf), empty.shape)
 
 

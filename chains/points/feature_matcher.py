@@ -159,7 +159,7 @@ def match_features(one: Features, other: Features) -> tuple[Indices, Numbers]:
     Gives pairs `(m, 2)`, of `one` and of `other`, and their doubt `(m,)`: the larger of both ratios of the
     nearest to the second nearest distance, below `RATIO`.
     """
-    return _mutual(_likeness(one, other))
+    return _mutual_matches(_likeness(one, other))
 
 
 def match_along_lines(
@@ -185,7 +185,7 @@ def match_along_lines(
         reach = SPREADS * np.sqrt(motion.var(axis=1).sum(axis=1)) + 2 * tolerance
         keep_near(rows, lines, middle, reach, there.positions, tolerance)
     likeness[likeness < LEAST_LIKENESS] = 0
-    return _mutual(likeness)
+    return _mutual_matches(likeness)
 
 
 def _likeness(one: Features, other: Features) -> NDArray[np.float32]:
@@ -197,7 +197,7 @@ def _likeness(one: Features, other: Features) -> NDArray[np.float32]:
     return likeness
 
 
-def _mutual(likeness: NDArray[np.float32]) -> tuple[Indices, Numbers]:
+def _mutual_matches(likeness: NDArray[np.float32]) -> tuple[Indices, Numbers]:
     """Pairs and their doubt; see `match_features`."""
     if min(likeness.shape) < 2:
         return np.zeros((0, 2), np.int64), np.zeros(0)
@@ -251,7 +251,7 @@ class FilmMatches:
 
         def tried_together(one: int, other: int) -> bool:
             tried.add((one, other))
-            matches, doubt = _verified(pictures[one], pictures[other])
+            matches, doubt = _verify_matches(pictures[one], pictures[other])
             if not len(matches):
                 return False
             pairs.append(matches + edges[[one, other]])
@@ -262,13 +262,13 @@ class FilmMatches:
             for step in STEPS:
                 if one + step >= len(pictures) or not tried_together(one, one + step):
                     break
-        for one, other in _alike(pictures, tried):
+        for one, other in _similar_pictures(pictures, tried):
             tried_together(one, other)
         frame = np.repeat(np.arange(len(pictures)), np.diff(edges))
         if not pairs:
             return cls(frame, np.zeros((0, 2), np.int64), np.zeros(0))
         every, doubt = np.concatenate(pairs), np.concatenate(doubts)
-        sure = _confirmed(every, len(frame))
+        sure = _confirmed_by_third(every, len(frame))
         return cls(frame, every[sure], doubt[sure])
 
     def tracks(self, most: int) -> tuple[Indices, Indices]:
@@ -290,7 +290,7 @@ class FilmMatches:
         return features, names[track]
 
 
-def _confirmed(pairs: Indices, n_features: int) -> Mask:
+def _confirmed_by_third(pairs: Indices, n_features: int) -> Mask:
     """Which matches a third picture confirms: both features match the same one there."""
     ones = np.ones(2 * len(pairs), np.int32)
     rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
@@ -310,7 +310,7 @@ def _longest(track: Indices, frame: Indices, most: int) -> Mask:
     return kept
 
 
-def _verified(one: Features, other: Features) -> tuple[Indices, Numbers]:
+def _verify_matches(one: Features, other: Features) -> tuple[Indices, Numbers]:
     """Matches of two pictures that obey one epipolar geometry, if there are enough."""
     pairs, doubt = match_features(one, other)
     if len(pairs) >= LEAST_MATCHES:
@@ -325,7 +325,7 @@ def _verified(one: Features, other: Features) -> tuple[Indices, Numbers]:
     return pairs[:0], doubt[:0]
 
 
-def _alike(pictures: Sequence[Features], tried: set[tuple[int, int]]) -> list[tuple[int, int]]:
+def _similar_pictures(pictures: Sequence[Features], tried: set[tuple[int, int]]) -> list[tuple[int, int]]:
     """Pairs of pictures, the earlier first, that have much in common and were not tried yet."""
     every = np.concatenate([each.descriptors for each in pictures])
     if not len(every):
@@ -363,7 +363,7 @@ one in 3000 is."""
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class Sightings(Rows):
+class Observations(Rows):
     """In which pictures points are seen, and where: px and px^2 of each of `k` sightings."""
 
     frame: Indices
@@ -378,11 +378,11 @@ class FeatureTracks:
     """Points, and where pictures show them."""
 
     identities: Indices  # (n,), increasing
-    matched: Sightings  # features that were matched, whatever others say of them
+    matched: Observations  # features that were matched, whatever others say of them
     patches: NDArray[np.float32]  # (k, side, side): what the picture shows about each of these
     together: Mask  # (n_frames, n_frames): pictures of which features were matched
     areas: Numbers  # (n_frames,) px^2 of the pictures, 1 where there is none
-    seen: Sightings  # matches that others do not contradict, and what was found where others expect points
+    seen: Observations  # matches that others do not contradict, and what was found where others expect points
 
     @classmethod
     def of(
@@ -394,7 +394,7 @@ class FeatureTracks:
         together = np.zeros((len(pictures), len(pictures)), np.bool_)
         together[tuple(matches.frame[matches.pairs].T)] = True
         deviations = np.concatenate([each.deviations for each in pictures])[features]
-        matched = Sightings(
+        matched = Observations(
             matches.frame[features],
             point,
             np.concatenate([each.positions for each in pictures])[features],
@@ -423,7 +423,7 @@ class FeatureTracks:
             messages.append(PointMessage(replace(positions, log_scale=positions.log_scale + np.log(area))))
         return messages
 
-    def searched_again(self, incoming_over_time: Sequence[BatchIncoming]) -> "FeatureTracks":
+    def search_again(self, incoming_over_time: Sequence[BatchIncoming]) -> "FeatureTracks":
         """With what pictures show where others say that points are."""
         stays = np.ones(len(self.matched.frame), np.bool_)
         more = []
@@ -435,7 +435,7 @@ class FeatureTracks:
             identities, mean, covariance = expected.only(known).moments
             point = np.searchsorted(self.identities, identities)
             here = np.flatnonzero(self.matched.frame == frame)
-            stays[here] = self._plausible(here, point, mean, covariance)
+            stays[here] = self._is_plausible(here, point, mean, covariance)
             absent = np.isin(point, self.matched.point[here[stays[here]]], invert=True)
             nearest = self._nearest(frame, point)
             absent &= nearest >= 0
@@ -444,10 +444,10 @@ class FeatureTracks:
             found = incoming.search(PointTracks, PointMessage(positions, patches)).positions
             names, places, spreads = found.moments
             points = np.searchsorted(self.identities, names)
-            more.append(Sightings(np.full(len(names), frame), points, places, spreads))
+            more.append(Observations(np.full(len(names), frame), points, places, spreads))
         return replace(self, seen=self.matched.only(stays).joined(more))
 
-    def _plausible(self, here: Indices, point: Indices, mean: Numbers, covariance: Numbers) -> Mask:
+    def _is_plausible(self, here: Indices, point: Indices, mean: Numbers, covariance: Numbers) -> Mask:
         """`(k,)`: which of the matches `here` may be what others say of the points `(n,)`."""
         place = np.minimum(np.searchsorted(point, self.matched.point[here]), len(point) - 1)
         off = self.matched.positions[here] - mean[place]
@@ -496,9 +496,9 @@ class FeatureMatcher:
         searched for wherever others expect them. Frames with points that are given have no others.
         """
         if current is None:
-            tracks = self._matched(incoming_over_time)
+            tracks = self._match_pictures(incoming_over_time)
         else:
-            tracks = current.searched_again(incoming_over_time)
+            tracks = current.search_again(incoming_over_time)
         node = incoming_over_time[0].node(PointTracks)
         return Smoothed(tracks, {node: tracks.evidence()} if len(tracks.identities) else {})
 
@@ -511,12 +511,12 @@ class FeatureMatcher:
         """Nothing: where a point is in one picture says nothing of where it is in another."""
         return [PointMessage.uniform()] * len(trajectory.areas)
 
-    def _matched(self, incoming_over_time: Sequence[BatchIncoming]) -> FeatureTracks:
+    def _match_pictures(self, incoming_over_time: Sequence[BatchIncoming]) -> FeatureTracks:
         pictures: list[Features] = []
         patches: list[NDArray[np.float32]] = []
         areas = np.ones(len(incoming_over_time))
         for time, incoming in enumerate(incoming_over_time):
-            frame, side = incoming.frame, cast(PointTracks, incoming.node(PointTracks)).patch
+            frame, side = incoming.frame, cast(PointTracks, incoming.node(PointTracks)).patch_size
             if frame.image is None or frame.points is not None:
                 pictures.append(Features.none())
                 patches.append(np.zeros((0, side, side), np.float32))

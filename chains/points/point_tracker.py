@@ -28,7 +28,7 @@ from ...models.core.bounds import POSITIVE, check_bounds
 from ...models.core.frame import Frame, GivenPoints
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.short_repr import Rows, short_repr
-from ...models.points.patches import Patches, find_corners, ncc, with_light_of
+from ...models.points.patches import Patches, find_corners, match_light, ncc
 from ...models.points.point_tracks import PointMessage, PointTracks, View
 from .trajectory import (
     MEDIAN,
@@ -47,7 +47,7 @@ Pixels = NDArray[np.float32]
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class KnownPoints(Rows):
+class PointTable(Rows):
     """Points by identity."""
 
     identities: Identities  # (n,), increasing
@@ -59,19 +59,19 @@ class KnownPoints(Rows):
     patches: Pixels  # (n, side, side): what it is taken to look like now
 
     @classmethod
-    def none(cls) -> "KnownPoints":
+    def none(cls) -> "PointTable":
         """No points."""
         nothing = np.zeros((0, 0, 0), np.float32)
         return cls.new(np.zeros(0, np.int64), PointStates.at_rest([], 1.0, 1.0), nothing)
 
     @classmethod
-    def new(cls, identities: Identities, states: PointStates, patches: Pixels) -> "KnownPoints":
+    def new(cls, identities: Identities, states: PointStates, patches: Pixels) -> "PointTable":
         """Points that have just been seen, `identities` in order."""
         alive, unseen = np.ones(len(identities), np.bool_), np.zeros(len(identities))
         return cls(identities, states.mean, states.covariance, alive, unseen, patches, patches)
 
     @classmethod
-    def lost(cls, identities: Identities, patches: Pixels) -> "KnownPoints":
+    def lost(cls, identities: Identities, patches: Pixels) -> "PointTable":
         """Points of which only the patches are known."""
         mean, covariance = np.zeros((len(identities), STATE)), np.tile(np.eye(STATE), (len(identities), 1, 1))
         alive, unseen = np.zeros(len(identities), np.bool_), np.full(len(identities), np.inf)
@@ -85,7 +85,7 @@ class KnownPoints(Rows):
     def __len__(self) -> int:
         return len(self.identities)
 
-    def with_more(self, others: "KnownPoints") -> "KnownPoints":
+    def merged(self, others: "PointTable") -> "PointTable":
         """These and others, of other identities."""
         if not len(others) or not len(self):
             return self if len(self) else others
@@ -96,7 +96,7 @@ class KnownPoints(Rows):
         """`(m,)`: where points of these identities are, which must be known."""
         return np.searchsorted(self.identities, identities)
 
-    def without_oldest(self, most: int) -> "KnownPoints":
+    def without_oldest(self, most: int) -> "PointTable":
         """As they are, but of those that are not alive only the `most` that were seen last."""
         lost = np.flatnonzero(~self.alive)
         if len(lost) <= most:
@@ -106,7 +106,7 @@ class KnownPoints(Rows):
         kept[lost[np.lexsort((-self.identities[lost], self.unseen[lost]))[:most]]] = True
         return self.only(kept)
 
-    def with_states(self, places: NDArray[np.intp], states: PointStates) -> "KnownPoints":
+    def with_states(self, places: NDArray[np.intp], states: PointStates) -> "PointTable":
         """As they are, but with other states at some places, alive and just seen."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
         alive, unseen = self.alive.copy(), self.unseen.copy()
@@ -118,10 +118,10 @@ class KnownPoints(Rows):
 LEAST_ACCELERATION = 450.0
 """px^2/s^3, to which learning goes down where there is a picture: any camera may be touched."""
 
-FIRST_SPEED = 100.0
+INITIAL_VELOCITY_STD = 100.0
 """px/s, standard deviation of the velocity of a point that is new, where there is a picture."""
 
-GIVEN_ACCELERATION, GIVEN_SPEED, GIVEN_LIMIT = 3.0, 10.0, 10.0
+GIVEN_ACCELERATION, GIVEN_VELOCITY_STD, GIVEN_LIMIT = 3.0, 10.0, 10.0
 """What is taken for given points, whose unit is not known. The first acceleration: noise by which a point
 leaves its way in 40 ms. The first speed: extents of the whole that a point crosses in a second. The limit:
 noise."""
@@ -135,7 +135,7 @@ ADAPTATION_TIME, MOST_SURPRISE = 0.18, 3.0
 finds say."""
 
 SAME_PLACE = 1.5  # px: points that are found nearer to each other are on one spot
-NEW_DEVIATION = 0.3  # px, standard deviation of a new point's position: it is its patch that says where it is
+NEW_POINT_STD = 0.3  # px, standard deviation of a new point's position: it is its patch that says where it is
 PATCH_TIME = 0.38  # s in which a patch follows what finds of it look like, to 1/e
 
 LIKE_FIRST, LIKE_EXPECTED = 0.7, 0.95
@@ -148,15 +148,15 @@ from which on there is nothing to learn."""
 class TrackerState:
     """Points, and the picture that they were found in last."""
 
-    known: KnownPoints  # points that are followed, or were lost lately
+    known: PointTable  # points that are followed, or were lost lately
     next_identity: int  # number of the next new point: none is used twice
     acceleration: float  # px^2/s^3, spectral density of the white acceleration along each coordinate
-    limit: float  # px, standard deviation of a position from which a point is lost
-    rested: float  # s since corners were sought
+    max_position_std: float  # px, standard deviation of a position from which a point is lost
+    since_corner_search: float  # s since corners were sought
     view: View | None  # the last picture, or points given for it, and what was found there
 
 
-def message_of(state: TrackerState) -> PointMessage:
+def predict_message(state: TrackerState) -> PointMessage:
     """Where points should be, what they look like (also those that were lost), and the picture before."""
     known = state.known
     followed = known.only(known.alive)
@@ -166,58 +166,58 @@ def message_of(state: TrackerState) -> PointMessage:
     return PointMessage(positions, Patches(known.identities, known.patches), state.view)
 
 
-def predicted(state: TrackerState, dt: float) -> TrackerState:
+def predict_state(state: TrackerState, dt: float) -> TrackerState:
     """Points move on at their velocities for `dt` s."""
     known = state.known
     states = kalman.predict(known.states, dt, state.acceleration)
     known = replace(known, mean=states.mean, covariance=states.covariance, unseen=known.unseen + dt)
-    return replace(state, known=known, rested=state.rested + dt)
+    return replace(state, known=known, since_corner_search=state.since_corner_search + dt)
 
 
-def updated(state: TrackerState, message: PointMessage, *, learns: bool) -> TrackerState:
+def update_state(state: TrackerState, message: PointMessage, *, learns: bool) -> TrackerState:
     """Points after evidence times the messages of others: those found again, and without those that are lost.
 
     `learns`: whether the acceleration is learned.
     """
     view = message.view
     elapsed = 0.0 if view is None or state.view is None else view.time - state.view.time
-    state = _measured(state, message, elapsed, learns=learns)
-    state = _without_ended(replace(state, view=view or state.view))
-    return state if view is None or view.grey is None else _with_patches(state, view, elapsed)
+    state = _with_measurements(state, message, elapsed, learns=learns)
+    state = _end_points(replace(state, view=view or state.view))
+    return state if view is None or view.grey is None else _update_patches(state, view, elapsed)
 
 
-def with_given(state: TrackerState, message: PointMessage) -> TrackerState:
+def add_given_points(state: TrackerState, message: PointMessage) -> TrackerState:
     """With points that are given for the first time, under their own identities."""
     view = message.view
     if view is None:
         return state
-    new = np.isin(message.positions.identities, view.found.identities)
+    new = np.isin(message.positions.identities, view.points.identities)
     new &= ~np.isin(message.positions.identities, state.known.identities)
     identities, mean, covariance = message.positions.only(new).moments
     states = initial_states(state, view, mean, covariance)
-    patches = np.zeros((len(identities), view.patch, view.patch), np.float32)
+    patches = np.zeros((len(identities), view.patch_size, view.patch_size), np.float32)
     largest = int(identities.max(initial=state.next_identity - 1))
-    known = state.known.with_more(KnownPoints.new(identities, states, patches))
+    known = state.known.merged(PointTable.new(identities, states, patches))
     return replace(state, known=known, next_identity=largest + 1)
 
 
-def replenished(state: TrackerState, n_points: int, spacing: float) -> TrackerState:
+def replenish(state: TrackerState, n_points: int, spacing: float) -> TrackerState:
     """With new points where the picture has corners, `spacing` px from all that are followed."""
     known, view = state.known, state.view
     missing = n_points - int(known.alive.sum())
-    if missing < max(1, REFILL * n_points) or state.rested < CORNER_INTERVAL:
+    if missing < max(1, REFILL * n_points) or state.since_corner_search < CORNER_INTERVAL:
         return state
     if view is None or view.grey is None:
         return state
-    corners = find_corners(view.grey, missing, known.states.position[known.alive], spacing, view.patch)
+    corners = find_corners(view.grey, missing, known.states.position[known.alive], spacing, view.patch_size)
     identities = state.next_identity + np.arange(len(corners))
-    states = initial_states(state, view, corners, NEW_DEVIATION**2 * np.eye(2))
+    states = initial_states(state, view, corners, NEW_POINT_STD**2 * np.eye(2))
     return replace(
         state,
-        known=known.with_more(KnownPoints.new(identities, states, view.patches_at(corners))),
+        known=known.merged(PointTable.new(identities, states, view.patches_at(corners))),
         next_identity=state.next_identity + len(corners),
-        rested=0.0,
-        view=replace(view, found=view.found.joined([GivenPoints(corners, identities)])),
+        since_corner_search=0.0,
+        view=replace(view, points=view.points.joined([GivenPoints(corners, identities)])),
     )
 
 
@@ -225,22 +225,24 @@ def initial_states(state: TrackerState, view: View, mean: Numbers, covariance: N
     """Points that begin in a frame, and are taken to move like the others."""
     known = state.known
     if view.grey is None:
-        places = view.found.positions
+        places = view.points.positions
         extent = (np.nanmax(places, axis=0) - np.nanmin(places, axis=0)).max()
-        states = PointStates.at_rest(mean, 0.0, GIVEN_SPEED * max(extent, view.noise))
+        states = PointStates.at_rest(mean, 0.0, GIVEN_VELOCITY_STD * max(extent, view.noise))
     else:
-        states = PointStates.at_rest(mean, 0.0, FIRST_SPEED)
+        states = PointStates.at_rest(mean, 0.0, INITIAL_VELOCITY_STD)
         moving = known.states.mean[known.alive & (known.unseen == 0)][:, 2:]
         if len(moving) >= LEAST_POINTS:
             velocity = np.median(moving, axis=0)
             spread = 1.4826 * np.median(np.abs(moving - velocity), axis=0)
             states.mean[:, 2:] = velocity
-            states.covariance[:, [2, 3], [2, 3]] = (2 * spread + 0.1 * FIRST_SPEED) ** 2
+            states.covariance[:, [2, 3], [2, 3]] = (2 * spread + 0.1 * INITIAL_VELOCITY_STD) ** 2
     states.covariance[:, :2, :2] = covariance
     return states
 
 
-def _measured(state: TrackerState, message: PointMessage, elapsed: float, *, learns: bool) -> TrackerState:
+def _with_measurements(
+    state: TrackerState, message: PointMessage, elapsed: float, *, learns: bool
+) -> TrackerState:
     """With all that is said of points that are followed, and with those back that are found again."""
     known, view = state.known, message.view
     if view is not None and view.grey is None and not len(known):
@@ -254,7 +256,7 @@ def _measured(state: TrackerState, message: PointMessage, elapsed: float, *, lea
     )
     seen = np.zeros(len(known), np.bool_)
     if view is not None:
-        seen = np.isin(known.identities, view.found.identities)
+        seen = np.isin(known.identities, view.points.identities)
         if learns:
             least = 0.0 if view.grey is None else LEAST_ACCELERATION
             acceleration = _adapted_acceleration(
@@ -273,7 +275,7 @@ def _measured(state: TrackerState, message: PointMessage, elapsed: float, *, lea
 def _in_unit_of(state: TrackerState, view: View, *, learns: bool) -> TrackerState:
     """With scales that suit points whose unit is not known."""
     acceleration = 3 * (GIVEN_ACCELERATION * view.noise) ** 2 / 0.04**3 if learns else state.acceleration
-    return replace(state, acceleration=acceleration, limit=GIVEN_LIMIT * view.noise)
+    return replace(state, acceleration=acceleration, max_position_std=GIVEN_LIMIT * view.noise)
 
 
 def _adapted_acceleration(
@@ -290,11 +292,13 @@ def _adapted_acceleration(
     return float(state.acceleration * np.exp(share * np.clip(surprise, -MOST_SURPRISE, MOST_SURPRISE)))
 
 
-def _without_ended(state: TrackerState) -> TrackerState:
+def _end_points(state: TrackerState) -> TrackerState:
     """Without points that are not known well enough any more, left the picture, or sit on an older one."""
     known, view = state.known, state.view
     states = known.states
-    alive = known.alive & (0.5 * np.trace(states.position_covariance, axis1=1, axis2=2) <= state.limit**2)
+    alive = known.alive & (
+        0.5 * np.trace(states.position_covariance, axis1=1, axis2=2) <= state.max_position_std**2
+    )
     if view is not None and view.grey is not None:
         far = np.array([view.grey.shape[1], view.grey.shape[0]]) - 0.5
         alive &= ((states.position >= -0.5) & (states.position <= far)).all(axis=1)
@@ -304,7 +308,7 @@ def _without_ended(state: TrackerState) -> TrackerState:
     return replace(state, known=replace(known, alive=alive))
 
 
-def _with_patches(state: TrackerState, view: View, elapsed: float) -> TrackerState:
+def _update_patches(state: TrackerState, view: View, elapsed: float) -> TrackerState:
     """With what points look like now, where they were found.
 
     Brightness and contrast are the find's. A patch that took over the rest as well would slide off its point
@@ -315,9 +319,9 @@ def _with_patches(state: TrackerState, view: View, elapsed: float) -> TrackerSta
     seen = np.flatnonzero(known.alive & (known.unseen == 0))
     if not len(seen):
         return state
-    place = np.searchsorted(view.found.identities, known.identities[seen])
-    now = view.patches_at(view.found.positions[place])
-    expected = with_light_of(known.patches[seen], now)
+    place = np.searchsorted(view.points.identities, known.identities[seen])
+    now = view.patches_at(view.points.positions[place])
+    expected = match_light(known.patches[seen], now)
     teaches = (ncc(now, expected) < LIKE_EXPECTED) & (ncc(now, known.first[seen]) > LIKE_FIRST)
     patches = known.patches.copy()
     share = np.where(teaches, -np.expm1(-elapsed / PATCH_TIME), 0.0).astype(np.float32)
@@ -334,7 +338,7 @@ LEAST_NCC = 0.7
 LEAST_FRAMES = 5  # frames in which two points are found on one spot before they are taken for one
 
 
-def duplicates(trajectory: PointTrajectory, others: Sequence[PointMessage]) -> dict[int, int]:
+def find_duplicates(trajectory: PointTrajectory, others: Sequence[PointMessage]) -> dict[int, int]:
     """Identities that were one point before, and those that other chains take for one and that look alike."""
     same = {int(one): int(other) for one, other in trajectory.absorbed}
     said = {
@@ -354,10 +358,10 @@ def duplicates(trajectory: PointTrajectory, others: Sequence[PointMessage]) -> d
         [ncc(a[one], b[other]) for a in (seen.first, seen.last) for b in (seen.first, seen.last)],
         axis=0,
     )
-    return merged_groups(same, pairs[alike >= LEAST_NCC])
+    return merge_groups(same, pairs[alike >= LEAST_NCC])
 
 
-def merged_groups(same: Duplicates, pairs: Iterable[Sequence[int]]) -> dict[int, int]:
+def merge_groups(same: Duplicates, pairs: Iterable[Sequence[int]]) -> dict[int, int]:
     """Groups with some more pairs in one: each identity that is not the smallest of its group, with that."""
     group = dict(same)
 
@@ -373,17 +377,17 @@ def merged_groups(same: Duplicates, pairs: Iterable[Sequence[int]]) -> dict[int,
     return {identity: smallest(identity) for identity in group}
 
 
-def without_duplicates(message: PointMessage, same: Duplicates) -> PointMessage:
+def merge_duplicates(message: PointMessage, same: Duplicates) -> PointMessage:
     """What is said of each point once, under its smallest identity."""
     if not same:
         return message
-    identities = canonical(message.positions.identities, same)
+    identities = smallest_identities(message.positions.identities, same)
     names, first = np.unique(identities, return_index=True)
     positions = replace(message.positions.only(first), identities=names)
     return PointMessage(positions, message.patches, message.view)
 
 
-def canonical(identities: Identities, same: Duplicates) -> Identities:
+def smallest_identities(identities: Identities, same: Duplicates) -> Identities:
     """`(n,)`: the smallest identity of each one's point."""
     names: Identities = np.array(
         [same.get(int(identity), int(identity)) for identity in identities], np.int64
@@ -391,7 +395,7 @@ def canonical(identities: Identities, same: Duplicates) -> Identities:
     return names
 
 
-def coincident_tracks(messages: Sequence[PointMessage], spot: float) -> list[tuple[int, int]]:
+def find_coincident_tracks(messages: Sequence[PointMessage], spot: float) -> list[tuple[int, int]]:
     """Pairs of identities that were found nearer to each other than `spot` px in several frames."""
     times: Counter[tuple[int, int]] = Counter()
     for message in messages:
@@ -404,7 +408,7 @@ def coincident_tracks(messages: Sequence[PointMessage], spot: float) -> list[tup
 
 GATE = 3.0  # standard deviations from where others say that a point is, within which it may begin
 
-NOBODY = np.zeros(0, np.int64)
+NO_IDENTITIES = np.zeros(0, np.int64)
 
 
 class FilmSearch:
@@ -424,16 +428,16 @@ class FilmSearch:
     ) -> None:
         self._tracker, self._incoming, self._current = tracker, incoming_over_time, current
         self._all_others = others
-        self._unite({} if current is None else duplicates(current, others))
+        self._merge_identities({} if current is None else find_duplicates(current, others))
 
-    def run(self) -> tuple[list[PointMessage], KnownPoints]:
+    def run(self) -> tuple[list[PointMessage], PointTable]:
         """What frames show of points, and those points."""
-        found = self._followed()
+        found = self._track_all()
         if self._current is not None:
-            pairs = coincident_tracks(found[0], SAME_PLACE)
+            pairs = find_coincident_tracks(found[0], SAME_PLACE)
             if pairs:
-                self._unite(merged_groups(self.same, pairs))
-                found = self._followed()
+                self._merge_identities(merge_groups(self.same, pairs))
+                found = self._track_all()
         evidence, known = found
         names, counts = np.unique(
             np.concatenate([message.positions.identities for message in evidence]), return_counts=True
@@ -441,79 +445,79 @@ class FilmSearch:
         alone = names[counts == 1]
         return [_without(message, alone) for message in evidence], known
 
-    def _unite(self, same: Duplicates) -> None:
+    def _merge_identities(self, same: Duplicates) -> None:
         self.same = same
-        self.others = [without_duplicates(message, same) for message in self._all_others]
+        self.others = [merge_duplicates(message, same) for message in self._all_others]
 
-    def _followed(self) -> tuple[list[PointMessage], KnownPoints]:
+    def _track_all(self) -> tuple[list[PointMessage], PointTable]:
         state, last = None, 0.0
         evidence = []
         for number, (incoming, others) in enumerate(zip(self._incoming, self.others, strict=True)):
             frame = incoming.frame
             if state is not None:
-                state = predicted(state, frame.time - last)
+                state = predict_state(state, frame.time - last)
             elif not frame.missing:
-                state = self._beginning()
+                state = self._initial_state()
             last = frame.time
             if state is None:
                 evidence.append(incoming.search(PointTracks, others))
             else:
                 state, seen = self._step(state, incoming, others, number)
                 evidence.append(seen)
-        return evidence, KnownPoints.none() if state is None else state.known
+        return evidence, PointTable.none() if state is None else state.known
 
     def _step(
         self, state: TrackerState, incoming: BatchIncoming, others: PointMessage, number: int
     ) -> tuple[TrackerState, PointMessage]:
         """The state after a frame, and what was seen there."""
-        prior = message_of(state) * others
+        prior = predict_message(state) * others
         seen = incoming.search(PointTracks, prior)
-        before = updated(state, others * seen, learns=self._tracker.learns)
+        before = update_state(state, others * seen, learns=self._tracker.learns)
         if seen.view is None:
             return before, seen
         if seen.view.grey is None:
-            return with_given(before, others * seen), seen
+            return add_given_points(before, others * seen), seen
         after = (
-            self._tracker.replenished(before)
+            self._tracker.replenish(before)
             if self._current is None
-            else self._begun_again(before, others, number)
+            else self._restart_points(before, others, number)
         )
         known = after.known
         new = known.alive & ~np.isin(known.identities, before.known.identities[before.known.alive])
         if not new.any():
             return after, seen
-        begun = message_of(replace(after, known=known.only(new)))
+        begun = predict_message(replace(after, known=known.only(new)))
         patches = Patches(known.identities, known.patches)
         prior = PointMessage(prior.positions * begun.positions, patches, prior.view)
         seen = incoming.search(PointTracks, prior)
-        found = NOBODY if seen.view is None else seen.view.found.identities
+        found = NO_IDENTITIES if seen.view is None else seen.view.points.identities
         alive = known.alive & ~(new & ~np.isin(known.identities, found))
         return replace(after, known=replace(known, alive=alive), view=seen.view), seen
 
-    def _beginning(self) -> TrackerState:
+    def _initial_state(self) -> TrackerState:
         """In later rounds the patches of all points are known, and no position."""
         current = self._current
         if current is None or current.appearances is None:
             return self._tracker.empty()
         seen = current.appearances
         kept = np.isin(seen.identities, current.identities) & ~np.isin(seen.identities, list(self.same))
-        lost = KnownPoints.lost(seen.identities[kept], seen.first[kept])
+        lost = PointTable.lost(seen.identities[kept], seen.first[kept])
         return replace(self._tracker.empty(), known=lost)
 
-    def _begun_again(self, state: TrackerState, others: PointMessage, number: int) -> TrackerState:
+    def _restart_points(self, state: TrackerState, others: PointMessage, number: int) -> TrackerState:
         """With points that were found first in this frame in the round before, unless others know better."""
         known, view, current = state.known, state.view, self._current
         if current is None or current.appearances is None or view is None:
             return state
         first = np.flatnonzero(current.observed[number] & ~current.observed[:number].any(axis=0))
-        names, once = np.unique(canonical(current.identities[first], self.same), return_index=True)
+        names, once = np.unique(smallest_identities(current.identities[first], self.same), return_index=True)
         points = first[once]
         position = current.position[number, points]
-        begins = ~known.alive[known.places_of(names)] & _plausible(others.positions, names, position)
+        begins = ~known.alive[known.places_of(names)] & _is_plausible(others.positions, names, position)
         points, places, position = points[begins], known.places_of(names[begins]), position[begins]
         patches = known.patches.copy()
         patches[places] = current.appearances.first[current.appearances.places_of(current.identities[points])]
-        states = initial_states(state, view, position, NEW_DEVIATION**2 * np.eye(2))
+        states = initial_states(state, view, position, NEW_POINT_STD**2 * np.eye(2))
         return replace(state, known=replace(known, patches=patches).with_states(places, states))
 
 
@@ -525,12 +529,12 @@ def _without(message: PointMessage, alone: Identities) -> PointMessage:
     return replace(message, positions=message.positions.only(stay))
 
 
-def _plausible(others: GaussianMessage, identities: Identities, positions: Numbers) -> Mask:
+def _is_plausible(others: GaussianMessage, identities: Identities, positions: Numbers) -> Mask:
     """`(n,)`: whether points may be at `positions`, `(n, 2)` px, as far as anything is said of them."""
     known, mean, covariance = others.only(np.isin(others.identities, identities)).moments
     place = np.searchsorted(identities, known)
     off = positions[place] - mean
-    spread = covariance + NEW_DEVIATION**2 * np.eye(2)
+    spread = covariance + NEW_POINT_STD**2 * np.eye(2)
     plausible = np.ones(len(identities), np.bool_)
     plausible[place] = squared_distances(off, spread) <= GATE**2
     return plausible
@@ -568,13 +572,13 @@ class PointTracker:
     n_points: int = 300
     spacing: float = 10.0
     acceleration: float | None = None
-    limit: float = 8.0
+    max_position_std: float = 8.0
     name: str = "tracker"
 
     ports = (Port(PointTracks, sole="appearance"),)
 
     def __post_init__(self) -> None:
-        check_bounds(self, dict.fromkeys(("n_points", "spacing", "limit"), POSITIVE))
+        check_bounds(self, dict.fromkeys(("n_points", "spacing", "max_position_std"), POSITIVE))
         if self.acceleration is not None and not self.acceleration > 0:
             raise ValueError(f"acceleration: got {self.acceleration}, expected more than 0 px/s^2 or None")
 
@@ -586,19 +590,19 @@ class PointTracker:
 
     def predict(self, state: TrackerState, dt: float) -> TrackerState:
         """Points move on at their velocities."""
-        return predicted(state, dt)
+        return predict_state(state, dt)
 
     def message(self, state: TrackerState, feature: PointTracks, incoming: Incoming) -> PointMessage:
         """Where points should be (mu_{X -> F}), what they look like, also those that were lost, and the view
         before."""
-        return message_of(state)
+        return predict_message(state)
 
     def update(self, state: TrackerState, incoming: Incoming) -> TrackerState:
         """Points given a frame: those that are found again, without those that are lost, and new ones."""
         others = incoming[PointTracks]
-        state = updated(state, others, learns=self.learns)
+        state = update_state(state, others, learns=self.learns)
         if others.view is not None:
-            state = self.replenished(state) if others.view.grey is not None else with_given(state, others)
+            state = self.replenish(state) if others.view.grey is not None else add_given_points(state, others)
         return replace(state, known=state.known.without_oldest(REMEMBERED * self.n_points))
 
     @property
@@ -609,11 +613,11 @@ class PointTracker:
     def empty(self) -> TrackerState:
         """The state without points."""
         density = ACCELERATION_TIME * (self.acceleration or FIRST_ACCELERATION) ** 2
-        return TrackerState(KnownPoints.none(), 0, density, self.limit, np.inf, None)
+        return TrackerState(PointTable.none(), 0, density, self.max_position_std, np.inf, None)
 
-    def replenished(self, state: TrackerState) -> TrackerState:
+    def replenish(self, state: TrackerState) -> TrackerState:
         """The state with new points in place of those that are missing."""
-        return replenished(state, self.n_points, self.spacing)
+        return replenish(state, self.n_points, self.spacing)
 
     # --- batch ---
 
@@ -632,14 +636,14 @@ class PointTracker:
             search = FilmSearch(self, incoming_over_time, others, current)
             evidence, known = search.run()
             trajectory = replace(
-                self._smoothed(evidence, search.others, incoming_over_time),
+                self._smooth_tracks(evidence, search.others, incoming_over_time),
                 appearances=Appearances(known.identities, known.first, known.patches),
                 absorbed=np.array(sorted(search.same.items()), np.int64).reshape(-1, 2),
             )
         else:
             pairs = zip(incoming_over_time, others, strict=True)
             evidence = [incoming.search(PointTracks, message) for incoming, message in pairs]
-            trajectory = self._smoothed(evidence, others, incoming_over_time)
+            trajectory = self._smooth_tracks(evidence, others, incoming_over_time)
         return Smoothed(trajectory, {incoming_over_time[0].node(PointTracks): evidence})
 
     def messages(
@@ -652,7 +656,7 @@ class PointTracker:
         themselves."""
         return [PointMessage(positions) for positions in trajectory.messages()]
 
-    def _smoothed(
+    def _smooth_tracks(
         self,
         evidence: Sequence[PointMessage],
         others: Sequence[PointMessage],
@@ -667,5 +671,7 @@ class PointTracker:
         )
         views = [message.view for message in evidence if message.view is not None]
         greys = [view.grey for view in views if view.grey is not None]
-        limit = self.limit if greys or not views else GIVEN_LIMIT * views[0].noise
-        return smoothed_trajectory(seen, expected, motion, limit, greys[0].shape if greys else None)
+        max_position_std = self.max_position_std if greys or not views else GIVEN_LIMIT * views[0].noise
+        return smoothed_trajectory(
+            seen, expected, motion, max_position_std, greys[0].shape if greys else None
+        )

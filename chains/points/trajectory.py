@@ -29,7 +29,7 @@ LEAST_GROWTH, MOST_GROWTH = 1e-4, 1e2
 """Least and most that is believed. By how much a point leaves its way from one frame to the next: in units of
 the measurements' noise, and of a typical step."""
 
-EVERY_SPEED = 3.0
+SPEED_FACTOR = 3.0
 """Standard deviation of velocities at the beginning, in units of a typical velocity: nobody is surprised."""
 
 
@@ -87,7 +87,7 @@ def estimate_motion(measured: Measurements, acceleration: float | None = None) -
     speed, length, dt = _steps(measured.times, position, seen)
     error = float(np.sqrt(np.median(noise[:, 0, 0] + noise[:, 1, 1]) / 2)) if len(noise) else 1.0
     extent = 1e3 * max(float(np.abs(position[seen]).max(initial=0.0)), error)
-    speed = EVERY_SPEED * max(speed, error / dt)
+    speed = SPEED_FACTOR * max(speed, error / dt)
     if acceleration is not None:
         return MotionModel(acceleration, speed, extent)
     longest = np.argsort(-seen.sum(axis=0), kind="stable")[:MOST_TRACKS]
@@ -143,7 +143,7 @@ def _distances(measured: Measurements, motion: MotionModel) -> Numbers:
     return squared_distances(off, spread)
 
 
-AT_ONCE = 128
+BATCH = 128
 """Points that are smoothed in one go: states of all points in all frames need not fit into memory."""
 
 
@@ -221,7 +221,7 @@ def smoothed_trajectory(
     evidence: StackedMessages,
     others: StackedMessages,
     motion: MotionModel,
-    limit: float,
+    max_position_std: float,
     size: tuple[int, int] | None,
 ) -> PointTrajectory:
     """Smooth tracks, once with everything and once with the frames' evidence alone."""
@@ -230,17 +230,19 @@ def smoothed_trajectory(
     position, covariance = np.zeros((n_frames, n_points, 2)), np.zeros((n_frames, n_points, 2, 2))
     information, vector = np.zeros((n_frames, n_points, 2, 2)), np.zeros((n_frames, n_points, 2))
     log_prior = 0.0
-    for start in range(0, n_points, AT_ONCE):
-        some = slice(start, start + AT_ONCE)
+    for start in range(0, n_points, BATCH):
+        some = slice(start, start + BATCH)
         seen, expected = evidence.measured.only(some), others.measured.only(some)
         prior = motion.prior(seen.vector.shape[1])
         filtered = filter_tracks(prior, times, seen.information, seen.vector, motion.acceleration)
         alone = smooth(filtered, times, motion.acceleration)
         said, weighted = cavity(alone, seen.information, seen.vector)
-        unknown = ~_known(said, limit)
+        unknown = ~_known(said, max_position_std)
         said[unknown], weighted[unknown] = 0.0, 0.0
         information[:, some], vector[:, some] = said, weighted
-        log_prior += _log_prior(seen, evidence.log_scale[:, some], filtered, said, weighted, motion, limit)
+        log_prior += _log_prior(
+            seen, evidence.log_scale[:, some], filtered, said, weighted, motion, max_position_std
+        )
         if expected.information.any():
             together = filter_tracks(
                 prior,
@@ -251,7 +253,7 @@ def smoothed_trajectory(
             )
             alone = smooth(together, times, motion.acceleration)
         position[:, some], covariance[:, some] = alone.position, alone.position_covariance
-    alive = 0.5 * np.trace(covariance, axis1=2, axis2=3) <= limit**2
+    alive = 0.5 * np.trace(covariance, axis1=2, axis2=3) <= max_position_std**2
     if size is not None:
         far = np.array([size[1], size[0]]) - 0.5
         alive &= ((position >= -0.5) & (position <= far)).all(axis=2)
@@ -269,11 +271,11 @@ def smoothed_trajectory(
     )
 
 
-def _known(information: Numbers, limit: float) -> Mask:
-    """Which positions are known to within `limit` px, as a standard deviation."""
+def _known(information: Numbers, max_position_std: float) -> Mask:
+    """Which positions are known to within `max_position_std` px, as a standard deviation."""
     trace = np.trace(information, axis1=-2, axis2=-1)
     # mean of the two variances, without an inverse of what may be singular
-    known: Mask = (trace > 0) & (0.5 * trace <= limit**2 * np.linalg.det(information))
+    known: Mask = (trace > 0) & (0.5 * trace <= max_position_std**2 * np.linalg.det(information))
     return known
 
 
@@ -284,7 +286,7 @@ def _log_prior(
     said: Numbers,
     weighted: Numbers,
     motion: MotionModel,
-    limit: float,
+    max_position_std: float,
 ) -> float:
     """Log evidence of the tracks, each find given those before it, less that of each given all others."""
     expected, spread = one_frame_ahead(filtered, seen.times, motion.acceleration)
@@ -292,7 +294,7 @@ def _log_prior(
     found = seen.seen
     sizes = np.where(found, np.linalg.det(noise), 1.0)
     peak = log_scale + np.log(2 * np.pi) + 0.5 * np.log(sizes) + 0.5 * (seen.vector * position).sum(axis=2)
-    after = found[1:] & (0.5 * np.trace(spread, axis1=2, axis2=3) <= limit**2)
+    after = found[1:] & (0.5 * np.trace(spread, axis1=2, axis2=3) <= max_position_std**2)
     total = (
         peak[1:][after] + _log_density((position[1:] - expected)[after], (spread + noise[1:])[after])
     ).sum()

@@ -708,7 +708,7 @@ def _seen(state: StructureState, others: PointMessage) -> ObservedPoints:
     variances = 0.5 * np.trace(covariances, axis1=1, axis2=2)
     if others.view is None:
         return ObservedPoints(identities, positions, variances)
-    found = others.view.found
+    found = others.view.points
     if state.time - others.view.time > 0.5 * state.elapsed:  # a tracker's view of an earlier frame
         found = NOWHERE
     common, here, there = np.intersect1d(

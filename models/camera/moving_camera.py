@@ -156,7 +156,7 @@ class AffineMap:
         width, height = width * float(across), height * float(down)
         return float(middle_x) - width / 2, float(middle_y) - height / 2, width, height
 
-    def in_scene(self, image: Image, beyond: Image) -> Image:
+    def warp_to_scene(self, image: Image, beyond: Image) -> Image:
         """A frame's image as the scene's picture; `beyond` is taken where it does not show the scene."""
         out = beyond.copy()
         flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
@@ -172,7 +172,7 @@ class AffineMap:
         flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpAffine(frame, self.matrix, self.size[::-1], flags=flags), bool)
 
-    def in_frame(self, mask: NDArray[Value]) -> NDArray[Value]:
+    def warp_to_frame(self, mask: NDArray[Value]) -> NDArray[Value]:
         """What is said of the scene's places, `(height, width)`, as the frame shows it; 0 beyond."""
         seen = cv2.warpAffine(mask, self.matrix, self.size[::-1], flags=cv2.INTER_NEAREST)
         return np.asarray(seen, mask.dtype)
@@ -420,4 +420,4 @@ class View:
             where = GaussianMessage(_CAMERA, information[None], vector[None], log_scale)
         likelihood = replace(self, where=where, scene=None)
         beyond = np.clip(np.rint(self.scene), 0, 255).astype(np.uint8)
-        return likelihood, (self * likelihood).map.in_scene(image, beyond)
+        return likelihood, (self * likelihood).map.warp_to_scene(image, beyond)

@@ -306,4 +306,4 @@ class ScenePixels(PixelLabels):
     def draw(self, picture: NDArray[np.uint8], belief: PixelMessage) -> None:
         """Tint a BGR picture of the frame by P(B=0)."""
         foreground = 1 - belief.background_probability()
-        tint(picture, foreground if belief.view is None else belief.view.map.in_frame(foreground))
+        tint(picture, foreground if belief.view is None else belief.view.map.warp_to_frame(foreground))

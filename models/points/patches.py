@@ -1,7 +1,7 @@
-"""Small square pieces of a grey picture: what points look like, where exactly they are, and corners.
+"""Square patches of a grey picture: appearance of points, alignment to sub-pixel accuracy, corners.
 
-A peak of the normalised correlation of 5x5 pixels is a fifth of a pixel off, for any change of brightness and
-contrast is free, and at a corner that is much like a motion. `align_patches` lets both change a little only.
+A peak of the normalised correlation of 5x5 pixels has an error of a fifth of a pixel, since brightness and
+contrast are free, and at a corner their change is much like a motion. `align_patches` allows small changes.
 """
 
 from dataclasses import dataclass
@@ -31,21 +31,21 @@ SMALL = 0.1
 """px: a step after which there is no other, which would be about a tenth of it: much less than noise does."""
 
 FLAT = 0.02  # squared grey values: the variance of what has no texture at all
-LONGEST = 0.5  # px of one coordinate in one step: gradients say nothing of what lies farther away
+LONGEST = 0.5  # px of one coordinate in one step: gradients are valid no farther
 
 
-class Expected(NamedTuple):
-    """What is known of the places of n patches.
+class PlacePrior(NamedTuple):
+    """Gaussian prior of the positions of n patches.
 
-    `mean` is `(n, 2)` px, `precision` `(n, 2, 2)` 1/px^2, zeros where nothing is known.
+    `mean` is `(n, 2)` px, `precision` `(n, 2, 2)` 1/px^2, zero without a prior.
     """
 
     mean: NDArray[np.float64]
     precision: NDArray[np.float64]
 
 
-class Light(NamedTuple):
-    """How patches change from picture to picture, and the noise; see `align_all`."""
+class LightModel(NamedTuple):
+    """Prior of changes of patches from picture to picture, and the noise; see `align_in_place`."""
 
     precisions: NDArray[np.float64]
     smoothed: float
@@ -211,7 +211,7 @@ def _eliminate(normal, first, last):
 
 
 @compiled
-def align_all(grey, patches, which, positions, expected, light, farthest, covariance, ncc):
+def align_in_place(grey, patches, which, positions, expected, light, search_radius, covariance, ncc):
     """Move those `positions` `(m, 2)` whose numbers are in `which` to where the picture is like a patch.
 
     Of `patches` `(n, side, side)` each has as many positions, one after the other. Picture = patch + offset +
@@ -220,7 +220,7 @@ def align_all(grey, patches, which, positions, expected, light, farthest, covari
     that of what is left, plus `light.rounding`. Patches have the prior `expected`.
 
     Written: `covariance` `(m, 2, 2)` px^2 by the picture alone, with offset, gain and map integrated out; and
-    the normalised correlation, -1 where the way leads farther than `farthest` px or picture or patch are
+    the normalised correlation, -1 where the way leads farther than `search_radius` px or picture or patch are
     flat.
     """
     side, each = patches.shape[1], positions.shape[0] // max(patches.shape[0], 1)
@@ -256,7 +256,7 @@ def align_all(grey, patches, which, positions, expected, light, farthest, covari
                 positions[n, 0], positions[n, 1] = x, y
                 covariance[n, 0, 0], covariance[n, 1, 1] = xx, yy
                 covariance[n, 0, 1] = covariance[n, 1, 0] = xy
-                near = abs(x - start[n, 0]) <= farthest and abs(y - start[n, 1]) <= farthest
+                near = abs(x - start[n, 0]) <= search_radius and abs(y - start[n, 1]) <= search_radius
                 ncc[n] = _correlation(products, lane, side) if near else -1.0
                 if near and max(abs(dx), abs(dy)) >= SMALL:
                     todo[still] = n
@@ -335,11 +335,7 @@ Pixels = NDArray[np.float32]
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """What points look like.
-
-    `identities` `(n,)` int64 increase; `pixels` `(n, side, side)` float32 are grey values about each, rows
-    first.
-    """
+    """Appearance of points: `identities` `(n,)` int64, increasing; `pixels` `(n, side, side)` grey values."""
 
     identities: NDArray[np.int64]
     pixels: Pixels
@@ -349,16 +345,15 @@ class Patches:
 
 
 def ncc(one: Pixels, other: Pixels) -> Numbers:
-    """Normalised correlation, `(n,)` from -1 to 1, of patches `(n, side, side)`; 0 where one is of one
-    colour."""
+    """Return the normalised correlation of patches `(n, side, side)`, `(n,)`; 0 if one is uniform."""
     a, b = _centred(one), _centred(other)
     lengths = np.sqrt(np.square(a).sum(axis=(1, 2)) * np.square(b).sum(axis=(1, 2)))
     correlation: Numbers = (a * b).sum(axis=(1, 2)) / np.where(lengths > 0, lengths, 1.0)
     return correlation
 
 
-def with_light_of(patches: Pixels, others: Pixels) -> Pixels:
-    """Patches `(n, side, side)` with the brightness and contrast that `others` of the same things have."""
+def match_light(patches: Pixels, others: Pixels) -> Pixels:
+    """Return patches `(n, side, side)` with the brightness and contrast of `others`."""
     a, b = _centred(patches), _centred(others)
     squares = np.square(a).sum(axis=(1, 2), keepdims=True)
     gain = (a * b).sum(axis=(1, 2), keepdims=True) / np.where(squares > 0, squares, 1.0)
@@ -375,49 +370,50 @@ def _centred(patches: Pixels) -> Numbers:
 PIXEL_NOISE = 2.0  # grey values, standard deviation of the noise of a pixel
 
 LIGHTER, STRONGER, WARPED = 3.0, 0.07, 0.05
-"""Standard deviations of how a patch changes from one picture to another: grey values by which it is lighter,
-share by which its contrast is higher, and radians of rotation, shares of scale and stretch. The last ones
-hardly blur a position, but else a patch that turns away slides along its edges."""
+"""Standard deviations of the change of a patch between two pictures: brightness in grey values, contrast as a
+share, and rotation in rad, scale and stretch as shares. Without the last ones a patch that turns away slides
+along its edges."""
 
-SMOOTHED = 1.5  # variance of residuals over what remains of it when one of both pictures is interpolated
-ROUNDING = 0.5  # squared grey values by which residuals are off however well a patch fits
+SMOOTHED = 1.5  # variance of residuals over that with one of the pictures interpolated
+ROUNDING = 0.5  # squared grey values: rounding error of residuals
 
-
-LIGHT = Light((PIXEL_NOISE / np.array([LIGHTER, STRONGER, *[WARPED] * 4])) ** 2, SMOOTHED, ROUNDING)
-"""All of that, as the loops have it."""
+LIGHT_MODEL = LightModel(
+    (PIXEL_NOISE / np.array([LIGHTER, STRONGER, *[WARPED] * 4])) ** 2, SMOOTHED, ROUNDING
+)
+"""These values as the compiled loops take them."""
 
 
 class Aligned(NamedTuple):
-    """Patches where they fit the picture best."""
+    """Aligned patches."""
 
     position: Numbers  # (n, 2) px
-    covariance: Numbers  # (n, 2, 2) px^2: of the errors that noise as large as the residuals makes
-    ncc: Numbers  # (n,) normalised correlation there, -1 where nothing near fits
+    covariance: Numbers  # (n, 2, 2) px^2: of the position, for noise as large as the residuals
+    ncc: Numbers  # (n,) normalised correlation there, -1 if no near position fits
 
 
 def align_patches(
     grey: NDArray[np.uint8],
     patches: NDArray[np.float32],
     start: Numbers,
-    farthest: float,
-    expected: Expected | None = None,
+    search_radius: float,
+    expected: PlacePrior | None = None,
 ) -> Aligned:
-    """Move patches `(n, side, side)` by Gauss-Newton steps to where the picture is like them.
+    """Align patches `(n, side, side)` with a picture by Gauss-Newton steps (Lucas and Kanade).
 
-    They start within a pixel of where they are, `start` `(n, 2)` px, and can be `farthest` px from there at
-    most, along either axis. What is `expected` of their places holds those that an edge lets slide. It is no
-    part of the covariances.
+    They start at `start` `(n, 2)` px, within a pixel of the true position, and move by at most
+    `search_radius` px along either axis. The prior `expected` holds patches that would slide along an edge;
+    the covariances do not include it.
     """
     position = np.array(start, np.float64)
-    expected = expected or Expected(position.copy(), np.zeros((len(position), 2, 2)))
+    expected = expected or PlacePrior(position.copy(), np.zeros((len(position), 2, 2)))
     covariance, ncc = np.empty((len(position), 2, 2)), np.empty(len(position))
     which = np.arange(len(position))
-    align_all(grey, patches, which, position, expected, LIGHT, farthest, covariance, ncc)
+    align_in_place(grey, patches, which, position, expected, LIGHT_MODEL, search_radius, covariance, ncc)
     return Aligned(position, covariance, ncc)
 
 
 def sample_patches(grey: NDArray[np.uint8], positions: Numbers, side: int) -> NDArray[np.float32]:
-    """Grey values `(n, side, side)` about `positions`, `(n, 2)` px, by cubic interpolation."""
+    """Return grey values `(n, side, side)` about `positions` `(n, 2)` px, by cubic interpolation."""
     patches = np.empty((len(positions), side, side), np.float32)
     places = np.ascontiguousarray(positions, np.float64)
     sample_all(grey, places, np.arange(len(places)), patches)
@@ -425,23 +421,18 @@ def sample_patches(grey: NDArray[np.uint8], positions: Numbers, side: int) -> ND
 
 
 QUALITY = 0.01  # least smaller eigenvalue of the gradients' moments, as a share of the best corner's
-
-CLEAR = 0.25
-"""px, standard deviation to which a corner's patch must fix its place, when pixels are as noisy as usual."""
-
-NOISE = 4.0
-"""Noise of pixels over what remains where a patch is compared with itself: a guess on the safe side."""
-
-BORDER = 6  # px from the picture's edge, within which nothing begins
+CLEAR = 0.25  # px: largest standard deviation of a corner's position under usual pixel noise
+NOISE = 4.0  # usual pixel noise over the residual of a patch compared with itself: a safe guess
+BORDER = 6  # px: no corner is nearer to the picture's edge
 
 
 def find_corners(
     grey: NDArray[np.uint8], most: int, away_from: Numbers, spacing: float, side: int
 ) -> Numbers:
-    """Corners `(m, 2)` px of a picture, the best `most` first; none in a picture of one colour.
+    """Return at most `most` corners `(m, 2)` px of a picture, the best first.
 
-    They are `spacing` px from each other and from places that are taken, `away_from` `(n, 2)`; patches of
-    `side` px must fix their place.
+    They are at least `spacing` px from each other and from `away_from` `(n, 2)`, and patches of `side` px
+    determine their positions to `CLEAR`.
     """
     mask = np.zeros(grey.shape, np.uint8)
     mask[BORDER:-BORDER, BORDER:-BORDER] = 255

@@ -17,28 +17,27 @@ from ..core.gaussian_message import GaussianMessage
 from ..core.pictures import draw_region, grey_of
 from ..core.short_repr import short_repr
 from .patches import Patches, sample_patches
-from .search import Before, find_points
+from .search import PreviousView, find_points
 
 Numbers = NDArray[np.float64]
 
-FARTHEST = 1e7  # px: coordinates beyond are taken for damage; their squares would drown everything else
+MAX_COORDINATE = 1e7  # px: coordinates beyond are taken for damage; their squares would drown everything else
 
 
-def check_points(name: str, points: NDArray[np.float64], *, half: bool = False) -> None:
-    """Refuse points `(n_frames, n_points, 2)` px that are neither positions nor missing, which is NaN twice.
+def check_points(name: str, points: NDArray[np.float64], *, allow_single: bool = False) -> None:
+    """Check that points `(n_frames, n_points, 2)` px are positions, or NaN twice if missing.
 
-    Where `half` is true, one coordinate alone will do.
+    With `allow_single` one coordinate of a point may be missing.
 
     Raises
     ------
     ValueError
-        that names the first such point of `name`: it is infinite or farther off than `FARTHEST`, or has one
-        coordinate only.
+        naming the first wrong point of `name`: infinite, beyond `MAX_COORDINATE`, or with one coordinate.
     """
     missing = np.isnan(points)
     for wrong, expected in (
-        (np.abs(points) > FARTHEST, f"finite px up to {FARTHEST:g}, NaN where missing"),
-        ((missing[..., :1] != missing) & (not half), "both coordinates or none"),
+        (np.abs(points) > MAX_COORDINATE, f"finite px up to {MAX_COORDINATE:g}, NaN where missing"),
+        ((missing[..., :1] != missing) & (not allow_single), "both coordinates or none"),
     ):
         if wrong.any():
             frame, point = np.argwhere(wrong.any(axis=2))[0]
@@ -49,55 +48,55 @@ def check_points(name: str, points: NDArray[np.float64], *, half: bool = False) 
 PLANE = 2
 
 COLOUR = (60, 220, 60)  # BGR, of points that are drawn
-NOWHERE = GivenPoints(np.zeros((0, PLANE)), np.zeros(0, np.int64))  # no points
+NO_POINTS = GivenPoints(np.zeros((0, PLANE)), np.zeros(0, np.int64))  # no points
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class View:
-    """A picture that has been searched, and what was found in it."""
+    """A picture that has been searched, and the points that were found."""
 
     time: float  # s, of the frame
-    found: GivenPoints  # points that were found, or were given
+    points: GivenPoints  # that were found, or were given with the frame
     grey: NDArray[np.uint8] | None  # (height, width); None where points were given instead of a picture
     noise: float  # px, standard deviation of each coordinate of points that were given
-    patch: int  # px, side of the patches that are cut from it
+    patch_size: int  # px, side of the patches that are cut from it
 
     def patches_at(self, positions: Numbers) -> NDArray[np.float32]:
-        """Grey values `(n, patch, patch)` about `positions`, `(n, 2)` px; there has to be a picture."""
+        """Return grey values `(n, patch_size, patch_size)` about `positions` `(n, 2)` px of the picture."""
         assert self.grey is not None
-        return sample_patches(self.grey, positions, self.patch)
+        return sample_patches(self.grey, positions, self.patch_size)
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class PointMessage:
-    """Independent Gaussians over positions by identity, and what goes with them.
+    """Independent Gaussians over positions by identity, with patches and the picture searched.
 
-    `view` is this frame's, of the evidence, or that of the frame which a tracker's message comes from, to
-    search back there. It is not saved: who goes on with a saved message has the frame.
+    `view` is this frame's in the evidence, and the last frame's in a tracker's message, for the backward
+    search. It is not saved.
     """
 
     positions: GaussianMessage  # px; see `GaussianMessage`
-    patches: Patches | None = None  # what points look like; also of points whose position is not known
+    patches: Patches | None = None  # also of points without a position
     view: View | None = field(default=None, metadata={"saved": False})
     # (n,): the point that each is taken for, the smallest of its group
     same_as: NDArray[np.int64] | None = None
 
     @classmethod
     def uniform(cls) -> Self:
-        """The constant 1, which mentions nothing."""
+        """Return the constant 1, with no points."""
         return cls(GaussianMessage.uniform(PLANE))
 
     @property
     def log_mass(self) -> float:
-        """Log of the integral over all positions; see `GaussianMessage.log_mass`."""
+        """Return the log of the integral over all positions; see `GaussianMessage.log_mass`."""
         return self.positions.log_mass
 
     def __mul__(self, other: Self) -> Self:
-        """Positions multiply; of two views the later one stays, two groupings keep the smaller numbers.
+        """Multiply positions; keep the later view and the smaller identities of `same_as`.
 
-        A `ValueError`, if both say what points look like: appearance is one tracker's.
+        Raises `ValueError` if both have patches: the appearance is one tracker's.
         """
         if self.patches is not None and other.patches is not None:
             raise ValueError("patches: got them from two chains at one feature, expected them from one")
@@ -115,7 +114,7 @@ class PointMessage:
 def _grouped(
     identities: NDArray[np.int64], one: PointMessage, other: PointMessage
 ) -> NDArray[np.int64] | None:
-    """`same_as` of a product that mentions `identities`."""
+    """Return `same_as` of a product over `identities`."""
     if one.same_as is None and other.same_as is None:
         return None
     groups = identities.copy()
@@ -129,45 +128,45 @@ def _grouped(
 @short_repr
 @dataclass(frozen=True)
 class PointTracks:
-    """Feature node of points in the picture, shared by trackers and by what knows how points move together.
+    """Feature node of points in the picture, shared by trackers and models of their joint motion.
 
     Parameters
     ----------
-    patch
-        px, odd: side of the patches that say what a point looks like.
+    patch_size
+        px, odd: side of the square patches by which points are found.
     noise
         px, standard deviation of each coordinate of points that are given; see `noise_of_tracks`.
-    false_alarms
-        share of the windows without the point in which something is as like it as is asked for; what has a
-        rival, or leads back to another place in the picture before, is refused as well.
-    farthest
-        px from the middle of a prior beyond which nothing is searched.
+    false_alarm_rate
+        share of search windows without the point in which another place passes the test of correlation. A
+        place with a rival, or not found back in the last picture, is rejected as well.
+    search_radius
+        px, largest distance from the mean of the prior at which a point is searched for.
     """
 
-    patch: int = 5
+    patch_size: int = 5
     noise: float = 1.0
-    false_alarms: float = 0.05
-    farthest: float = 24.0
+    false_alarm_rate: float = 0.05
+    search_radius: float = 24.0
     name: str = "points"
 
     searches = True
 
     def __post_init__(self) -> None:
-        if self.patch < 3 or self.patch % 2 == 0:
-            raise ValueError(f"patch: got {self.patch} px, expected an odd number from 3")
-        check_bounds(self, {"false_alarms": SHARE, "farthest": POSITIVE, "noise": POSITIVE})
+        if self.patch_size < 3 or self.patch_size % 2 == 0:
+            raise ValueError(f"patch_size: got {self.patch_size} px, expected an odd number from 3")
+        check_bounds(self, {"false_alarm_rate": SHARE, "search_radius": POSITIVE, "noise": POSITIVE})
 
     def uniform(self) -> PointMessage:
-        """The message that mentions no point."""
+        """Return the message without points."""
         return PointMessage.uniform()
 
     def evidence(self, frame: Frame, prior: PointMessage) -> PointMessage:
-        """Where the frame shows points of `prior`; or all points that are given with the frame.
+        """Return the likelihood of positions: of points given with the frame, or found near the `prior`.
 
-        A given point is N(z; F, noise^2 I), whatever the prior; one of which one coordinate is known says
-        nothing of the other. Otherwise every point of which `prior` knows the patch, and the place to a
-        standard deviation of `farthest`, is searched for by normalised correlation. One that is found is area
-        * N(z; F, R), as against being anywhere in the picture; one that is not found is no information.
+        A given point is N(z; F, noise^2 I), whatever the prior; a missing coordinate adds nothing. Otherwise
+        each point of `prior` with a patch and a standard deviation of at most `search_radius` is searched for
+        by normalised correlation. A found point is area * N(z; F, R), relative to the uniform density over
+        the picture; a point that is not found is no information.
         """
         if frame.points is not None:
             return self._given(frame.points, frame.time)
@@ -175,21 +174,27 @@ class PointTracks:
             return self.uniform()
         grey = grey_of(frame.image)
         positions, found = self._found(grey, prior)
-        return PointMessage(positions, view=View(frame.time, found, grey, self.noise, self.patch))
+        return PointMessage(positions, view=View(frame.time, found, grey, self.noise, self.patch_size))
 
     def _found(self, grey: NDArray[np.uint8], prior: PointMessage) -> tuple[GaussianMessage, GivenPoints]:
-        """Points of `prior` that are found in the picture."""
+        """Return the points of `prior` that are found in the picture."""
         identities, mean, covariance = prior.positions.moments
         if prior.patches is None:
-            return GaussianMessage.uniform(PLANE), NOWHERE
+            return GaussianMessage.uniform(PLANE), NO_POINTS
         known = np.isin(identities, prior.patches.identities)
-        known &= 0.5 * np.trace(covariance, axis1=1, axis2=2) <= self.farthest**2
+        known &= 0.5 * np.trace(covariance, axis1=1, axis2=2) <= self.search_radius**2
         if not known.any():
-            return GaussianMessage.uniform(PLANE), NOWHERE
+            return GaussianMessage.uniform(PLANE), NO_POINTS
         identities, mean, covariance = identities[known], mean[known], covariance[known]
         patches = prior.patches.pixels[np.searchsorted(prior.patches.identities, identities)]
         found = find_points(
-            grey, patches, mean, covariance, self.false_alarms, self.farthest, _before(prior.view, identities)
+            grey,
+            patches,
+            mean,
+            covariance,
+            self.false_alarm_rate,
+            self.search_radius,
+            _previous_view(prior.view, identities),
         )
         seen, position = identities[found.seen], found.position
         positions = GaussianMessage.from_moments(seen, position, found.covariance)
@@ -197,7 +202,7 @@ class PointTracks:
         return positions, GivenPoints(position, seen)
 
     def draw(self, picture: NDArray[np.uint8], belief: PointMessage) -> None:
-        """Draw into a BGR picture where the points are to 90 %."""
+        """Draw the points' 90 % regions into a BGR picture."""
         _, means, covariances = belief.positions.moments
         for mean, covariance in zip(means, covariances, strict=True):
             draw_region(picture, mean, covariance, COLOUR)
@@ -213,25 +218,25 @@ class PointTracks:
             positions = replace(
                 positions, information=information, log_scale=positions.log_scale + integrated
             )
-        return PointMessage(positions, view=View(time, points, None, self.noise, self.patch))
+        return PointMessage(positions, view=View(time, points, None, self.noise, self.patch_size))
 
 
-def _before(view: View | None, identities: NDArray[np.int64]) -> Before | None:
-    """Where a picture showed points of these numbers; `None` if there is no picture."""
+def _previous_view(view: View | None, identities: NDArray[np.int64]) -> PreviousView | None:
+    """Return the positions of points in the last picture; `None` without one."""
     if view is None or view.grey is None:
         return None
-    shown = np.isin(identities, view.found.identities)
+    shown = np.isin(identities, view.points.identities)
     position = np.zeros((len(identities), PLANE))
-    position[shown] = view.found.positions[np.searchsorted(view.found.identities, identities[shown])]
-    return Before(view.grey, shown, position)
+    position[shown] = view.points.positions[np.searchsorted(view.points.identities, identities[shown])]
+    return PreviousView(view.grey, shown, position)
 
 
 def frames_of_tracks(
     tracks: NDArray[np.float64], numbers: range | None = None, rate: float = 25.0
 ) -> list[Frame]:
-    """Frames that hold the points of tracks `(n_frames, n_tracks, 2)` px, NaN where missing; one may be.
+    """Return frames with the points of tracks `(n_frames, n_tracks, 2)` px, NaN where one is missing.
 
-    Identities are the tracks' columns; `numbers` of frames are 1, 2, ... by default, `rate` is frames per
+    Identities are the tracks' columns; `numbers` of frames are 1, 2, ... by default; `rate` in frames a
     second.
     """
     frames = []
@@ -242,12 +247,11 @@ def frames_of_tracks(
 
 
 def noise_of_tracks(frames: Iterable[Frame]) -> float:
-    """Standard deviation of each coordinate of the points that are given with frames, px.
+    """Estimate the standard deviation of each coordinate of the points that are given with frames, px.
 
-    Estimated from third differences, which a motion that is smooth from frame to frame does not enter: their
-    variance is 20 times that of independent noise. The median over all of them is not moved by tracks that
-    jump or slip. Frames are taken to be evenly spaced. At least a millionth of the points' spread; a
-    hundredth of it when no track lasts four frames.
+    By third differences, in which smooth motion cancels and whose variance is 20 times that of independent
+    noise; the median is robust to tracks that jump or slip. Frames are assumed to be evenly spaced. At least
+    a millionth of the points' standard deviation; a hundredth of it if no track lasts four frames.
 
     Raises
     ------

@@ -1,15 +1,14 @@
-"""Points found in a picture by what they look like: where, how surely, and when rather not at all.
+"""Search for points in a picture by their patches: positions, covariances, and rejection of false matches.
 
-A patch of 5x5 pixels is easily found where it is not. Four things are asked of a place:
+A patch of 5x5 pixels has many false matches. A match has to pass four tests:
 
-- It is like the patch. The wider the window, the likelier something in it is so by chance. How likely was
-  counted on pairs of nine unrelated pictures, corners of one looked for in the other; see `least_ncc` of
-  `kernels.search`.
-- It has no rival. Where a second place is nearly as like it, the prior decides between them, or nobody does.
-- It is no chance find, if the point was not there in the picture before, and may be hidden: what is there by
-  chance is one more rival; see `odds_over_chance` there.
-- It leads back. What is found is searched for in the picture before, in the same way, and is where the point
-  was (the forward-backward check of Kalal, Mikolajczyk and Matas 2010).
+- Its correlation exceeds a threshold that grows with the search window (`least_ncc`), from the number of
+  false matches counted on pairs of nine unrelated pictures.
+- It has no rival: no second place is nearly as likely under correlation and prior.
+- If the point was not seen in the last picture, and may be hidden, it is likelier than a chance match
+  (`odds_over_chance`).
+- It is found back: searched for in the last picture, it is where the point was (the forward-backward test of
+  Kalal, Mikolajczyk and Matas 2010).
 """
 
 from typing import NamedTuple
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numerics.compiled import compiled, logarithm
-from .patches import LIGHT, Expected, align_all, sample_all
+from .patches import LIGHT_MODEL, PlacePrior, align_in_place, sample_all
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -43,13 +42,13 @@ LEAST_WEIGHT = -1e30  # log weight of where a patch cannot be
 
 
 class Windows(NamedTuple):
-    """Where n patches are searched for."""
+    """Search windows of n patches."""
 
     mean: Numbers  # (n, 2) px
     covariance: Numbers  # (n, 2, 2) px^2 about it
-    prior: bool  # whether that says more than how large windows are
-    reach: float  # standard deviations beyond which nothing is searched
-    farthest: float  # px along either axis, likewise
+    prior: bool  # whether mean and covariance are also the prior of the position
+    reach: float  # standard deviations to search
+    search_radius: float  # px along either axis to search, at most
 
 
 class Candidates(NamedTuple):
@@ -61,14 +60,14 @@ class Candidates(NamedTuple):
 
 
 @compiled
-def best_places(image, windows, patches, which, found):
+def find_candidates_in_place(image, windows, patches, which, found):
     """Fill in the two likeliest places of those patches of `(n, side, side)` whose numbers are in `which`.
 
     A place's weight is `SHARPNESS` times -log(1 - correlation^2 + `NCC_NOISE`), plus the log prior. Only
     places are taken of a correlation of `LEAST_NCC` or more, and that no neighbour is more like the patch
     than.
     """
-    mean, covariance, prior, reach, farthest = windows
+    mean, covariance, prior, reach, search_radius = windows
     height, width = image.shape
     side = patches.shape[1]
     half = side // 2
@@ -77,7 +76,7 @@ def best_places(image, windows, patches, which, found):
     for m in range(which.size):
         k = which[m]
         deviation = np.sqrt(max(covariance[k, 0, 0], covariance[k, 1, 1]))
-        radii[m] = np.int64(min(np.ceil(reach * deviation + 0.5), farthest))
+        radii[m] = np.int64(min(np.ceil(reach * deviation + 0.5), search_radius))
         most = max(most, radii[m])
     line = 2 * most + 2 + side + REGISTER
     rooms = np.zeros((6, line * line), _f4)
@@ -254,32 +253,27 @@ def _parabola(before, here, after):
     return off, _f4(-0.25) * (before - after) * off
 
 
-REACH = 3.0  # standard deviations from where a point should be within which it is searched for
+REACH = 3.0  # standard deviations of the prior within which a point is searched for
 
 GRID = 0.5
-"""px, standard deviation added to what is known of a position: places are compared pixel by pixel, and any
-hand that holds a camera soon moves it by half a pixel more than expected."""
+"""px, standard deviation added to the prior: positions are compared pixel by pixel, and a hand-held camera
+moves by half a pixel more than predicted."""
 
-ODDS = 10.0  # by which a place must be likelier than its rival
-DOUBT = 1.0  # by which the log weight of a place may be off before it is known to fractions of a pixel
+ODDS = 10.0  # least odds of a place over its rival
+DOUBT = 1.0  # error of a place's log weight before sub-pixel alignment
+NEAR = 1.0  # px: places nearer to each other are one; limit of the sub-pixel alignment and of the way back
+WHOLE = 0.5  # px: error of a place found pixel by pixel
 
-NEAR = 1.0
-"""px: places that are nearer to each other are one. So far may fractions of a pixel lead, and the way
-back."""
-
-WHOLE = 0.5  # px by which a place is off that is sought pixel by pixel
-
-MOST_SPREAD = 0.7
-"""px, standard deviation of a found position from which on it is as good as not found. Of a lost point it is
-that given what is expected of it, too."""
+MAX_STD = 0.7
+"""px: largest standard deviation of a found position; of a lost point, after its prior is included."""
 
 UNLIKE = 0.045
-"""Mean of 1 - correlation of a point that is seen again after it was hidden, with its patch of before. Of
-2900 in a real film the correlation was 0.91, 0.96 and 0.975 in the quartiles."""
+"""Mean of 1 - correlation of a point that is seen again after it was hidden, with its last patch. Of 2900
+such points in a real film the quartiles of the correlation were 0.91, 0.96 and 0.975."""
 
 
 class Places(NamedTuple):
-    """Two places each for n patches, to fractions of a pixel."""
+    """Two places for each of n patches, to sub-pixel accuracy."""
 
     position: Numbers
     covariance: Numbers
@@ -287,7 +281,9 @@ class Places(NamedTuple):
 
 
 @compiled
-def decide(places, mean, around, precision, hidden, false_alarms, farthest, side, better, seen):
+def choose_places(
+    places, mean, around, precision, hidden, false_alarm_rate, search_radius, side, better, seen
+):
     """Say of n points in `better`, `(n,)`, which of two places is the likelier one, and if `seen` there.
 
     To fractions of a pixel that can be another one than pixel by pixel. `mean`, `around` and `precision` are
@@ -320,12 +316,12 @@ def decide(places, mean, around, precision, hidden, false_alarms, farthest, side
         place = better[k]
         ncc = nccs[k, place]
         xx, xy, yy = covariance[k, place, 0, 0], covariance[k, place, 0, 1], covariance[k, place, 1, 1]
-        area = min(np.pi * REACH**2 * np.sqrt(a * c - b * b), (2 * farthest + 1) ** 2)
-        seen[k] = best - rival > log_odds and ncc >= least_ncc(false_alarms, area, side)
+        area = min(np.pi * REACH**2 * np.sqrt(a * c - b * b), (2 * search_radius + 1) ** 2)
+        seen[k] = best - rival > log_odds and ncc >= least_ncc(false_alarm_rate, area, side)
         if not seen[k]:
             continue
         if not hidden[k]:
-            seen[k] = 0.5 * (xx + yy) <= MOST_SPREAD**2
+            seen[k] = 0.5 * (xx + yy) <= MAX_STD**2
             continue
         # where a hidden point is along an edge, only what is expected can say
         scale = 1 / (xx * yy - xy * xy)
@@ -333,19 +329,19 @@ def decide(places, mean, around, precision, hidden, false_alarms, farthest, side
         q = precision[k, 0, 1] - scale * xy
         determinant = (a + xx) * (c + yy) - (b + xy) ** 2
         odds = odds_over_chance(ncc, best_square, determinant, area, side)
-        seen[k] = 0.5 * (p + r) / (p * r - q * q) <= MOST_SPREAD**2 and odds > log_odds
+        seen[k] = 0.5 * (p + r) / (p * r - q * q) <= MAX_STD**2 and odds > log_odds
 
 
 @compiled
-def least_ncc(false_alarms, area, side):
-    """Normalised correlation that a share of `false_alarms` of windows without the point exceeds by chance.
+def least_ncc(false_alarm_rate, area, side):
+    """Return the correlation that a share `false_alarm_rate` of windows without the point exceeds by chance.
 
     The expected number of places that are at least so like a patch of `side` px in `area` px^2 is 0.24 (area
     / 1089)^0.56 (5 / side)^2.5 ((1 - ncc) / 0.1)^2.5: a fit to counts for sides from 5 to 11, areas from 25
     to 1089 and correlations from 0.8 to 0.95, right to a third. What else is asked of a place leaves a third
     of these false alarms.
     """
-    unlike = 0.1 * (-np.log(1 - false_alarms) / _at_ten_percent(area, side)) ** 0.4
+    unlike = 0.1 * (-np.log(1 - false_alarm_rate) / _at_ten_percent(area, side)) ** 0.4
     return max(1 - unlike, LEAST_NCC)
 
 
@@ -372,19 +368,19 @@ def _at_ten_percent(area, side):
 Grey = NDArray[np.uint8]
 Pixels = NDArray[np.float32]
 
-LEAST_SPREAD = 0.05  # px, standard deviation of a found position: the least there is
+MIN_STD = 0.05  # px, standard deviation of a found position: the least there is
 
 
-class Before(NamedTuple):
-    """Where the picture before showed points that are searched for: which, `(n,)`, and places of these."""
+class PreviousView(NamedTuple):
+    """The last picture: which of the points it showed, `(n,)`, and their positions."""
 
     grey: Grey
     shown: Mask
     position: Numbers
 
 
-class Found(NamedTuple):
-    """Which of the points that were searched for were `seen` `(n,)`; of those alone, px and px^2."""
+class FoundPoints(NamedTuple):
+    """Which of the points were `seen` `(n,)`, and positions (px) and covariances (px^2) of these."""
 
     seen: Mask
     position: Numbers
@@ -396,73 +392,79 @@ def find_points(
     patches: Pixels,
     mean: Numbers,
     covariance: Numbers,
-    false_alarms: float,
-    farthest: float,
-    before: Before | None = None,
-) -> Found:
-    """Search for points in a picture, and from there back in the one before.
+    false_alarm_rate: float,
+    search_radius: float,
+    before: PreviousView | None = None,
+) -> FoundPoints:
+    """Search for points in a picture, and back in the last one.
 
     Parameters
     ----------
     grey, patches
         `(height, width)`, and `(n, side, side)` grey values.
     mean, covariance
-        `(n, 2)` px and `(n, 2, 2)` px^2: where they should be, `farthest` px from there at most.
+        `(n, 2)` px and `(n, 2, 2)` px^2: prior of the positions.
     false_alarms
-        share of windows without the point in which something is as like it as is asked for.
+        share of windows without the point in which another place passes the test of correlation.
+    search_radius
+        px, largest distance from the mean.
     before
-        the picture before. A point that it showed has to lead back there, any other one may be hidden: what
-        is there by chance is one more rival of it. Without it neither is asked.
+        the last picture. A point that it showed has to be found back there; any other may be hidden, and has
+        to be likelier than a chance match. Without it neither is tested.
     """
     count, side = patches.shape[:2]
     mean, around = np.ascontiguousarray(mean), covariance + GRID**2 * np.eye(2)
     precision = _inverses(around)
-    places = likeliest_places(grey, patches, Windows(mean, around, True, REACH, farthest), np.arange(count))
-    aligned = _aligned(grey, patches, places, Expected(mean, precision))
+    places = find_candidates(
+        grey, patches, Windows(mean, around, True, REACH, search_radius), np.arange(count)
+    )
+    aligned = _aligned(grey, patches, places, PlacePrior(mean, precision))
     hidden = np.zeros(count, np.bool_) if before is None else ~before.shown
     better, seen = np.zeros(count, np.int64), np.empty(count, np.bool_)
-    decide(aligned, mean, around, precision, hidden, false_alarms, farthest, side, better, seen)
+    choose_places(
+        aligned, mean, around, precision, hidden, false_alarm_rate, search_radius, side, better, seen
+    )
     position, spread = (both[np.arange(count), better] for both in aligned[:2])
     if before is not None:
         again = np.flatnonzero(seen & before.shown)
-        windows = Windows(before.position, around, False, REACH, farthest)
-        seen[again] = leads_back(grey, position, before.grey, windows, again, side)
-    return Found(seen, position[seen], spread[seen] + LEAST_SPREAD**2 * np.eye(2))
+        windows = Windows(before.position, around, False, REACH, search_radius)
+        seen[again] = is_found_back(grey, position, before.grey, windows, again, side)
+    return FoundPoints(seen, position[seen], spread[seen] + MIN_STD**2 * np.eye(2))
 
 
-def leads_back(
+def is_found_back(
     grey: Grey, position: Numbers, before: Grey, windows: Windows, which: NDArray[np.int64], side: int
 ) -> Mask:
-    """`(m,)`: whether what is at `position` px was in the middle of its window in the picture before."""
+    """Return whether points at `position` px were in the middle of their windows in the last picture."""
     patches = np.empty((len(position), side, side), np.float32)
     sample_all(grey, position, which, patches)
-    places = likeliest_places(before, patches, windows, which)
+    places = find_candidates(before, patches, windows, which)
     off = np.abs(places.position[which, 0] - windows.mean[which]).max(axis=1, initial=0)
     back: Mask = (places.ncc[which, 0] > 0) & (off <= NEAR + WHOLE)
     return back
 
 
-def likeliest_places(grey: Grey, patches: Pixels, windows: Windows, which: NDArray[np.int64]) -> Candidates:
-    """Search for those of `patches (n, side, side)` whose numbers are in `which`; all of a patch is seen."""
+def find_candidates(grey: Grey, patches: Pixels, windows: Windows, which: NDArray[np.int64]) -> Candidates:
+    """Return the two likeliest places of those `patches` `(n, side, side)` whose numbers are in `which`."""
     count = len(patches)
     found = Candidates(np.zeros((count, 2, 2)), np.full((count, 2), -1.0), np.full((count, 2), LEAST_WEIGHT))
-    best_places(grey, windows, patches, which, found)
+    find_candidates_in_place(grey, windows, patches, which, found)
     return found
 
 
-def _aligned(grey: Grey, patches: Pixels, places: Candidates, expected: Expected) -> Places:
-    """To fractions of a pixel: the likelier place, and the other one where that might become the likelier."""
+def _aligned(grey: Grey, patches: Pixels, places: Candidates, expected: PlacePrior) -> Places:
+    """Align the likelier places to sub-pixel accuracy, and those that may become the likelier ones."""
     close = places.ncc > 0
     close[:, 1] &= places.weight[:, 1] > places.weight[:, 0] - np.log(ODDS) - DOUBT
     position = places.position.copy()
     covariance, ncc = np.zeros((*position.shape, 2)), np.full(close.shape, -1.0)
     lines = position.reshape(-1, 2), covariance.reshape(-1, 2, 2), ncc.reshape(-1)
-    align_all(grey, patches, np.flatnonzero(close), lines[0], expected, LIGHT, NEAR, *lines[1:])
+    align_in_place(grey, patches, np.flatnonzero(close), lines[0], expected, LIGHT_MODEL, NEAR, *lines[1:])
     return Places(position, covariance, ncc)
 
 
 def _inverses(matrices: Numbers) -> Numbers:
-    """`(n, 2, 2)`, symmetric; three times as fast as the general way."""
+    """Return the inverses of symmetric matrices `(n, 2, 2)`, three times as fast as numpy's."""
     turned = matrices[:, ::-1, ::-1] * np.array([[1.0, -1.0], [-1.0, 1.0]])
     determinants = matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
     inverses: Numbers = turned / determinants[:, None, None]

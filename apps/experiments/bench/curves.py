@@ -204,7 +204,7 @@ def over_points() -> Curve:
     rounds: dict[float, list[float]] = {}
     for count in POINTS:
         tracker = PointTracker(n_points=count, spacing=4.0)
-        found, state = of_chains(MultiChain().connect(tracker, PointTracks(patch=5)), frames)
+        found, state = of_chains(MultiChain().connect(tracker, PointTracks(patch_size=5)), frames)
         followed = int(state.states[tracker.name].known.alive.sum())
         rounds[followed] = [each["whole"] for each in found[3:]]
     return Curve.of(f"tracker of points, {SIDE}x{SIDE}", "points", rounds)

@@ -24,7 +24,7 @@ from ....inference.sfm.factor_analysis.initialisation import mean_filled
 from ....inference.sfm.factor_analysis.observations import Observations
 from ....models.points.patches import sample_patches
 from ....models.points.point_tracks import PointTracks
-from ....models.points.search import GRID, NEAR, REACH, WHOLE, Before, find_points
+from ....models.points.search import GRID, NEAR, REACH, WHOLE, PreviousView, find_points
 from ...io.point_files import frames_of_tracks
 from ...scenes import cylinder
 from ..experiment import Findings
@@ -198,11 +198,13 @@ def _searches(
     deviation = np.sqrt(((reach - 0.5) / REACH) ** 2 - GRID**2)
     covariances = np.tile(deviation**2 * np.eye(2), (len(corners), 1, 1))
     patches = sample_patches(first, origin, SIDE)
-    before = Before(first, np.ones(len(corners), np.bool_), origin)
-    node = PointTracks(patch=SIDE)
+    before = PreviousView(first, np.ones(len(corners), np.bool_), origin)
+    node = PointTracks(patch_size=SIDE)
 
     def search() -> Numbers:
-        found = find_points(second, patches, expected, covariances, node.false_alarms, node.farthest, before)
+        found = find_points(
+            second, patches, expected, covariances, node.false_alarm_rate, node.search_radius, before
+        )
         places = np.full(expected.shape, np.nan)
         places[found.seen] = found.position
         return places

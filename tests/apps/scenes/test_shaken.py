@@ -15,7 +15,7 @@ def test_frames_show_the_scene_where_the_maps_say() -> None:
     for index in (3, 11):
         steady, image = scene[index].image[12:-12, 12:-12], film[index].image
         assert np.abs(film.views[index].parameters).max() > 0.5
-        back = film.views[index].in_scene(image, np.zeros_like(image))
+        back = film.views[index].warp_to_scene(image, np.zeros_like(image))
         inner = (slice(15, -15), slice(15, -15))
         moved = np.abs(image[inner].astype(float) - steady[inner]).mean()
         assert np.abs(back[inner].astype(float) - steady[inner]).mean() < 0.25 * moved

@@ -58,7 +58,7 @@ def test_masks_are_nearly_those_of_a_steady_camera(shaking: tuple[ShakenFilm, li
         for index, belief in enumerate(beliefs):
             pixels = belief["pixels"]
             mask = pixels.foreground()
-            found = (mask if pixels.view is None else pixels.view.map.in_frame(mask)) > 0
+            found = (mask if pixels.view is None else pixels.view.map.warp_to_frame(mask)) > 0
             truth = frames.mask(frames.film.foreground(index), index)  # type: ignore[attr-defined]
             hits, wrong = hits + int((found & truth).sum()), wrong + int((found != truth).sum())
         return 2 * hits / (2 * hits + wrong)

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.chains.points.point_tracker import (
-    KnownPoints,
-    coincident_tracks,
-    duplicates,
-    merged_groups,
-    without_duplicates,
+    PointTable,
+    find_coincident_tracks,
+    find_duplicates,
+    merge_duplicates,
+    merge_groups,
 )
 from rsmcm.chains.points.trajectory import Appearances, PointTrajectory
 from rsmcm.inference.kalman import PointStates
@@ -48,15 +48,15 @@ def test_groups_are_those_of_a_graph_and_named_by_their_smallest(
     expected = {
         node: min(part) for part in nx.connected_components(graph) for node in part if node != min(part)
     }
-    assert merged_groups(merged_groups({}, one), other) == expected
+    assert merge_groups(merge_groups({}, one), other) == expected
 
 
 def test_what_is_said_of_one_point_counts_once() -> None:
     message = at([1, 4, 6], [[0, 0], [5, 5], [9, 9]])
-    same = without_duplicates(message, {6: 4, 1: 0}).positions
+    same = merge_duplicates(message, {6: 4, 1: 0}).positions
     np.testing.assert_array_equal(same.identities, [0, 4])
     np.testing.assert_allclose(same.moments[1], [[0, 0], [5, 5]])
-    assert without_duplicates(message, {}) is message
+    assert merge_duplicates(message, {}) is message
 
 
 def test_points_that_others_take_for_one_have_to_look_alike() -> None:
@@ -64,26 +64,26 @@ def test_points_that_others_take_for_one_have_to_look_alike() -> None:
     last = PIXELS[::-1].copy()
     first[2] = 0.5 * last[0] + 30  # found again as it was lost, in another light
     others = [at([0, 1, 2, 4], [[0, 0]] * 4, [0, 0, 0, 4]), at([0], [[0, 0]])]
-    assert duplicates(trajectory(first, last), others) == {2: 0, 5: 3}  # what was one before stays so
+    assert find_duplicates(trajectory(first, last), others) == {2: 0, 5: 3}  # what was one before stays so
 
 
 def test_one_spot_again_and_again_is_one_point() -> None:
     near, far = at([3, 7, 8], [[10, 10], [11, 10], [30, 30]]), at([3, 7, 8], [[10, 10], [20, 10], [30, 30]])
-    assert coincident_tracks([near] * 5 + [far] * 3, 1.5) == [(3, 7)]
-    assert coincident_tracks([near] * 4 + [far] * 3, 1.5) == []
+    assert find_coincident_tracks([near] * 5 + [far] * 3, 1.5) == [(3, 7)]
+    assert find_coincident_tracks([near] * 4 + [far] * 3, 1.5) == []
 
 
-def known(identities: list[int], alive: list[bool], unseen: list[float]) -> KnownPoints:
+def known(identities: list[int], alive: list[bool], unseen: list[float]) -> PointTable:
     n = len(identities)
     states = PointStates.at_rest(np.arange(2.0 * n).reshape(n, 2), 1.0, 1.0)
-    return KnownPoints(
+    return PointTable(
         np.array(identities), states.mean, states.covariance, np.array(alive), np.array(unseen), PIXELS[:n],
         PIXELS[:n],
     )  # fmt: skip
 
 
 def test_points_are_joined_in_order() -> None:
-    both = known([2, 9], [True, False], [0.0, 1.0]).with_more(known([1, 5], [True, True], [0.0, 0.2]))
+    both = known([2, 9], [True, False], [0.0, 1.0]).merged(known([1, 5], [True, True], [0.0, 0.2]))
     np.testing.assert_array_equal(both.identities, [1, 2, 5, 9])
     np.testing.assert_array_equal(both.alive, [True, True, True, False])
     np.testing.assert_array_equal(both.states.mean[:, 0], [0, 0, 2, 2])

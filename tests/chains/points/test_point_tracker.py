@@ -204,7 +204,7 @@ class PlaneKnown:
         if message.view is None:
             return state
         identities, mean, _ = message.positions.moments
-        new = np.isin(identities, message.view.found.identities) & ~np.isin(identities, state.identities)
+        new = np.isin(identities, message.view.points.identities) & ~np.isin(identities, state.identities)
         together = np.concatenate([state.identities, identities[new]])
         points = np.concatenate([state.points, self._pose(state.time).on_plane(mean[new])])
         order = np.argsort(together)
@@ -244,7 +244,7 @@ class Finds:
         for t, (pose, belief) in enumerate(zip(poses, RecursiveBP(model).run(frames), strict=True)):
             view = belief["tracker"].view
             if view.time == frames[t].time:
-                for identity, position in zip(view.found.identities, view.found.positions, strict=True):
+                for identity, position in zip(view.points.identities, view.points.positions, strict=True):
                     finds.setdefault(int(identity), []).append((t, pose.on_plane(position)))
         return cls(finds)
 
@@ -418,9 +418,9 @@ def test_of_two_points_on_one_spot_the_younger_ends() -> None:
     mean[7], pixels[7] = mean[3], pixels[3]
     moved = replace(known, mean=mean, patches=pixels, first=pixels)
     view = state.states["tracker"].view
-    found = view.found.positions.copy()
+    found = view.points.positions.copy()
     found[7] = found[3]
-    view = replace(view, found=replace(view.found, positions=found))
+    view = replace(view, points=replace(view.points, positions=found))
     tracked = replace(state.states["tracker"], known=moved, view=view)
     after = RecursiveBP(model).step(replace(state, states={"tracker": tracked}), Frame(grey, DT, 2))
     alive = after["tracker"].known.alive
@@ -473,7 +473,7 @@ def test_some_steps_are_one_long_step(steps: tuple[float, ...]) -> None:
     once = tracker.predict(once, sum(steps))
     for dt in steps:
         several = tracker.predict(several, dt)
-    assert once.rested == pytest.approx(several.rested, rel=1e-12)
+    assert once.since_corner_search == pytest.approx(several.since_corner_search, rel=1e-12)
     np.testing.assert_allclose(once.known.unseen, several.known.unseen, rtol=1e-12)
     np.testing.assert_allclose(once.known.states.mean, several.known.states.mean, rtol=1e-9)
     np.testing.assert_allclose(
@@ -496,10 +496,12 @@ def test_a_run_goes_on_from_a_file_as_if_nothing_had_been(
     np.testing.assert_array_equal(one.known.states.mean, other.known.states.mean)
     np.testing.assert_array_equal(one.known.states.covariance, other.known.states.covariance)
     np.testing.assert_array_equal(one.known.patches, other.known.patches)
-    np.testing.assert_array_equal(one.view.found.positions, other.view.found.positions)
+    np.testing.assert_array_equal(one.view.points.positions, other.view.points.positions)
 
 
-@pytest.mark.parametrize("wrong", [{"n_points": 0}, {"spacing": -1.0}, {"limit": 0.0}, {"acceleration": 0.0}])
+@pytest.mark.parametrize(
+    "wrong", [{"n_points": 0}, {"spacing": -1.0}, {"max_position_std": 0.0}, {"acceleration": 0.0}]
+)
 def test_wrong_parameters_are_named(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         PointTracker(**wrong)  # type: ignore[arg-type]

@@ -36,13 +36,13 @@ def test_a_frame_comes_back_to_the_scene_and_the_mask_to_the_frame() -> None:
     ramp = np.asarray(2 * columns + rows, np.uint8)  # bends nowhere, so that interpolation is exact
     view = AffineMap(np.array([3.0, 0, 0, -2.0, 0, 0]), SIZE)
     frame = np.asarray(2 * (columns - 3) + (rows + 2), np.int16).clip(0, 255).astype(np.uint8)
-    scene = view.in_scene(frame, np.full(SIZE, 7, np.uint8))
+    scene = view.warp_to_scene(frame, np.full(SIZE, 7, np.uint8))
     assert (scene[3:-3, 3:-4] == ramp[3:-3, 3:-4]).all()
     assert (scene[:1] == 7).all(), "the frame does not show it"
     assert (scene[:, -2:] == 7).all()
     mask = np.zeros(SIZE, np.uint8)
     mask[20:30, 40:50] = 255
-    seen = view.in_frame(mask)
+    seen = view.warp_to_frame(mask)
     assert (seen[18:28, 43:53] == 255).all()
     assert seen.sum() == mask.sum()
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.points.patches import Expected, align_patches, ncc, sample_patches, with_light_of
+from rsmcm.models.points.patches import PlacePrior, align_patches, match_light, ncc, sample_patches
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, Texture, picture
 
@@ -118,7 +118,7 @@ def test_ncc_is_the_correlation_and_light_makes_no_difference() -> None:
     np.testing.assert_allclose(ncc(one, other), expected, atol=1e-6)
     np.testing.assert_allclose(ncc(2 * one + 30, one), 1, atol=1e-6)
     assert ncc(one[:1], np.full((1, 5, 5), 3, np.float32)) == 0
-    np.testing.assert_allclose(with_light_of(one, 0.5 * one + 20), 0.5 * one + 20, rtol=1e-5)
+    np.testing.assert_allclose(match_light(one, 0.5 * one + 20), 0.5 * one + 20, rtol=1e-5)
 
 
 def test_what_is_expected_holds_a_patch_on_an_edge() -> None:
@@ -134,7 +134,7 @@ def test_what_is_expected_holds_a_patch_on_an_edge() -> None:
     places = np.array([30.0, 30.0]) + random.uniform(-12, 12, (200, 1)) * along
     patches, wrong = sample_patches(one, places, 5), 0.3 * across
     free = align_patches(other, patches, places + wrong, 2.0)
-    expected = Expected(places + wrong, np.tile(np.eye(2) / 0.3**2, (200, 1, 1)))
+    expected = PlacePrior(places + wrong, np.tile(np.eye(2) / 0.3**2, (200, 1, 1)))
     held = align_patches(other, patches, places + wrong, 2.0, expected)
     errors = held.position - places
     assert np.abs(errors @ along).max() < 0.5
@@ -149,11 +149,11 @@ def test_a_clear_patch_hardly_hears_what_is_expected() -> None:
     start = places(300)
     patches = sample_patches(before, start, 5)
     alone = align_patches(after, patches, start + SHIFT, 1.0)
-    expected = Expected(start + SHIFT + 0.5, np.tile(np.eye(2), (300, 1, 1)))
+    expected = PlacePrior(start + SHIFT + 0.5, np.tile(np.eye(2), (300, 1, 1)))
     held = align_patches(after, patches, start + SHIFT, 1.0, expected)
     clear = (np.trace(alone.covariance, axis1=1, axis2=2) < 2 * 0.1**2) & (alone.ncc > 0.9)
     assert clear.sum() > 30
     pull = np.linalg.norm(held.position - alone.position, axis=1)[clear]
     assert pull.max() < 0.05
-    nothing = align_patches(after, patches, start + SHIFT, 1.0, Expected(start, np.zeros((300, 2, 2))))
+    nothing = align_patches(after, patches, start + SHIFT, 1.0, PlacePrior(start, np.zeros((300, 2, 2))))
     np.testing.assert_array_equal(nothing.position, alone.position)

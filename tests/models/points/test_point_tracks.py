@@ -100,12 +100,12 @@ def test_appearance_is_one_trackers() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"patch": 4},
-        {"patch": 1},
-        {"false_alarms": 0.0},
-        {"false_alarms": 1.0},
+        {"patch_size": 4},
+        {"patch_size": 1},
+        {"false_alarm_rate": 0.0},
+        {"false_alarm_rate": 1.0},
         {"noise": 0.0},
-        {"farthest": -1.0},
+        {"search_radius": -1.0},
     ],
 )
 def test_wrong_parameters_are_named(wrong: dict[str, float]) -> None:
@@ -127,7 +127,7 @@ def test_given_points_are_evidence_whatever_the_prior() -> None:
         np.testing.assert_allclose(covariance, np.tile(0.09 * np.eye(2), (2, 1, 1)))
         assert seen.log_mass == pytest.approx(0)  # a density
         assert seen.view is not None
-        assert seen.view.found is points
+        assert seen.view.points is points
 
 
 @pytest.mark.parametrize("scale", [1e-2, 1.0, 1e4])
@@ -243,7 +243,7 @@ def test_false_alarms_are_as_rare_as_asked_for(data_folder: Path, deviation: flo
             prior = prior_at(grey, points, expected, deviation)
             alarms += len(NODE.evidence(frame(unrelated), prior).positions)
             windows += 150
-    assert alarms < NODE.false_alarms * windows
+    assert alarms < NODE.false_alarm_rate * windows
 
 
 def test_only_points_with_a_look_and_a_place_are_looked_for() -> None:

@@ -16,13 +16,13 @@ from rsmcm.models.points.search import (
     LEAST_NCC,
     REACH,
     UNLIKE,
-    Before,
     Candidates,
+    PreviousView,
     Windows,
+    find_candidates,
     find_points,
-    leads_back,
+    is_found_back,
     least_ncc,
-    likeliest_places,
     odds_over_chance,
 )
 
@@ -53,8 +53,8 @@ def alike(deviation: float, n: int) -> Numbers:
 # --- correlation, pixel by pixel ---
 
 
-def windows(mean: Numbers, covariance: Numbers, farthest: float, *, prior: bool = True) -> Windows:
-    return Windows(mean, covariance + GRID**2 * np.eye(2), prior, REACH, farthest)
+def windows(mean: Numbers, covariance: Numbers, search_radius: float, *, prior: bool = True) -> Windows:
+    return Windows(mean, covariance + GRID**2 * np.eye(2), prior, REACH, search_radius)
 
 
 def likeliest(
@@ -62,11 +62,11 @@ def likeliest(
     patches: NDArray[np.float32],
     mean: Numbers,
     covariance: Numbers,
-    farthest: float,
+    search_radius: float,
     **prior: bool,
 ) -> Candidates:
-    return likeliest_places(
-        grey, patches, windows(mean, covariance, farthest, **prior), np.arange(len(patches))
+    return find_candidates(
+        grey, patches, windows(mean, covariance, search_radius, **prior), np.arange(len(patches))
     )
 
 
@@ -184,7 +184,7 @@ def test_what_leads_back_elsewhere_is_refused() -> None:
     for off, share in ((0.0, 1.0), (3.0, 0.0)):
         there = points + SHIFT + [off, 0.0]
         where = windows(points, alike(2.0, len(points)), 24.0, prior=False)
-        back = leads_back(after, there, before, where, np.arange(len(points)), 5)
+        back = is_found_back(after, there, before, where, np.arange(len(points)), 5)
         assert back.mean() == pytest.approx(share, abs=0.05)
 
 
@@ -264,7 +264,7 @@ def test_lost_points_are_found_where_they_are_and_rarely_where_they_are_not() ->
     patches, prior = sample_patches(before, points, 5), alike(0.7, len(points))
     shares = []
     for lost in (np.zeros(len(points), bool), np.ones(len(points), bool)):
-        seen_before = None if not lost.any() else Before(before, ~lost, points)
+        seen_before = None if not lost.any() else PreviousView(before, ~lost, points)
         there = find_points(after, patches, points + SHIFT, prior, 0.05, 24.0, seen_before).seen.mean()
         others = [film([Pose(np.eye(2), np.zeros(2))], seed=seed, noise=0.0)[0] for seed in range(1, 31)]
         wrong = [find_points(other, patches, points, prior, 0.05, 24.0, seen_before).seen for other in others]
