@@ -2,15 +2,14 @@
 
 p(x(t + dt) | x(t)) = prod_i N(x_i(t + dt); A(dt) x_i(t), q Q(dt)),    p(F | x) = prod_i delta(u_i - H x_i)
 
-x_i are position H x_i (px) and velocity (px/s) of point i, which white acceleration of density q (px^2/s^3)
-moves out of its straight way; A and Q are those of `kinematic(2, dt)`. F holds positions u_i and patches a_i
-by identity. The message to F is prod_i N(u_i; H m_i, H P_i H^T), the predicted positions, and with it what
-points look like; the evidence is where the picture shows these patches (`PointTracks`).
+x_i are position H x_i (px) and velocity (px/s) of point i, with white acceleration of density q (px^2/s^3);
+A and Q are those of `kinematic(2, dt)`. F holds positions u_i and patches a_i by identity. The message to F
+is prod_i N(u_i; H m_i, H P_i H^T), the predicted positions, with the patches; the evidence is where the
+picture shows these patches (`PointTracks`).
 
-It follows every point by itself and knows nothing of how points move together. Alone it loses a point that is
-not seen for a while, and takes it for another one when it comes back. With a second chain over the same
-points, that chain's prediction is a virtual observation: it keeps a point alive, and says where to look for
-one that was lost.
+Points are tracked independently. Alone, the chain loses a point that is hidden for a while, and gives it a
+new identity when it is seen again. With a second chain over the same points, that chain's prediction is a
+virtual observation: it keeps a point alive, and gives the position at which a lost one is searched for.
 """
 
 from collections import Counter
@@ -48,66 +47,66 @@ Pixels = NDArray[np.float32]
 @short_repr
 @dataclass(frozen=True, eq=False)
 class PointTable(Rows):
-    """Points by identity."""
+    """Points by identity, tracked and lately lost ones."""
 
     identities: Identities  # (n,), increasing
-    mean: Numbers  # (n, 4), of their states; meaningless of those that are not alive
+    mean: Numbers  # (n, 4), of their states; undefined unless alive
     covariance: Numbers  # (n, 4, 4)
-    alive: Mask  # (n,): which ones are followed
+    alive: Mask  # (n,): tracked
     unseen: Numbers  # (n,) s since a frame showed the point
-    first: Pixels  # (n, side, side): what it looked like at first; 0 where points come without pictures
-    patches: Pixels  # (n, side, side): what it is taken to look like now
+    first: Pixels  # (n, side, side): first patch; 0 where points come without pictures
+    patches: Pixels  # (n, side, side): current patch
 
     @classmethod
     def none(cls) -> "PointTable":
-        """No points."""
+        """Return an empty table."""
         nothing = np.zeros((0, 0, 0), np.float32)
         return cls.new(np.zeros(0, np.int64), PointStates.at_rest([], 1.0, 1.0), nothing)
 
     @classmethod
     def new(cls, identities: Identities, states: PointStates, patches: Pixels) -> "PointTable":
-        """Points that have just been seen, `identities` in order."""
+        """Return points that have just been seen, `identities` in order."""
         alive, unseen = np.ones(len(identities), np.bool_), np.zeros(len(identities))
         return cls(identities, states.mean, states.covariance, alive, unseen, patches, patches)
 
     @classmethod
     def lost(cls, identities: Identities, patches: Pixels) -> "PointTable":
-        """Points of which only the patches are known."""
+        """Return lost points with patches and without positions."""
         mean, covariance = np.zeros((len(identities), STATE)), np.tile(np.eye(STATE), (len(identities), 1, 1))
         alive, unseen = np.zeros(len(identities), np.bool_), np.full(len(identities), np.inf)
         return cls(identities, mean, covariance, alive, unseen, patches, patches)
 
     @property
     def states(self) -> PointStates:
-        """Of all points."""
+        """States of all points."""
         return PointStates(self.mean, self.covariance)
 
     def __len__(self) -> int:
         return len(self.identities)
 
     def merged(self, others: "PointTable") -> "PointTable":
-        """These and others, of other identities."""
+        """Return these points and others with other identities, in order."""
         if not len(others) or not len(self):
             return self if len(self) else others
         together = self.joined([others])
         return together.only(np.argsort(together.identities))
 
     def places_of(self, identities: Identities) -> NDArray[np.intp]:
-        """`(m,)`: where points of these identities are, which must be known."""
+        """Return the rows of these identities, `(m,)`, all of which must be in the table."""
         return np.searchsorted(self.identities, identities)
 
     def without_oldest(self, most: int) -> "PointTable":
-        """As they are, but of those that are not alive only the `most` that were seen last."""
+        """Return the points that are alive and, of the others, the `most` that were seen last."""
         lost = np.flatnonzero(~self.alive)
         if len(lost) <= most:
             return self
         kept = self.alive.copy()
-        # of two that were lost at the same time the later one stays
+        # of two that were lost at the same time keep the younger one
         kept[lost[np.lexsort((-self.identities[lost], self.unseen[lost]))[:most]]] = True
         return self.only(kept)
 
     def with_states(self, places: NDArray[np.intp], states: PointStates) -> "PointTable":
-        """As they are, but with other states at some places, alive and just seen."""
+        """Return the table with new states in some rows, which are alive and just seen."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
         alive, unseen = self.alive.copy(), self.unseen.copy()
         mean[places], covariance[places] = states.mean, states.covariance
@@ -116,48 +115,45 @@ class PointTable(Rows):
 
 
 LEAST_ACCELERATION = 450.0
-"""px^2/s^3, to which learning goes down where there is a picture: any camera may be touched."""
+"""px^2/s^3: least learned acceleration in pictures, since any camera may be touched."""
 
-INITIAL_VELOCITY_STD = 100.0
-"""px/s, standard deviation of the velocity of a point that is new, where there is a picture."""
+INITIAL_VELOCITY_STD = 100.0  # px/s: standard deviation of the velocity of a new point in a picture
 
 GIVEN_ACCELERATION, GIVEN_VELOCITY_STD, GIVEN_LIMIT = 3.0, 10.0, 10.0
-"""What is taken for given points, whose unit is not known. The first acceleration: noise by which a point
-leaves its way in 40 ms. The first speed: extents of the whole that a point crosses in a second. The limit:
-noise."""
+"""For given points, whose unit is unknown: initial acceleration, in noise of a position after 40 ms; standard
+deviation of the initial velocity, in extents of all points a second; that of a lost position, in noise."""
 
-REFILL = 0.05  # share of the points that are missing before new ones are sought
-CORNER_INTERVAL = 0.1  # s between two searches for corners, where there may be no others
-LEAST_POINTS = 8  # points that show how all of them move
+REFILL = 0.05  # share of missing points from which on corners are searched for
+CORNER_INTERVAL = 0.1  # s: least time between two searches for corners
+LEAST_POINTS = 8  # fewest points from which a common motion is estimated
 
 ADAPTATION_TIME, MOST_SURPRISE = 0.18, 3.0
-"""s in which the log of the acceleration follows that of the finds, to 1/e; and the most that one picture's
-finds say."""
+"""s: time constant of the log acceleration; and the largest change of it that one picture asks for."""
 
-SAME_PLACE = 1.5  # px: points that are found nearer to each other are on one spot
-NEW_POINT_STD = 0.3  # px, standard deviation of a new point's position: it is its patch that says where it is
-PATCH_TIME = 0.38  # s in which a patch follows what finds of it look like, to 1/e
+SAME_PLACE = 1.5  # px: of two points found nearer to each other the younger one ends
+NEW_POINT_STD = 0.3  # px: standard deviation of a new point's position, which its patch defines
+PATCH_TIME = 0.38  # s: time constant of patches
 
 LIKE_FIRST, LIKE_EXPECTED = 0.7, 0.95
-"""Normalised correlation with the first patch, down to which a find is trusted to teach, and with the last,
-from which on there is nothing to learn."""
+"""A patch is updated with a correlation above the first of these with the first patch, and below the second
+with the current one."""
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class TrackerState:
-    """Points, and the picture that they were found in last."""
+    """Points, and the last picture."""
 
-    known: PointTable  # points that are followed, or were lost lately
-    next_identity: int  # number of the next new point: none is used twice
-    acceleration: float  # px^2/s^3, spectral density of the white acceleration along each coordinate
+    known: PointTable  # tracked and lately lost points
+    next_identity: int  # of the next new point: none is used twice
+    acceleration: float  # px^2/s^3, spectral density of the white acceleration of each coordinate
     max_position_std: float  # px, standard deviation of a position from which a point is lost
     since_corner_search: float  # s since corners were sought
     view: View | None  # the last picture, or points given for it, and what was found there
 
 
 def predict_message(state: TrackerState) -> PointMessage:
-    """Where points should be, what they look like (also those that were lost), and the picture before."""
+    """Return predicted positions, patches (also of lost points), and the last picture."""
     known = state.known
     followed = known.only(known.alive)
     positions = GaussianMessage.from_moments(
@@ -167,7 +163,7 @@ def predict_message(state: TrackerState) -> PointMessage:
 
 
 def predict_state(state: TrackerState, dt: float) -> TrackerState:
-    """Points move on at their velocities for `dt` s."""
+    """Predict the state `dt` seconds ahead."""
     known = state.known
     states = kalman.predict(known.states, dt, state.acceleration)
     known = replace(known, mean=states.mean, covariance=states.covariance, unseen=known.unseen + dt)
@@ -175,7 +171,7 @@ def predict_state(state: TrackerState, dt: float) -> TrackerState:
 
 
 def update_state(state: TrackerState, message: PointMessage, *, learns: bool) -> TrackerState:
-    """Points after evidence times the messages of others: those found again, and without those that are lost.
+    """Update points with the evidence and the messages of others, and end those that are lost.
 
     `learns`: whether the acceleration is learned.
     """
@@ -187,7 +183,7 @@ def update_state(state: TrackerState, message: PointMessage, *, learns: bool) ->
 
 
 def add_given_points(state: TrackerState, message: PointMessage) -> TrackerState:
-    """With points that are given for the first time, under their own identities."""
+    """Add points that are given for the first time, under their own identities."""
     view = message.view
     if view is None:
         return state
@@ -202,7 +198,7 @@ def add_given_points(state: TrackerState, message: PointMessage) -> TrackerState
 
 
 def replenish(state: TrackerState, n_points: int, spacing: float) -> TrackerState:
-    """With new points where the picture has corners, `spacing` px from all that are followed."""
+    """Add new points at corners of the picture, `spacing` px from all tracked ones."""
     known, view = state.known, state.view
     missing = n_points - int(known.alive.sum())
     if missing < max(1, REFILL * n_points) or state.since_corner_search < CORNER_INTERVAL:
@@ -222,7 +218,7 @@ def replenish(state: TrackerState, n_points: int, spacing: float) -> TrackerStat
 
 
 def initial_states(state: TrackerState, view: View, mean: Numbers, covariance: Numbers) -> PointStates:
-    """Points that begin in a frame, and are taken to move like the others."""
+    """Return states of new points, with the median velocity of the others."""
     known = state.known
     if view.grey is None:
         places = view.points.positions
@@ -243,7 +239,7 @@ def initial_states(state: TrackerState, view: View, mean: Numbers, covariance: N
 def _with_measurements(
     state: TrackerState, message: PointMessage, elapsed: float, *, learns: bool
 ) -> TrackerState:
-    """With all that is said of points that are followed, and with those back that are found again."""
+    """Update tracked points with the product of all messages, and revive lost ones that are found."""
     known, view = state.known, message.view
     if view is not None and view.grey is None and not len(known):
         state = _in_unit_of(state, view, learns=learns)
@@ -273,7 +269,7 @@ def _with_measurements(
 
 
 def _in_unit_of(state: TrackerState, view: View, *, learns: bool) -> TrackerState:
-    """With scales that suit points whose unit is not known."""
+    """Set acceleration and largest standard deviation for points whose unit is unknown."""
     acceleration = 3 * (GIVEN_ACCELERATION * view.noise) ** 2 / 0.04**3 if learns else state.acceleration
     return replace(state, acceleration=acceleration, max_position_std=GIVEN_LIMIT * view.noise)
 
@@ -281,7 +277,7 @@ def _in_unit_of(state: TrackerState, view: View, *, learns: bool) -> TrackerStat
 def _adapted_acceleration(
     state: TrackerState, positions: GaussianMessage, seen: Mask, elapsed: float
 ) -> float:
-    """Acceleration, px^2/s^3, after points were found so far from where they were expected."""
+    """Return the acceleration, px^2/s^3, adapted to the innovations of the points."""
     if seen.sum() < LEAST_POINTS:
         return state.acceleration
     noise = np.linalg.inv(positions.information[seen])
@@ -293,7 +289,7 @@ def _adapted_acceleration(
 
 
 def _end_points(state: TrackerState) -> TrackerState:
-    """Without points that are not known well enough any more, left the picture, or sit on an older one."""
+    """End points that are too uncertain, outside the picture, or on an older point."""
     known, view = state.known, state.view
     states = known.states
     alive = known.alive & (
@@ -309,11 +305,11 @@ def _end_points(state: TrackerState) -> TrackerState:
 
 
 def _update_patches(state: TrackerState, view: View, elapsed: float) -> TrackerState:
-    """With what points look like now, where they were found.
+    """Update the patches of points that were found.
 
-    Brightness and contrast are the find's. A patch that took over the rest as well would slide off its point
-    with every find's error: so a find that looks as expected teaches nothing, one that is not like the
-    first patch teaches nothing either, and others a little.
+    Brightness and contrast are those of the picture. The rest changes slowly, and only if the picture differs
+    from the current patch and is still like the first one: else the error of every position would shift the
+    patch off its point.
     """
     known = state.known
     seen = np.flatnonzero(known.alive & (known.unseen == 0))
@@ -330,16 +326,16 @@ def _update_patches(state: TrackerState, view: View, elapsed: float) -> TrackerS
 
 
 Duplicates = Mapping[int, int]
-"""Identity, and the smaller one of the point that it is."""
+"""Identity of a duplicate, and the smallest identity of its point."""
 
 LEAST_NCC = 0.7
-"""Normalised correlation of two points that are said to be one, where their patches are most alike."""
+"""Least correlation of two points, at their most similar patches, that other chains take for one."""
 
-LEAST_FRAMES = 5  # frames in which two points are found on one spot before they are taken for one
+LEAST_FRAMES = 5  # frames in which two points are found at one place before they are joined
 
 
 def find_duplicates(trajectory: PointTrajectory, others: Sequence[PointMessage]) -> dict[int, int]:
-    """Identities that were one point before, and those that other chains take for one and that look alike."""
+    """Return earlier duplicates, and those that other chains take for one point and that look alike."""
     same = {int(one): int(other) for one, other in trajectory.absorbed}
     said = {
         (int(one), int(other))
@@ -362,7 +358,7 @@ def find_duplicates(trajectory: PointTrajectory, others: Sequence[PointMessage])
 
 
 def merge_groups(same: Duplicates, pairs: Iterable[Sequence[int]]) -> dict[int, int]:
-    """Groups with some more pairs in one: each identity that is not the smallest of its group, with that."""
+    """Return the groups with further pairs joined: the smallest identity of each that is not itself."""
     group = dict(same)
 
     def smallest(identity: int) -> int:
@@ -378,7 +374,7 @@ def merge_groups(same: Duplicates, pairs: Iterable[Sequence[int]]) -> dict[int, 
 
 
 def merge_duplicates(message: PointMessage, same: Duplicates) -> PointMessage:
-    """What is said of each point once, under its smallest identity."""
+    """Return the message with each point once, under its smallest identity."""
     if not same:
         return message
     identities = smallest_identities(message.positions.identities, same)
@@ -388,7 +384,7 @@ def merge_duplicates(message: PointMessage, same: Duplicates) -> PointMessage:
 
 
 def smallest_identities(identities: Identities, same: Duplicates) -> Identities:
-    """`(n,)`: the smallest identity of each one's point."""
+    """Return the smallest identity of each one's point, `(n,)`."""
     names: Identities = np.array(
         [same.get(int(identity), int(identity)) for identity in identities], np.int64
     )
@@ -396,7 +392,7 @@ def smallest_identities(identities: Identities, same: Duplicates) -> Identities:
 
 
 def find_coincident_tracks(messages: Sequence[PointMessage], spot: float) -> list[tuple[int, int]]:
-    """Pairs of identities that were found nearer to each other than `spot` px in several frames."""
+    """Return pairs of identities that were found within `spot` px in at least `LEAST_FRAMES` frames."""
     times: Counter[tuple[int, int]] = Counter()
     for message in messages:
         identities, mean, _ = message.positions.moments
@@ -406,17 +402,17 @@ def find_coincident_tracks(messages: Sequence[PointMessage], spot: float) -> lis
     return sorted(pair for pair, count in times.items() if count >= LEAST_FRAMES)
 
 
-GATE = 3.0  # standard deviations from where others say that a point is, within which it may begin
+GATE = 3.0  # standard deviations from others' predictions within which a point may begin
 
 NO_IDENTITIES = np.zeros(0, np.int64)
 
 
 class FilmSearch:
-    """Points of all frames, searched for one frame after the other as in filtering.
+    """Search for the points of all frames, one frame after the other as in filtering.
 
-    After the first round there are no new points: those of the round before (`current`) are searched for
-    wherever others say that they are, and from where they were found first. `same` are identities that are
-    one point, and `others` the messages of other chains, once for each point.
+    After the first round there are no new points: those of the last round (`current`) are searched for at the
+    positions that other chains predict, and from where they were found first. `same` are the duplicates, and
+    `others` the messages of other chains with each point once.
     """
 
     def __init__(
@@ -431,7 +427,7 @@ class FilmSearch:
         self._merge_identities({} if current is None else find_duplicates(current, others))
 
     def run(self) -> tuple[list[PointMessage], PointTable]:
-        """What frames show of points, and those points."""
+        """Return the evidence of all frames, and the points."""
         found = self._track_all()
         if self._current is not None:
             pairs = find_coincident_tracks(found[0], SAME_PLACE)
@@ -469,7 +465,7 @@ class FilmSearch:
     def _step(
         self, state: TrackerState, incoming: BatchIncoming, others: PointMessage, number: int
     ) -> tuple[TrackerState, PointMessage]:
-        """The state after a frame, and what was seen there."""
+        """Return the state after a frame, and its evidence."""
         prior = predict_message(state) * others
         seen = incoming.search(PointTracks, prior)
         before = update_state(state, others * seen, learns=self._tracker.learns)
@@ -495,7 +491,7 @@ class FilmSearch:
         return replace(after, known=replace(known, alive=alive), view=seen.view), seen
 
     def _initial_state(self) -> TrackerState:
-        """In later rounds the patches of all points are known, and no position."""
+        """Return the first state: without points, or with the patches of the last round."""
         current = self._current
         if current is None or current.appearances is None:
             return self._tracker.empty()
@@ -505,7 +501,7 @@ class FilmSearch:
         return replace(self._tracker.empty(), known=lost)
 
     def _restart_points(self, state: TrackerState, others: PointMessage, number: int) -> TrackerState:
-        """With points that were found first in this frame in the round before, unless others know better."""
+        """Restart the points that the last round found first in this frame, unless others contradict."""
         known, view, current = state.known, state.view, self._current
         if current is None or current.appearances is None or view is None:
             return state
@@ -522,7 +518,7 @@ class FilmSearch:
 
 
 def _without(message: PointMessage, alone: Identities) -> PointMessage:
-    """What a picture shows, without some points; points that are given stay."""
+    """Return the evidence without some points; given points stay."""
     if message.view is None or message.view.grey is None:
         return message
     stay = ~np.isin(message.positions.identities, alone)
@@ -530,7 +526,7 @@ def _without(message: PointMessage, alone: Identities) -> PointMessage:
 
 
 def _is_plausible(others: GaussianMessage, identities: Identities, positions: Numbers) -> Mask:
-    """`(n,)`: whether points may be at `positions`, `(n, 2)` px, as far as anything is said of them."""
+    """Return whether points may be at `positions` `(n, 2)` px by the others' messages, `(n,)`."""
     known, mean, covariance = others.only(np.isin(others.identities, identities)).moments
     place = np.searchsorted(identities, known)
     off = positions[place] - mean
@@ -540,33 +536,31 @@ def _is_plausible(others: GaussianMessage, identities: Identities, positions: Nu
     return plausible
 
 
-ACCELERATION_TIME = 0.5  # s, correlation time of what pushes a point out of its straight way
-FIRST_ACCELERATION = 300.0  # px/s^2, standard deviation with which learning begins, where there is a picture
-REMEMBERED = 4  # lost points that are remembered in filtering, in units of the points that are followed
+ACCELERATION_TIME = 0.5  # s: correlation time of the acceleration
+FIRST_ACCELERATION = 300.0  # px/s^2: initial standard deviation, where it is learned in pictures
+REMEMBERED = 4  # lost points that are kept in filtering, for each tracked one
 
 
 @short_repr
 @dataclass(frozen=True)
 class PointTracker:
-    """Low-level chain over points: each one moves on at its velocity, but for random pushes.
+    """Tracker of independent points with constant velocity and random acceleration.
 
-    In pictures new points begin at corners where nobody is followed. A point ends when it leaves the picture,
-    when its position is not known any more, or when it slides onto another one that is older. Points that are
-    given with the frames keep their numbers; scales then follow from the noise of the feature node, whatever
-    their unit.
+    In pictures new points begin at corners without a tracked point. A point ends when it leaves the picture,
+    when its position is too uncertain, or when it is found on an older one. Points that are given with the
+    frames keep their identities; scales then follow from the noise of the feature node, whatever their unit.
 
     Parameters
     ----------
     n_points
-        how many points to follow in pictures.
+        number of points to track in pictures.
     spacing
-        px, least distance of a new point to those that there are.
+        px, least distance of a new point from the others.
     acceleration
-        px/s^2, standard deviation of what moves a point out of its straight way; it lasts half a second.
-        Where it is left out it is learned: so that half of the points are found inside the ellipses that
-        should hold half.
-    limit
-        px in pictures, standard deviation of a position from which a point is lost.
+        px/s^2, standard deviation of the acceleration, whose correlation time is half a second. By default it
+        is learned: such that half of the points are found inside their 50 % regions.
+    max_position_std
+        px in pictures, standard deviation of a position from which on a point is lost.
     """
 
     n_points: int = 300
@@ -585,20 +579,19 @@ class PointTracker:
     # --- filtering ---
 
     def initial(self, frame: Frame) -> TrackerState:
-        """No points yet: they are found in the first frame."""
+        """Return the state without points: they are found in the first frame."""
         return self.empty()
 
     def predict(self, state: TrackerState, dt: float) -> TrackerState:
-        """Points move on at their velocities."""
+        """Predict the state `dt` seconds ahead."""
         return predict_state(state, dt)
 
     def message(self, state: TrackerState, feature: PointTracks, incoming: Incoming) -> PointMessage:
-        """Where points should be (mu_{X -> F}), what they look like, also those that were lost, and the view
-        before."""
+        """Return predicted positions (mu_{X -> F}), patches, also of lost points, and the last picture."""
         return predict_message(state)
 
     def update(self, state: TrackerState, incoming: Incoming) -> TrackerState:
-        """Points given a frame: those that are found again, without those that are lost, and new ones."""
+        """Update points with a frame, end those that are lost and begin new ones."""
         others = incoming[PointTracks]
         state = update_state(state, others, learns=self.learns)
         if others.view is not None:
@@ -607,16 +600,16 @@ class PointTracker:
 
     @property
     def learns(self) -> bool:
-        """Whether the acceleration is learned on the way."""
+        """Whether the acceleration is learned."""
         return self.acceleration is None
 
     def empty(self) -> TrackerState:
-        """The state without points."""
+        """Return the state without points."""
         density = ACCELERATION_TIME * (self.acceleration or FIRST_ACCELERATION) ** 2
         return TrackerState(PointTable.none(), 0, density, self.max_position_std, np.inf, None)
 
     def replenish(self, state: TrackerState) -> TrackerState:
-        """The state with new points in place of those that are missing."""
+        """Add new points for those that are missing."""
         return replenish(state, self.n_points, self.spacing)
 
     # --- batch ---
@@ -624,12 +617,12 @@ class PointTracker:
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: PointTrajectory | None = None
     ) -> Smoothed[PointTrajectory]:
-        """Points in all frames, given what all frames show and what other chains say.
+        """Smooth the points of all frames, given all evidence and the messages of other chains.
 
-        In pictures points are followed from frame to frame as in filtering. In later rounds the points of the
-        round before are searched for again, in all frames: wherever other chains say that they are, and from
-        where they were found first; there are no others. Identities that others take for one point, and that
-        look alike, are one, and so are those that are found on one spot again and again.
+        In pictures points are tracked from frame to frame as in filtering. In later rounds the points of the
+        last round are searched for again, in all frames: at the positions that other chains predict, and from
+        where they were found first; there are no new ones. Identities that others take for one point and that
+        look alike are joined, and so are those that are found at one place in several frames.
         """
         others = [incoming.others(PointTracks) for incoming in incoming_over_time]
         if any(incoming.frame.image is not None for incoming in incoming_over_time):
@@ -652,8 +645,7 @@ class PointTracker:
         feature: PointTracks,
         incoming_over_time: Sequence[BatchIncoming] = (),
     ) -> list[PointMessage]:
-        """Where the evidence of all other frames says that points are (mu_{X -> F}): nobody hears
-        themselves."""
+        """Return the positions by the evidence of all other frames (mu_{X -> F})."""
         return [PointMessage(positions) for positions in trajectory.messages()]
 
     def _smooth_tracks(
@@ -662,7 +654,7 @@ class PointTracker:
         others: Sequence[PointMessage],
         incoming_over_time: Sequence[BatchIncoming],
     ) -> PointTrajectory:
-        """Smooth tracks of all points that were found in any frame."""
+        """Smooth the tracks of all points that were found in any frame."""
         times = np.array([incoming.frame.time for incoming in incoming_over_time])
         seen = StackedMessages.of([message.positions for message in evidence], times)
         expected = StackedMessages.of([message.positions for message in others], times, seen.identities)

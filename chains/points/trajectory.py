@@ -1,8 +1,7 @@
-"""Tracks of points over a whole sequence: their motion learned, smoothed, each frame's evidence kept apart.
+"""Smoothed tracks of points over a sequence, with a learned motion model and each frame's cavity message.
 
-The motion model of RSMCM §4.3 has one number that nobody knows beforehand, and it has the unit of the tracks:
-pixels of a film, or anything in a track file. It is learned from how far points are from where the Kalman
-filter expects them.
+The acceleration of RSMCM §4.3 is unknown and has the unit of the tracks: pixels of a film, or any in a track
+file. It is learned from the innovations of the Kalman filter.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,18 +18,15 @@ Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Identities = NDArray[np.int64]
 
-MEDIAN = 2 * np.log(2)  # of the squared Mahalanobis distance of two numbers from where they are expected
-MOST_TRACKS = 300  # tracks that count: the longest
-
-HALVINGS = 24
-"""Of the range in which the acceleration's logarithm is sought; the last ones are far below a percent."""
+MEDIAN = 2 * np.log(2)  # of chi squared with two degrees of freedom
+MOST_TRACKS = 300  # longest tracks by which motion is learned
+HALVINGS = 24  # bisections of the range of the log acceleration, to far below a percent
 
 LEAST_GROWTH, MOST_GROWTH = 1e-4, 1e2
-"""Least and most that is believed. By how much a point leaves its way from one frame to the next: in units of
-the measurements' noise, and of a typical step."""
+"""Range of the standard deviation that acceleration adds to a position between two frames: its least value in
+units of the measurements' noise, its largest in typical steps."""
 
-SPEED_FACTOR = 3.0
-"""Standard deviation of velocities at the beginning, in units of a typical velocity: nobody is surprised."""
+SPEED_FACTOR = 3.0  # standard deviation of initial velocities over a typical velocity: a wide prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,16 +39,16 @@ class Measurements:
 
     @property
     def seen(self) -> Mask:
-        """`(n_frames, n_points)`: where a position is measured."""
+        """Where a position is measured, `(n_frames, n_points)`."""
         present: Mask = np.linalg.det(self.information) > 0
         return present
 
     def only(self, points: NDArray[np.intp] | slice) -> "Measurements":
-        """Those of some points."""
+        """Return the measurements of some points."""
         return Measurements(self.times, self.information[:, points], self.vector[:, points])
 
     def moments(self) -> tuple[Numbers, Numbers]:
-        """Positions `(n_frames, n_points, 2)` px and covariances `(..., 2, 2)` px^2; 0 where not seen."""
+        """Return positions `(n_frames, n_points, 2)` px, covariances `(..., 2, 2)` px^2; 0 where not seen."""
         seen = self.seen
         position, covariance = np.zeros_like(self.vector), np.zeros_like(self.information)
         covariance[seen] = np.linalg.inv(self.information[seen])
@@ -62,24 +58,24 @@ class Measurements:
 
 @dataclass(frozen=True)
 class MotionModel:
-    """What points move like: px^2/s^3, and the deviations, px/s and px, of what nobody knows."""
+    """Acceleration, px^2/s^3, and standard deviations of initial velocity, px/s, and position, px."""
 
     acceleration: float
     speed: float
     extent: float
 
     def prior(self, n_points: int) -> PointStates:
-        """Points that may be anywhere."""
+        """Return the prior of points at the first frame."""
         return PointStates.at_rest(np.zeros((n_points, 2)), self.extent**2, self.speed)
 
 
 def estimate_motion(measured: Measurements, acceleration: float | None = None) -> MotionModel:
-    """Motion that fits the measurements; `acceleration` px^2/s^3 where it is known.
+    """Estimate the motion model of measurements; `acceleration` px^2/s^3 if it is given.
 
-    It is the one with which half of all measurements are inside the ellipses in which the filter, one frame
-    ahead, expects half of them: the median of the squared distances is a Gaussian's. Maximum likelihood
-    agrees where errors are Gaussian, but would be swayed by tracks that jump or slip. Where measurements
-    scatter less than they claim, it is the least that is believed.
+    With the estimate half of the measurements are inside the filter's 50 % regions, one frame ahead: the
+    median of the squared Mahalanobis distances is that of a Gaussian. Maximum likelihood agrees for Gaussian
+    errors, but is not robust to tracks that jump or slip. If measurements scatter less than their noise, it
+    is the least of the range.
     """
     seen = measured.seen
     position, covariance = measured.moments()
@@ -105,7 +101,7 @@ def estimate_motion(measured: Measurements, acceleration: float | None = None) -
 
 
 def one_frame_ahead(filtered: PointStates, times: Numbers, acceleration: float) -> tuple[Numbers, Numbers]:
-    """Positions that are expected in all frames but the first, each from the frames before."""
+    """Return the positions and covariances predicted for all frames but the first, one frame ahead."""
     dt = np.diff(times)[:, None, None]
     mean, covariance = filtered.mean[:-1], filtered.covariance[:-1]
     expected = mean[:, :, :2] + dt * mean[:, :, 2:]
@@ -116,7 +112,7 @@ def one_frame_ahead(filtered: PointStates, times: Numbers, acceleration: float) 
 
 
 def _steps(times: Numbers, position: Numbers, seen: Mask) -> tuple[float, float, float]:
-    """Typical velocity, px/s, and step from frame to frame, px, of a coordinate; s between frames."""
+    """Return typical velocity, px/s, and step between frames, px, of a coordinate, and s between frames."""
     apart = np.diff(times)
     dt = float(np.median(apart)) if len(apart) else 1.0
     both = seen[1:] & seen[:-1]
@@ -126,7 +122,7 @@ def _steps(times: Numbers, position: Numbers, seen: Mask) -> tuple[float, float,
 
 
 def _distances(measured: Measurements, motion: MotionModel) -> Numbers:
-    """Squared distances of measurements from where they are expected, once a point was seen twice."""
+    """Return squared Mahalanobis distances of measurements of points that were seen twice before."""
     seen = measured.seen
     filtered = filter_tracks(
         motion.prior(seen.shape[1]),
@@ -144,46 +140,45 @@ def _distances(measured: Measurements, motion: MotionModel) -> Numbers:
 
 
 BATCH = 128
-"""Points that are smoothed in one go: states of all points in all frames need not fit into memory."""
+"""Points smoothed at a time, which bounds the memory."""
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Appearances:
-    """What points look like, `first` and `last`, `(n, side, side)` float32; `identities` increase."""
+    """`first` and `last` patches of points, `(n, side, side)` float32; `identities` increase."""
 
     identities: Identities
     first: NDArray[np.float32]
     last: NDArray[np.float32]
 
     def places_of(self, identities: Identities) -> NDArray[np.intp]:
-        """`(m,)`: where these are, which must be there."""
+        """Return the rows of these identities, `(m,)`."""
         return np.searchsorted(self.identities, identities)
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class PointTrajectory:
-    """Where points are in all frames, and what a tracker says of that.
+    """Smoothed positions of points in all frames, and the messages of each frame.
 
-    `log_prior` is the log probability of what was found under the motion of points, one after the other, less
-    what beliefs over the features say of it already: with them it makes the log evidence of all tracks.
+    `log_prior` is the log probability of the measurements under the motion model, one after the other, less
+    the terms that beliefs over the features contain already: together they are the tracks' log evidence.
     """
 
     identities: Identities  # (n,), increasing
-    position: Numbers  # (n_frames, n, 2) px given all that is known; meaningless where a point is not alive
+    position: Numbers  # (n_frames, n, 2) px, given all evidence; undefined where a point is not alive
     covariance: Numbers  # (n_frames, n, 2, 2) px^2
     observed: Mask  # (n_frames, n): the frame itself shows the point
-    alive: Mask  # (n_frames, n): its position is known well enough, and inside the picture
-    # (n_frames, n, 2, 2) 1/px^2: what the other frames' evidence says, 0 where it is too little
-    information: Numbers
-    vector: Numbers  # (n_frames, n, 2) 1/px; never what other chains said
+    alive: Mask  # (n_frames, n): its position is certain enough, and inside the picture
+    information: Numbers  # (n_frames, n, 2, 2) 1/px^2: of the other frames' evidence alone; 0 if too little
+    vector: Numbers  # (n_frames, n, 2) 1/px: likewise
     appearances: Appearances | None  # also of points that no frame shows; None without pictures
-    absorbed: NDArray[np.int64]  # (m, 2): identities that turned out to be another point, and of which one
+    absorbed: NDArray[np.int64]  # (m, 2): identities of duplicates, and those of their points
     log_prior: float
 
     def messages(self) -> Iterator[GaussianMessage]:
-        """For each frame, densities of the positions that the other frames predict."""
+        """Yield for each frame the densities of positions that the other frames predict."""
         for information, vector in zip(self.information, self.vector, strict=True):
             said = np.flatnonzero(information[:, 0, 0] > 0)
             covariance = np.linalg.inv(information[said])
@@ -203,7 +198,7 @@ class StackedMessages:
     def of(
         cls, messages: Sequence[GaussianMessage], times: Numbers, identities: Identities | None = None
     ) -> "StackedMessages":
-        """Gather messages, of some points or of all that are mentioned."""
+        """Stack messages, of some points or of all."""
         if identities is None:
             identities = np.unique(np.concatenate([message.identities for message in messages]))
         shape = (len(messages), len(identities))
@@ -224,7 +219,7 @@ def smoothed_trajectory(
     max_position_std: float,
     size: tuple[int, int] | None,
 ) -> PointTrajectory:
-    """Smooth tracks, once with everything and once with the frames' evidence alone."""
+    """Smooth tracks with all messages, and with the frames' evidence alone for the messages to others."""
     n_frames, n_points = evidence.log_scale.shape
     times = evidence.measured.times
     position, covariance = np.zeros((n_frames, n_points, 2)), np.zeros((n_frames, n_points, 2, 2))
@@ -272,7 +267,7 @@ def smoothed_trajectory(
 
 
 def _known(information: Numbers, max_position_std: float) -> Mask:
-    """Which positions are known to within `max_position_std` px, as a standard deviation."""
+    """Return which positions have a standard deviation of at most `max_position_std` px."""
     trace = np.trace(information, axis1=-2, axis2=-1)
     # mean of the two variances, without an inverse of what may be singular
     known: Mask = (trace > 0) & (0.5 * trace <= max_position_std**2 * np.linalg.det(information))
@@ -288,7 +283,7 @@ def _log_prior(
     motion: MotionModel,
     max_position_std: float,
 ) -> float:
-    """Log evidence of the tracks, each find given those before it, less that of each given all others."""
+    """Return the log evidence of measurements given those before, less that of each given all others."""
     expected, spread = one_frame_ahead(filtered, seen.times, motion.acceleration)
     position, noise = seen.moments()
     found = seen.seen
