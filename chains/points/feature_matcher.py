@@ -1,11 +1,11 @@
-"""Features matched between pictures near and far: points that need no motion from picture to picture.
+"""Matching of SIFT features between all pictures of a sequence, whatever the motion between them.
 
 p(F_t | X) = prod_i 1 / |I|,    evidence = prod_i |I| N(z_ti; u_ti, (0.1 size_ti)^2)
 
-X is which features of all pictures show one point. A point may be anywhere in the next picture, so that the
-chain has no message: all that it knows is evidence, where the pictures show its points. It works where a
-tracker cannot: on a turntable, a slow camera, pictures in no order. It and `PointTracker` share one feature
-node; which of their points are one is for a chain of the shape to find out.
+X assigns features of all pictures to points. A point may be anywhere in the next picture, so that the chain's
+message is uniform: it contributes evidence, the positions of its points. It works where a tracker cannot: on
+a turntable, at a low frame rate, with pictures in no order. It shares its feature node with `PointTracker`;
+a chain of the shape finds which of their points are the same.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ from ...models.points.point_tracks import PointMessage, PointTracks
 
 @compiled
 def best_and_second(likeness):
-    """Column of the largest value of each row of `likeness` (n, m), that value, and the second largest."""
+    """Return column and value of the largest entry of each row of `likeness` (n, m), and the second one."""
     n = likeness.shape[0]
     nearest = np.zeros(n, np.int64)
     best, second = np.zeros(n, np.float32), np.zeros(n, np.float32)
@@ -50,7 +50,7 @@ def best_and_second(likeness):
 
 @compiled
 def keep_near(likeness, lines, middle, reach, positions, tolerance):
-    """Set `likeness` (n, m) to 0 but where `positions` (m, 2) are near."""
+    """Set `likeness` (n, m) to 0 where `positions` (m, 2) are far from `lines` or from `middle`."""
     for i in range(likeness.shape[0]):
         a, b, c = lines[i, 0], lines[i, 1], lines[i, 2]
         for j in range(likeness.shape[1]):
@@ -63,7 +63,7 @@ def keep_near(likeness, lines, middle, reach, positions, tolerance):
 
 @compiled
 def join_matches(matches, frame, n_frames):
-    """Track of each of the features, of which `frame` (n,) tells in which of the pictures they are."""
+    """Return the track of each feature, joined by `matches`, never two of one `frame` (n,) in a track."""
     n = frame.shape[0]
     track, after, length = np.arange(n), np.arange(n), np.ones(n, np.int64)
     stamp = np.full(n_frames, -1)
@@ -97,22 +97,19 @@ Mask = NDArray[np.bool_]
 CONTRAST = 0.02  # of a feature, as OpenCV has it: half of Lowe's, so that matt things have some, too
 
 LOCALISATION = 0.1
-"""Standard deviation of a feature's place along an axis, as a share of its size: measured on a body that
-turns."""
+"""Standard deviation of a feature's position along an axis, as a share of its size: measured on a turning
+body."""
 
-LARGEST = 10.0  # px, size from which a feature says too little of where it is
-
-RATIO = 0.8
-"""Distance of a feature's nearest neighbour over that of the second nearest, from which on nobody knows which
-of them it is (Lowe 2004)."""
+LARGEST = 10.0  # px: features of a larger size are located too badly
+RATIO = 0.8  # largest distance of the nearest neighbour over that of the second nearest (Lowe 2004)
 
 NEIGHBOURS, SPREADS = 8, 1.0
-"""Pairs nearest to a feature, and standard deviations of their motion within which it moves: where it moves
-otherwise, something else is like it more often than not."""
+"""Matches nearest to a feature, and standard deviations of their motion within which its own has to be:
+outside most matches are wrong."""
 
 LEAST_LIKENESS = 0.9
-"""Of two features that are matched among few, where the second nearest says little: of pairs that are a pixel
-or two apart, 96 % are right from there on, 80 % from 0.85 on."""
+"""Least likeness of two features that are matched among a few candidates, where the ratio tells little: of
+pairs that are a pixel or two apart, 96 % are right from there on, 80 % from 0.85 on."""
 
 DESCRIPTOR = 128  # numbers of a descriptor
 UNIT = 255.0  # length of a descriptor that is stored
@@ -132,12 +129,12 @@ class Features:
 
     @classmethod
     def none(cls) -> "Features":
-        """No features."""
+        """Return no features."""
         return cls(np.zeros((0, 2)), np.zeros(0), np.zeros((0, DESCRIPTOR), np.uint8))
 
 
 def find_features(grey: NDArray[np.uint8], most: int) -> Features:
-    """Features of a picture `(height, width)`, those of most contrast if there are more than `most`."""
+    """Return the features of a picture `(height, width)`, at most the `most` of highest contrast."""
     # without it places are 0.25 px off to the upper left
     sift = cv2.SIFT.create(contrastThreshold=CONTRAST, enable_precise_upscale=True)
     points = sift.detect(grey, None)
@@ -154,9 +151,9 @@ def find_features(grey: NDArray[np.uint8], most: int) -> Features:
 
 
 def match_features(one: Features, other: Features) -> tuple[Indices, Numbers]:
-    """Features of two pictures that are each other's nearest, and far nearer than the second.
+    """Match features of two pictures that are mutual nearest neighbours and pass the ratio test.
 
-    Gives pairs `(m, 2)`, of `one` and of `other`, and their doubt `(m,)`: the larger of both ratios of the
+    Returns pairs `(m, 2)`, of `one` and of `other`, and their doubt `(m,)`: the larger of both ratios of the
     nearest to the second nearest distance, below `RATIO`.
     """
     return _mutual_matches(_likeness(one, other))
@@ -165,10 +162,10 @@ def match_features(one: Features, other: Features) -> tuple[Indices, Numbers]:
 def match_along_lines(
     one: Features, other: Features, pairs: Indices, fundamental: Numbers, tolerance: float
 ) -> tuple[Indices, Numbers]:
-    """As `match_features`, among the few features where some `pairs` that are known leave a choice.
+    """Match as `match_features`, among the features that given `pairs` and their epipolar geometry allow.
 
-    That is near the epipolar line, `tolerance` px on either side, and within the motion of the nearest pairs:
-    repeated things are often repeated along the line. `pairs` are `NEIGHBOURS` at least; `fundamental` is
+    These are within `tolerance` px of the epipolar line, and within the motion of the nearest pairs, since
+    repeated things are often repeated along the line. `pairs` are at least `NEIGHBOURS`; `fundamental` is
     `(3, 3)`, x' F x = 0 for x of `one` and x' of `other`.
     """
     likeness = _likeness(one, other)
@@ -189,7 +186,7 @@ def match_along_lines(
 
 
 def _likeness(one: Features, other: Features) -> NDArray[np.float32]:
-    """`(n, m)`: scalar products of descriptors of length 1."""
+    """Return scalar products of descriptors of length 1, `(n, m)`."""
     likeness: NDArray[np.float32] = (
         one.descriptors.astype(np.float32) @ other.descriptors.astype(np.float32).T
     )
@@ -198,7 +195,7 @@ def _likeness(one: Features, other: Features) -> NDArray[np.float32]:
 
 
 def _mutual_matches(likeness: NDArray[np.float32]) -> tuple[Indices, Numbers]:
-    """Pairs and their doubt; see `match_features`."""
+    """Return mutual matches and their doubt; see `match_features`."""
     if min(likeness.shape) < 2:
         return np.zeros((0, 2), np.int64), np.zeros(0)
     nearest, best, second = best_and_second(likeness)
@@ -211,23 +208,18 @@ def _mutual_matches(likeness: NDArray[np.float32]) -> tuple[Indices, Numbers]:
 
 
 def _ratio(best: NDArray[np.float32], second: NDArray[np.float32]) -> Numbers:
-    """Ratio of distances of unit vectors, of which these are the scalar products."""
+    """Return the ratio of distances of unit vectors, given their scalar products."""
     near, far = (np.maximum(1 - each.astype(np.float64), 1e-9) for each in (best, second))
     ratio: Numbers = np.sqrt(near / far)
     return ratio
 
 
-STEPS = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89)
-"""Pictures from one to the next that it is matched with: as many as there is a common view."""
-
-LOOPS = 3  # pictures that are most alike, which each one is matched with beside its neighbours
-WORDS = 256  # descriptors by whose shares pictures are compared
-
-LEAST_MATCHES = 15
-"""Matches on which two pictures have to agree: a fundamental matrix takes 7, and chance is to do no more."""
-
+STEPS = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89)  # steps to the pictures matched with each one, until one fails
+LOOPS = 3  # most similar pictures with which each one is matched as well
+WORDS = 256  # visual words by whose frequencies pictures are compared
+LEAST_MATCHES = 15  # of two pictures: a fundamental matrix fits 7 by chance
 EPIPOLAR = 1.5  # px from the epipolar line, about three standard deviations of usual features
-LEAST_LENGTH = 3  # pictures that have to show a point, so that one confirms the match of two others
+LEAST_LENGTH = 3  # pictures that have to show a point, so that a third confirms the match of two
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,9 +233,7 @@ class FilmMatches:
 
     @classmethod
     def of(cls, pictures: Sequence[Features]) -> "FilmMatches":
-        """Match each picture with those after it, in growing steps while they show the same, and with those
-        that are most alike, whenever they were taken.
-        """
+        """Match each picture with later ones, in growing steps while they match, and with similar ones."""
         edges = np.concatenate([[0], np.cumsum([len(each) for each in pictures])])
         pairs: list[Indices] = []
         doubts: list[Numbers] = []
@@ -272,10 +262,10 @@ class FilmMatches:
         return cls(frame, every[sure], doubt[sure])
 
     def tracks(self, most: int) -> tuple[Indices, Indices]:
-        """Features joined into tracks, the surest matches first, never two of one picture.
+        """Join features into tracks, the surest matches first, never two of one picture.
 
-        Of the tracks in a picture the `most` longest count. Gives the features `(k,)` that are part of a
-        track, and their tracks `(k,)`, numbered from 0 in order of their first features.
+        Keeps tracks that are among the `most` longest of a picture. Returns the features `(k,)` that are part
+        of a track, and their tracks `(k,)`, numbered from 0 in order of their first features.
         """
         order = np.argsort(self.doubt, kind="stable")
         track = join_matches(self.pairs[order], self.frame, int(self.frame.max(initial=0)) + 1)
@@ -291,7 +281,7 @@ class FilmMatches:
 
 
 def _confirmed_by_third(pairs: Indices, n_features: int) -> Mask:
-    """Which matches a third picture confirms: both features match the same one there."""
+    """Return which matches a third picture confirms: both features match the same one there."""
     ones = np.ones(2 * len(pairs), np.int32)
     rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
     matched = coo_array((ones, (rows, columns)), shape=(n_features, n_features)).tocsr()
@@ -300,7 +290,7 @@ def _confirmed_by_third(pairs: Indices, n_features: int) -> Mask:
 
 
 def _longest(track: Indices, frame: Indices, most: int) -> Mask:
-    """Which tracks are among the `most` longest in one of their pictures at least."""
+    """Return which tracks are among the `most` longest in at least one picture."""
     length = np.bincount(track)
     order = np.lexsort((track, -length[track], frame))
     starts = np.concatenate([[True], np.diff(frame[order]) > 0])
@@ -311,13 +301,13 @@ def _longest(track: Indices, frame: Indices, most: int) -> Mask:
 
 
 def _verify_matches(one: Features, other: Features) -> tuple[Indices, Numbers]:
-    """Matches of two pictures that obey one epipolar geometry, if there are enough."""
+    """Return the matches of two pictures that obey one epipolar geometry, if there are enough."""
     pairs, doubt = match_features(one, other)
     if len(pairs) >= LEAST_MATCHES:
         left, right = one.positions[pairs[:, 0]], other.positions[pairs[:, 1]]
         try:
             geometry, obeys = cv2.findFundamentalMat(left, right, cv2.USAC_MAGSAC, EPIPOLAR, 0.999, 5000)
-        except cv2.error:  # as it happens where no sample of seven matches determines the geometry
+        except cv2.error:  # raised if no sample of seven matches determines the geometry
             geometry, obeys = cv2.findFundamentalMat(left, right, cv2.FM_RANSAC, EPIPOLAR, 0.999, 5000)
         if geometry is not None and np.count_nonzero(obeys) >= LEAST_MATCHES:
             fundamental = np.asarray(geometry[:3], np.float64)
@@ -326,7 +316,7 @@ def _verify_matches(one: Features, other: Features) -> tuple[Indices, Numbers]:
 
 
 def _similar_pictures(pictures: Sequence[Features], tried: set[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Pairs of pictures, the earlier first, that have much in common and were not tried yet."""
+    """Return pairs of most similar pictures, the earlier first, that were not `tried` yet."""
     every = np.concatenate([each.descriptors for each in pictures])
     if not len(every):
         return []
@@ -347,7 +337,7 @@ def _similar_pictures(pictures: Sequence[Features], tried: set[tuple[int, int]])
 
 
 def _shares(descriptors: NDArray[np.uint8], words: NDArray[np.float32]) -> Numbers:
-    """How many descriptors are nearest to each word, as square roots: many of one kind count less."""
+    """Return square roots of the counts of descriptors nearest to each word."""
     nearest = (
         (descriptors.astype(np.float32) @ words.T).argmax(axis=1) if len(descriptors) else np.zeros(0, int)
     )
@@ -357,14 +347,13 @@ def _shares(descriptors: NDArray[np.uint8], words: NDArray[np.float32]) -> Numbe
 FIRST_IDENTITY = 1 << 32  # of points that are matched: trackers number theirs from 0
 
 GATE = 4.0
-"""Standard deviations from where others say that a point is, beyond which a feature is another one: one right
-one in 3000 is."""
+"""Standard deviations from others' predictions beyond which a match is rejected: one in 3000 true ones is."""
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Observations(Rows):
-    """In which pictures points are seen, and where: px and px^2 of each of `k` sightings."""
+    """Frame, point, position (px) and covariance (px^2) of `k` observations."""
 
     frame: Indices
     point: Indices
@@ -375,20 +364,20 @@ class Observations(Rows):
 @short_repr
 @dataclass(frozen=True, eq=False)
 class FeatureTracks:
-    """Points, and where pictures show them."""
+    """Points, and their observations in all pictures."""
 
     identities: Indices  # (n,), increasing
-    matched: Observations  # features that were matched, whatever others say of them
-    patches: NDArray[np.float32]  # (k, side, side): what the picture shows about each of these
-    together: Mask  # (n_frames, n_frames): pictures of which features were matched
-    areas: Numbers  # (n_frames,) px^2 of the pictures, 1 where there is none
-    seen: Observations  # matches that others do not contradict, and what was found where others expect points
+    matched: Observations  # matched features
+    patches: NDArray[np.float32]  # (k, side, side): grey values about each of these
+    together: Mask  # (n_frames, n_frames): pictures with features in common
+    areas: Numbers  # (n_frames,) px^2 of the pictures, 1 without a picture
+    seen: Observations  # matches that agree with other chains, and points found where these predict them
 
     @classmethod
     def of(
         cls, pictures: Sequence[Features], patches: Sequence[NDArray[np.float32]], areas: Numbers, most: int
     ) -> "FeatureTracks":
-        """Match the features of all pictures, of which `patches` has what they look like."""
+        """Match the features of all pictures, with their `patches`."""
         matches = FilmMatches.of(pictures)
         features, point = matches.tracks(most)
         together = np.zeros((len(pictures), len(pictures)), np.bool_)
@@ -406,15 +395,14 @@ class FeatureTracks:
 
     @property
     def log_prior(self) -> float:
-        """Log probability of the features that were matched: they are as likely anywhere in the picture.
+        """Log probability of the matched features under the uniform density over the picture.
 
-        The same in all rounds: the features are there in any case, and evidence says how much likelier they
-        are where points are expected.
+        It is the same in all rounds: the evidence is relative to this density.
         """
         return -float(np.log(self.areas)[self.matched.frame].sum())
 
     def evidence(self) -> list[PointMessage]:
-        """What each frame shows of the points."""
+        """Return the evidence of each frame."""
         messages = []
         for frame, area in enumerate(self.areas):
             here = self.seen.only(self.seen.frame == frame)
@@ -424,7 +412,7 @@ class FeatureTracks:
         return messages
 
     def search_again(self, incoming_over_time: Sequence[BatchIncoming]) -> "FeatureTracks":
-        """With what pictures show where others say that points are."""
+        """Search for the points where other chains predict them, and drop matches that these contradict."""
         stays = np.ones(len(self.matched.frame), np.bool_)
         more = []
         for frame, incoming in enumerate(incoming_over_time):
@@ -448,7 +436,7 @@ class FeatureTracks:
         return replace(self, seen=self.matched.only(stays).joined(more))
 
     def _is_plausible(self, here: Indices, point: Indices, mean: Numbers, covariance: Numbers) -> Mask:
-        """`(k,)`: which of the matches `here` may be what others say of the points `(n,)`."""
+        """Return which of the matches `here` agree with others' predictions of the points, `(k,)`."""
         place = np.minimum(np.searchsorted(point, self.matched.point[here]), len(point) - 1)
         off = self.matched.positions[here] - mean[place]
         spread = self.matched.covariances[here] + covariance[place]
@@ -457,7 +445,7 @@ class FeatureTracks:
         return plausible
 
     def _nearest(self, frame: int, point: Indices) -> Indices:
-        """`(n,)`: the match of each point in the picture next to `frame` that was matched with it, or -1."""
+        """Return the match of each point in the nearest picture that was matched with `frame`, or -1."""
         usable = np.flatnonzero(self.together[self.matched.frame, frame])
         far = np.argsort(-np.abs(self.matched.frame[usable] - frame), kind="stable")
         nearest = np.full(len(self.identities), -1)
@@ -468,14 +456,14 @@ class FeatureTracks:
 @short_repr
 @dataclass(frozen=True)
 class FeatureMatcher:
-    """Batch chain of points that are recognised from picture to picture, however far they have moved.
+    """Batch chain of points matched by their features, however far they move between pictures.
 
     Parameters
     ----------
     n_points
-        how many points to have in a picture at least, as far as there are any; those seen most often stay.
+        number of points to keep in each picture, those seen most often.
     n_features
-        how many features of a picture to compare.
+        number of features of a picture to match.
     """
 
     n_points: int = 500
@@ -490,10 +478,10 @@ class FeatureMatcher:
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: FeatureTracks | None = None
     ) -> Smoothed[FeatureTracks]:
-        """Features of all pictures that show the same points.
+        """Match the features of all pictures.
 
-        In later rounds matches have to be where other chains say that their points are, and points are
-        searched for wherever others expect them. Frames with points that are given have no others.
+        In later rounds matches have to agree with the predictions of other chains, and points are searched
+        for at these. Frames with given points have no others.
         """
         if current is None:
             tracks = self._match_pictures(incoming_over_time)
@@ -508,7 +496,7 @@ class FeatureMatcher:
         feature: PointTracks,
         incoming_over_time: Sequence[BatchIncoming] = (),
     ) -> list[PointMessage]:
-        """Nothing: where a point is in one picture says nothing of where it is in another."""
+        """Return uniform messages: a position in one picture does not predict that in another."""
         return [PointMessage.uniform()] * len(trajectory.areas)
 
     def _match_pictures(self, incoming_over_time: Sequence[BatchIncoming]) -> FeatureTracks:

@@ -1,1 +1,1 @@
-"""Where a camera looks: maps from a scene's picture to the frames that show it."""
+"""Camera models: affine maps of a moving camera, perspective cameras."""

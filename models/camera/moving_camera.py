@@ -1,8 +1,8 @@
-"""A camera that moves: the affine map by which a frame shows the scene, and how it is found.
+"""Registration of the frames of a moving camera with a picture of the scene, by an affine map.
 
-A frame is registered with a picture of the scene by Gauss-Newton steps over the points with the strongest
-gradients, from coarse to fine (Lucas and Kanade 1981, with Student's t for what moves by itself). Both
-pictures are band-passed first, so that smooth changes of light do not matter, and one contrast is free.
+Gauss-Newton over the points with the strongest gradients, from coarse to fine (Lucas and Kanade 1981, with
+Student's t for objects that move by themselves). Both pictures are band-passed first, which removes smooth
+changes of light; one contrast is estimated.
 """
 
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ STEP_UNKNOWNS = 7  # the six of an affine map, and the contrast
 
 @compiled
 def strongest(across, down, cell, margin, places):
-    """The place of the largest gradient in each cell of the picture, `(n_cells, 2)` columns and rows."""
+    """Find the largest gradient in each cell of the picture, `(n_cells, 2)` columns and rows."""
     height, width = across.shape
     number = 0
     for top in range(margin, height - margin - cell + 1, cell):
@@ -47,7 +47,7 @@ def strongest(across, down, cell, margin, places):
 
 @compiled
 def residuals(image, places, values, about, parameters, contrast, off):
-    """What the image shows at the mapped places less `contrast` times `values`; NaN-free: 1e9 outside.
+    """Write the image at the mapped places less `contrast` times `values`; 1e9 outside of the image.
 
     `about` `(n, 2)` are the places relative to the picture's middle in units of its radius.
     """
@@ -68,7 +68,7 @@ def residuals(image, places, values, about, parameters, contrast, off):
 
 @compiled
 def normal_equations(off, values, gradients, about, variance, information, vector):
-    """Those of a Gauss-Newton step; large residuals count as they do under Student's t (4 degrees)."""
+    """Write the normal equations of a Gauss-Newton step under Student's t (4 degrees)."""
     information[:] = 0.0
     vector[:] = 0.0
     row = np.empty(STEP_UNKNOWNS)
@@ -97,10 +97,10 @@ UNKNOWNS = 6  # numbers of an affine map
 @short_repr
 @dataclass(frozen=True, eq=False)
 class AffineMap:
-    """Where the places of a scene's picture are seen in a frame of the same size.
+    """Affine map from the scene's picture to a frame of the same size.
 
-    A place x, with (u, v) = (x - middle) / radius, is seen at x + (p0 + p1 u + p2 v, p3 + p4 u + p5 v); the
-    radius is half the picture's diagonal, so that all six numbers are in px.
+    A point x, with (u, v) = (x - middle) / radius, is seen at x + (p0 + p1 u + p2 v, p3 + p4 u + p5 v); the
+    radius is half the picture's diagonal, so that all six parameters are in px.
 
     Parameters
     ----------
@@ -115,12 +115,12 @@ class AffineMap:
 
     @classmethod
     def identity(cls, size: tuple[int, int]) -> Self:
-        """The map of a camera that looks where it did."""
+        """Return the map of a camera that has not moved."""
         return cls(np.zeros(UNKNOWNS), size)
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Of the picture, px."""
+        """Middle of the picture (x, y), px."""
         return (self.size[1] - 1) / 2, (self.size[0] - 1) / 2
 
     @property
@@ -130,7 +130,7 @@ class AffineMap:
 
     @property
     def matrix(self) -> Numbers:
-        """`(2, 3)`: the same map of places (x, y, 1)."""
+        """The same map as a matrix `(2, 3)` of points (x, y, 1)."""
         rows = self.parameters.reshape(2, 3)
         linear = np.eye(2) + rows[:, 1:] / self.radius
         middle = np.array(self.middle)
@@ -138,18 +138,18 @@ class AffineMap:
 
     @property
     def displacement(self) -> float:
-        """px by which places of the picture are moved: root of the mean square over all of it."""
+        """Root mean square displacement over the picture, px."""
         shares = (np.array([self.size[1], self.size[0]]) / (2 * self.radius)) ** 2 / 3
         rows = self.parameters.reshape(2, 3) ** 2
         return float(np.sqrt((rows[:, 0] + rows[:, 1:] @ shares).sum()))
 
     def points(self, places: NDArray[np.float64]) -> Numbers:
-        """Where places `(..., 2)` of the scene are seen in the frame, px."""
+        """Return the positions in the frame, px, of points `(..., 2)` of the scene."""
         matrix = self.matrix
         return places @ matrix[:, :2].T + matrix[:, 2]
 
     def box(self, box: BoundingBox) -> BoundingBox:
-        """Where the frame shows a box (x, y, width, height): upright, about the same middle."""
+        """Return a box (x, y, width, height) in the frame: upright, about the mapped middle."""
         x, y, width, height = box
         (middle_x, middle_y) = self.points(np.array([x + width / 2 - 0.5, y + height / 2 - 0.5])) + 0.5
         across, down = np.hypot(*self.matrix[:, :2])
@@ -157,7 +157,7 @@ class AffineMap:
         return float(middle_x) - width / 2, float(middle_y) - height / 2, width, height
 
     def warp_to_scene(self, image: Image, beyond: Image) -> Image:
-        """A frame's image as the scene's picture; `beyond` is taken where it does not show the scene."""
+        """Warp a frame's image to the scene; `beyond` fills what the frame does not show."""
         out = beyond.copy()
         flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
         cv2.warpAffine(
@@ -167,33 +167,31 @@ class AffineMap:
 
     @property
     def shown(self) -> NDArray[np.bool_]:
-        """`(height, width)`: places of the scene that lie in the frame."""
+        """Pixels of the scene that lie in the frame, `(height, width)`."""
         frame = np.ones(self.size, np.uint8)
         flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpAffine(frame, self.matrix, self.size[::-1], flags=flags), bool)
 
     def warp_to_frame(self, mask: NDArray[Value]) -> NDArray[Value]:
-        """What is said of the scene's places, `(height, width)`, as the frame shows it; 0 beyond."""
+        """Warp a map of the scene `(height, width)` to the frame; 0 outside of the scene."""
         seen = cv2.warpAffine(mask, self.matrix, self.size[::-1], flags=cv2.INTER_NEAREST)
         return np.asarray(seen, mask.dtype)
 
 
-POINTS = 3000  # by which pictures are registered, at most, on each level
-
-COARSEST, FINEST = 48, 640
-"""px, sides of the coarsest and the finest level: half as fine is half as exact."""
-THINNEST = 16  # px, of a side of the finest level, below which a picture is too thin to be registered
-LOCAL_MEAN = 15  # px, side of the square about a pixel whose mean is taken off its value
-STEPS, SMALL = 12, 0.01  # Gauss-Newton steps at most on each level, and px of one that is the last
-LEAST_NOISE = 1.0  # grey levels: residuals are not smaller than that for long, rounding alone makes a third
-LARGEST = 30.0  # grey levels: a residual that is larger is no worse
-WORTH = 0.25  # independent observations in one point's: band-passed neighbours share their noise
-OUTSIDE = 1e9  # residual of a point that the frame does not show
+POINTS = 3000  # points by which pictures are registered on each level, at most
+COARSEST, FINEST = 48, 640  # px: sides of the coarsest and the finest level; accuracy falls with the latter
+THINNEST = 16  # px: shortest side of the finest level that can be registered
+LOCAL_MEAN = 15  # px: side of the square whose mean is subtracted
+STEPS, SMALL = 12, 0.01  # most Gauss-Newton steps on each level, and px of a step that ends them
+LEAST_NOISE = 1.0  # grey levels: least standard deviation of residuals; rounding alone makes a third
+LARGEST = 30.0  # grey levels: larger residuals are cut off
+WORTH = 0.25  # independent observations in one point's, since band-passed neighbours share noise
+OUTSIDE = 1e9  # residual of a point outside the frame
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """The points by which frames are registered on a level of the pyramid, of `scale` px a pixel."""
+    """Points by which frames are registered on a level of the pyramid, of `scale` px a pixel."""
 
     scale: float
     places: Floats
@@ -203,7 +201,7 @@ class Level:
 
     @classmethod
     def of(cls, picture: Floats, scale: float, size: tuple[int, int]) -> Self:
-        """The points of a band-passed picture, `scale` times as small as one of `size`."""
+        """Return the points of a band-passed picture, `scale` times as small as one of `size`."""
         across, down = (
             cv2.Sobel(picture, cv2.CV_32F, dx, dy, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
             for dx, dy in ((1, 0), (0, 1))
@@ -221,18 +219,17 @@ class Level:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Where a frame shows the scene, and how surely.
+    """Estimated map of a frame, its covariance and its fit.
 
     Parameters
     ----------
     map, covariance
         the most likely one, and `(6, 6)` px^2 of its parameters (Laplace's approximation).
     explained
-        share of the differences between frame and scene, where nothing is moved, that it takes away: 1 when
-        all that is not as it was has moved by this map, 0 when the map does not help.
+        share by which the map lowers the difference of frame and scene under the identity: 1 if the map
+        explains all of it, 0 if it does not help.
     correlation
-        of what the frame shows at the mapped points with what the scene does, values beyond their usual size
-        cut off: by chance it is below 0.1.
+        of frame and scene at the mapped points, values beyond their median size cut off; below 0.1 by chance.
     """
 
     map: AffineMap
@@ -243,10 +240,9 @@ class Registration:
 
 @short_repr
 class ScenePicture:
-    """A picture of the scene, prepared so that frames can be registered with it.
+    """Picture of the scene, prepared for the registration of frames.
 
-    `grey` is `(height, width)` uint8 or float32; a `ValueError` if it is too thin for anything to be
-    recognised.
+    `grey` is `(height, width)` uint8 or float32. Raises `ValueError` if it is too thin.
     """
 
     def __init__(self, grey: NDArray[np.uint8] | Floats) -> None:
@@ -262,7 +258,7 @@ class ScenePicture:
         self._levels = [Level.of(band, finest * 2.0**k, self.size) for k, band in enumerate(self._bands)]
 
     def register(self, grey: NDArray[np.uint8], start: AffineMap) -> Registration:
-        """Find the map by which a frame shows this scene, within some 40 px of `start`."""
+        """Estimate the map of a frame, within about 40 px of `start`."""
         bands = _pyramid(grey)
         parameters = self._nearest(bands, start.parameters)
         for band, level in zip(reversed(bands), reversed(self._levels), strict=True):
@@ -277,7 +273,7 @@ class ScenePicture:
         return Registration(AffineMap(parameters, self.size), covariance, explained, correlation)
 
     def _nearest(self, bands: list[Floats], start: Numbers) -> Numbers:
-        """The better one of where the map should be and a mere shift, as the coarsest level shows them."""
+        """Return the better one of `start` and a phase-correlated shift on the coarsest level."""
         level, band = self._levels[-1], bands[-1]
         window = cv2.createHanningWindow(band.shape[::-1], cv2.CV_32F)
         shift, _ = cv2.phaseCorrelate(self._bands[-1], band, window)
@@ -290,12 +286,12 @@ class ScenePicture:
 
 
 def is_thin(size: tuple[int, int]) -> bool:
-    """Whether pictures of `(height, width)` px are too small or too thin to be registered."""
+    """Return whether pictures of `(height, width)` px are too small or too thin to be registered."""
     return min(size) < THINNEST * max(1.0, max(size) / FINEST)
 
 
 def _pyramid(grey: NDArray[np.uint8] | Floats) -> list[Floats]:
-    """Band-passed levels, the finest first."""
+    """Return band-passed levels, the finest first."""
     while max(grey.shape) > FINEST:
         grey = cv2.pyrDown(grey)  # type: ignore[assignment]
     levels = [np.asarray(grey, np.float32)]
@@ -311,14 +307,14 @@ def _band_passed(grey: Floats) -> Floats:
 
 
 def _refined(band: Floats, level: Level, start: Numbers) -> tuple[Numbers, Numbers]:
-    """Parameters after Gauss-Newton steps on a level, and their information."""
+    """Return parameters after Gauss-Newton steps on a level, and their information."""
     parameters, contrast = start.copy(), 1.0
     information, vector = np.empty((7, 7)), np.empty(7)
     for _ in range(STEPS):
         off = _residuals(band, level, parameters, contrast)
         variance = _variance(off)
         normal_equations(off, level.values, level.gradients, level.about, variance, information, vector)
-        information[np.diag_indices(7)] += 1e-3  # where nothing is to be seen, nothing moves
+        information[np.diag_indices(7)] += 1e-3  # keeps a picture without texture regular
         step = np.linalg.solve(information, vector)
         parameters -= level.scale * step[:UNKNOWNS]
         contrast = float(np.clip(contrast - step[UNKNOWNS], 0.5, 2.0))
@@ -335,13 +331,13 @@ def _residuals(band: Floats, level: Level, parameters: Numbers, contrast: float 
 
 
 def _variance(off: Numbers) -> float:
-    """Of the residuals of points that fit, squared grey levels, by the median of their sizes."""
+    """Return the variance of residuals, squared grey levels, by their median size."""
     inside = np.abs(off[off < OUTSIDE])
     return float(max(1.4826 * np.median(inside), LEAST_NOISE)) ** 2 if len(inside) else LEAST_NOISE**2
 
 
 def _cost(off: Numbers) -> float:
-    """Mean size of the residuals, which outliers do not rule; infinite if the frame shows next to nothing."""
+    """Return the mean size of the residuals, cut off; infinite if the frame shows too few points."""
     inside = np.abs(off[off < OUTSIDE])
     return float(np.minimum(inside, LARGEST).mean()) if len(inside) > 0.2 * len(off) else np.inf
 
@@ -359,17 +355,17 @@ def _cut(values: Numbers) -> Numbers:
     return np.clip(values, -usual, usual)
 
 
-LEAST_CORRELATION = 0.25  # below it a frame is not like the scene anywhere: chance makes 0.1
-_CAMERA = np.zeros(1, np.int64)  # the one thing that the Gaussians are about
+LEAST_CORRELATION = 0.25  # of a registered frame; 0.1 happens by chance
+_CAMERA = np.zeros(1, np.int64)  # identity of the camera in Gaussian messages
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class View:
-    """A factor about the map from the scene to the frame: a Gaussian over its parameters.
+    """Gaussian message over the parameters of the map from the scene to the frame.
 
-    `size` is `(height, width)` px; `where` is uniform where nothing is known; `scene` `(height, width[, 3])`
-    float32, what the scene looks like, is of the chain that knows the camera.
+    `size` is `(height, width)` px; `where` is uniform without information; `scene` `(height, width[, 3])`
+    float32 is the picture of the scene, from the chain that models the camera.
     """
 
     size: tuple[int, int]
@@ -378,7 +374,7 @@ class View:
 
     @classmethod
     def predicted(cls, mean: Numbers, covariance: Numbers, scene: NDArray[np.float32]) -> Self:
-        """A density of the map, and the scene by which it is found."""
+        """Return a density of the map, with the scene for the registration."""
         where = GaussianMessage.from_moments(_CAMERA, mean[None], covariance[None])
         return cls((scene.shape[0], scene.shape[1]), where, scene)
 
@@ -388,25 +384,25 @@ class View:
 
     @cached_property
     def map(self) -> AffineMap:
-        """The most likely one."""
+        """The most likely map."""
         return AffineMap(self.where.marginal(0)[0], self.size)
 
     @property
     def covariance(self) -> Numbers:
-        """`(6, 6)` px^2, of the map's parameters."""
+        """Covariance of the map's parameters, `(6, 6)` px^2."""
         return self.where.marginal(0)[1]
 
     @cached_property
     def hidden(self) -> NDArray[np.bool_]:
-        """`(height, width)`: places of the scene that the frame does not show."""
+        """Pixels of the scene that the frame does not show, `(height, width)`."""
         return ~self.map.shown
 
     def register(self, image: Image) -> tuple[Self, Image]:
-        """The likelihood of the map, and the image as the scene's picture.
+        """Return the likelihood of the map, and the image warped to the scene.
 
-        The likelihood is Laplace's approximation, 1 at its peak; uniform where the frame is not like the
-        scene at all. The picture is seen by the most likely map, prediction included; where the frame does
-        not show the scene, it is what is known of it. Without a scene it is a `ValueError`.
+        The likelihood is Laplace's approximation, 1 at its peak; uniform if the frame does not correlate with
+        the scene. The image is warped by the most likely map, prediction included; the scene fills what the
+        frame does not show. Raises `ValueError` without a scene.
         """
         if self.scene is None:
             raise ValueError("view: got no scene, expected one by which frames are found")

@@ -1,15 +1,15 @@
-"""Perspective cameras of one focal length, written so that the affine camera is one of them.
+"""Perspective cameras of one focal length, in a parametrisation that includes the affine camera.
 
-A point p = R X before a camera with focal length f and translation T is seen at f (p_xy + T_xy) / (p_z +
+A point p = R X in front of a camera with focal length f and translation T is seen at f (p_xy + T_xy) / (p_z +
 T_z) from the principal point. With a = f / T_z (the scale at the origin of the shape), u = f T_xy / T_z
-(where the origin is seen) and q = 1 / f that is
+(the image of the origin) and q = 1 / f that is
 
     x = (a p_xy + u) / (1 + q a p_z),
 
 which for q = 0 is scaled orthography (Christy and Horaud, "Euclidean shape and motion from multiple
 perspective views by affine iterations", 1996, with their epsilon = q a p_z). A mirrored shape (z is -z) with
 -q is seen in the same places: of the two shapes that an affine camera cannot tell apart, one has a negative
-focal length. The origin of the shape has to be before all cameras.
+focal length. The origin of the shape has to be in front of all cameras.
 """
 
 from dataclasses import dataclass, replace
@@ -23,13 +23,13 @@ from ..core.short_repr import short_repr
 Numbers = NDArray[np.float64]
 
 MIRROR = np.diag([1.0, 1.0, -1.0])
-NEAREST = 1e-2  # depth, of that of the shape's origin, from which a point is before a camera
+NEAREST = 1e-2  # least depth of a point in front of a camera, in depths of the shape's origin
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class PerspectiveCameras:
-    """Cameras of one focal length, square pixels, and a principal point that is known.
+    """Cameras of one focal length, square pixels, and a given principal point.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class PerspectiveCameras:
 
     @property
     def arrays(self) -> tuple[Numbers, Numbers, Numbers, float]:
-        """What loops take: rotations, scales, shifts and curvature."""
+        """Rotations, scales, shifts and curvature, for compiled loops."""
         return self.rotations, self.scales, self.shifts, self.curvature
 
     @property
@@ -60,27 +60,27 @@ class PerspectiveCameras:
 
     @property
     def translations(self) -> Numbers:
-        """`(n_frames, 3)` T of a focal length that is not infinite, in the shape's unit."""
+        """Translations T `(n_frames, 3)` in the shape's unit, for a finite focal length."""
         depth = self.focal / self.scales[:, None]
         return np.concatenate([self.shifts * self.curvature * depth, depth], axis=1)
 
     @property
     def affine(self) -> Numbers:
-        """`(n_frames, 2, 4)`: affine cameras that see the same at the depth of the shape's origin."""
+        """Affine cameras `(n_frames, 2, 4)` that agree at the depth of the shape's origin."""
         rows = self.scales[:, None, None] * self.rotations[:, :2]
         return np.concatenate([rows, (self.shifts + self.principal)[:, :, None]], axis=2)
 
     @property
     def centres(self) -> Numbers:
-        """`(n_frames, 3)`: where the cameras stand, in the shape's axes."""
+        """Camera centres `(n_frames, 3)` in the shape's axes."""
         places: Numbers = -np.einsum("tji,tj->ti", self.rotations, self.translations)
         return places
 
     def seen(self, shape: Numbers) -> tuple[Numbers, Numbers]:
-        """Positions `(n_frames, n_points, 2)` px of points `(n_points, 3)`, and their depths.
+        """Return positions `(n_frames, n_points, 2)` px of points `(n_points, 3)`, and their depths.
 
-        Depths `(n_frames, n_points)` are in those of the shape's origin; a point is before a camera from
-        `NEAREST` on, and its position means nothing where it is not.
+        Depths `(n_frames, n_points)` are in units of that of the shape's origin; below `NEAREST` a point is
+        not in front of the camera, and its position is undefined.
         """
         turned = self.scales[:, None, None] * np.einsum("tjk,ik->tij", self.rotations, shape, optimize=True)
         depths = 1 + self.curvature * turned[..., 2]
@@ -89,11 +89,11 @@ class PerspectiveCameras:
         return places + self.principal, depths
 
     def mirrored(self) -> Self:
-        """Cameras that see shape @ `MIRROR` where these see the shape."""
+        """Return the cameras that see shape @ `MIRROR` where these see the shape."""
         return replace(self, rotations=MIRROR @ self.rotations @ MIRROR, curvature=-self.curvature)
 
     def of(self, frames: NDArray[np.bool_] | NDArray[np.int64]) -> Self:
-        """Those of some frames."""
+        """Return the cameras of some frames."""
         return replace(
             self, rotations=self.rotations[frames], scales=self.scales[frames], shifts=self.shifts[frames]
         )
