@@ -1,14 +1,12 @@
 """Modes of beliefs: where texture and prior say, with their curvature, from afar, in any batch."""
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.face.experts import find_modes
 from rsmcm.chains.face.pose_terms import PoseDynamics, PosePrior
 from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood, image_pyramid
 from rsmcm.models.face.morphable_model import Poses
 from rsmcm.models.face.surface import SurfaceTexels
-from rsmcm.models.numerics.threads import set_threads, thread_count
 
 from ...support.surfaces import bumpy, poses_near, smooth_picture
 
@@ -103,65 +101,3 @@ def test_the_prior_decides_where_there_is_nothing_to_see() -> None:
     modes = find_modes(nothing, prior, start, EFFECTIVE, 2)
     assert vertex_error(likelihood, modes.poses, prior.mean).max() < 0.03
     np.testing.assert_allclose(modes.precision, np.tile(np.diag(prior.precision), (3, 1, 1)), rtol=1e-6)
-
-
-@pytest.mark.parametrize("distance", [1.0, 10.0])
-def test_the_belief_never_falls_on_one_level(distance: float) -> None:
-    truth = poses_near(8, 3, 8)
-    likelihood = learned_at(truth, 1)
-    start = moved_by(truth, distance, 9)
-    prior = PosePrior.after(start, PoseDynamics(), 24.0, 0.04)
-    modes = find_modes(likelihood, prior, start, EFFECTIVE, 0)
-
-    def energy(poses: Poses) -> Array:
-        sums = likelihood.equations(0, poses, np.arange(8)).sums
-        return np.asarray(prior.energy(poses, np.arange(8))[0] + 0.5 * EFFECTIVE * sums[:, 0] / sums[:, 2])
-
-    assert (energy(modes.poses) <= energy(start)).all()
-
-
-def test_experts_do_not_disturb_each_other() -> None:
-    truth = poses_near(5, 3, 10)
-    likelihood = learned_at(truth)
-    start = moved_by(truth, 2.0, 11)
-    start = Poses(start.rotations, start.translations, start.morphs * (24.0 / start.sizes)[:, None])
-    prior = PosePrior.after(start, WEAK, 24.0, 1.0)
-    together = find_modes(likelihood, prior, start, EFFECTIVE, 2)
-    for expert in range(5):
-        one = slice(expert, expert + 1)
-        alone = find_modes(
-            TextureLikelihood(
-                likelihood.surface,
-                likelihood.levels,
-                likelihood.mean[one],
-                likelihood.temperature[one],
-                likelihood.visible[one],
-            ),
-            PosePrior.after(start[expert], WEAK, 24.0, 1.0),
-            start[expert],
-            EFFECTIVE,
-            2,
-        )
-        np.testing.assert_allclose(
-            alone.poses.translations[0], together.poses.translations[expert], atol=1e-6
-        )
-        np.testing.assert_allclose(alone.poses.rotations[0], together.poses.rotations[expert], atol=1e-7)
-        np.testing.assert_allclose(alone.poses.morphs[0], together.poses.morphs[expert], atol=1e-6)
-
-
-def test_modes_are_the_same_on_any_number_of_threads() -> None:
-    truth = poses_near(7, 3, 12)
-    likelihood = learned_at(truth)
-    start = moved_by(truth, 2.0, 13)
-    prior = PosePrior.after(start, PoseDynamics(), 24.0, 0.04)
-    before, found = thread_count(), []
-    try:
-        for threads in (1, 2, 3):
-            set_threads(threads)
-            found.append(find_modes(likelihood, prior, start, EFFECTIVE, 2))
-    finally:
-        set_threads(before)
-    for other in found[1:]:
-        np.testing.assert_array_equal(other.precision, found[0].precision)
-        np.testing.assert_array_equal(other.poses.rotations, found[0].poses.rotations)
-        np.testing.assert_array_equal(other.poses.morphs, found[0].poses.morphs)

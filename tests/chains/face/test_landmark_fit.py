@@ -32,16 +32,7 @@ def known() -> MorphableModel:
     )
 
 
-# --- projection ---------------------------------------------------------------------------------------------
-
-
-# --- what is refused ----------------------------------------------------------------------------------------
-
-
-# --- fits ---------------------------------------------------------------------------------------------------
-
-
-@settings(max_examples=15)
+@settings(max_examples=10)
 @given(st.integers(0, 10**6))
 def test_poses_are_found_from_all_vertices(seed: int) -> None:
     model = face_model()
@@ -52,7 +43,7 @@ def test_poses_are_found_from_all_vertices(seed: int) -> None:
     np.testing.assert_allclose(found.morphs, poses.morphs, atol=0.1)
 
 
-@settings(max_examples=15)
+@settings(max_examples=10)
 @given(st.integers(0, 10**6))
 def test_the_fit_is_where_the_posterior_is_highest(seed: int) -> None:
     model, random = face_model(), np.random.default_rng(seed)
@@ -75,14 +66,14 @@ def test_the_fit_is_where_the_posterior_is_highest(seed: int) -> None:
 
 def test_frames_are_fitted_each_for_itself() -> None:
     model = face_model()
-    poses = random_poses(model, 300, 5, turn=0.3)  # more than one batch
+    poses = random_poses(model, 260, 5, turn=0.3)  # more than one batch
     points = SurfacePoints.of_vertices(np.arange(0, model.n_vertices, 6))
     landmarks = points.project(model, poses)
     landmarks += np.random.default_rng(0).normal(size=landmarks.shape)
     landmarks[7, :5] = np.nan
     landmarks[8, 4, 1] = np.nan  # one coordinate alone says nothing
     found = fit_landmarks(model, landmarks, points)
-    for frame in (0, 7, 8, 299):
+    for frame in (0, 7, 8, 259):
         alone = fit_landmarks(model, landmarks[frame], points)
         np.testing.assert_allclose(found[frame].changes_from(alone), 0, atol=1e-3)
     kept = np.arange(len(points)) >= 5
@@ -90,40 +81,6 @@ def test_frames_are_fitted_each_for_itself() -> None:
     np.testing.assert_allclose(
         found[7].changes_from(fit_landmarks(model, landmarks[7, kept], some)), 0, atol=1e-3
     )
-
-
-def test_seven_landmarks_and_many_bases() -> None:
-    random = np.random.default_rng(3)
-    face = face_model()
-    smooth = np.cos(face.bases[0] @ random.normal(size=(3, 70)) + random.uniform(0, 6, 70))
-    more = 0.02 * smooth.T[:, :, None] * random.normal(size=(70, 1, 3))
-    model = MorphableModel(np.concatenate([face.bases[:1], more]), face.triangles)
-    poses = random_poses(model, 60, 1, turn=0.3)
-    far = np.argsort(face.bases[0, :, 0] + 0.3 * face.bases[0, :, 1])[:: model.n_vertices // 6][:7]
-    points = SurfacePoints.of_vertices(far)
-    found = fit_landmarks(model, points.project(model, poses), points, noise=0.02)
-    angles = np.degrees(np.linalg.norm(found.changes_from(poses)[:, :3], axis=1))
-    assert np.median(angles) < 12
-    assert np.median(np.abs(found.sizes / poses.sizes - 1)) < 0.1
-    away = np.linalg.norm(points.project(model, found) - points.project(model, poses), axis=2)
-    assert (away.mean(axis=1) < 0.05 * poses.sizes).all()
-
-
-def test_a_start_is_used() -> None:
-    model = face_model()
-    poses = random_poses(model, 3, 2)
-    landmarks = model.project(poses)
-    away = poses.moved(np.full((1, poses.dimension), 0.05))
-    start_copy = (away.rotations.copy(), away.translations.copy(), away.morphs.copy())
-    found = fit_landmarks(model, landmarks, start=away)
-    np.testing.assert_allclose(model.project(found), landmarks, atol=0.2)
-    for given_, before in zip((away.rotations, away.translations, away.morphs), start_copy, strict=True):
-        np.testing.assert_array_equal(given_, before)
-    np.testing.assert_allclose(
-        found.changes_from(fit_landmarks(model, landmarks, start=away[0])), 0, atol=0.01
-    )
-    with pytest.raises(ValueError, match="start: got 2 poses of 6 bases, expected one or 3 of 6"):
-        fit_landmarks(model, landmarks, start=away[:2])
 
 
 def test_the_models_own_landmarks() -> None:
@@ -174,9 +131,6 @@ def test_other_things_that_a_fit_refuses() -> None:
         model.landmark_points([1, 2])
     with pytest.raises(ValueError, match="no list of landmarks"):
         face_model().landmark_points([1])
-
-
-# --- persons ------------------------------------------------------------------------------------------------
 
 
 def test_a_face_in_real_video(data_folder: Path) -> None:

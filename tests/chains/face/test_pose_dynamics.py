@@ -5,7 +5,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rsmcm.chains.face.pose_terms import PoseDynamics, PosePrior
 from rsmcm.models.face.morphable_model import RIGID
-from scipy.stats import multivariate_normal
 
 from ...support.surfaces import poses_near
 
@@ -66,12 +65,3 @@ def test_gradient_and_precision_are_derivatives_of_the_energy(seed: int) -> None
         slope, bend = (ends[1] - ends[0]) / (2 * step[j]), (ends[1] + ends[0] - 2 * middle) / step[j] ** 2
         np.testing.assert_allclose(gradient[:, j], slope, rtol=1e-5, atol=1e-6 / step[j])
         np.testing.assert_allclose(bend, prior.precision[j], rtol=1e-2)
-
-
-@given(st.integers(0, 10**6))
-def test_density_is_that_of_a_change_from_the_mean(seed: int) -> None:
-    prior, owner = prior_of(seed), np.array([1, 2])
-    change = np.sqrt(prior.variance) * np.random.default_rng(seed).normal(size=(2, 8))
-    density = multivariate_normal(np.zeros(8), np.diag(prior.variance)).logpdf(change)
-    found = prior.log_density(prior.mean[owner].moved(change), owner)
-    np.testing.assert_allclose(found, density, rtol=1e-9, atol=1e-9)

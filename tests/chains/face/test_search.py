@@ -22,10 +22,3 @@ def test_shares_of_the_motion_and_steps_aside() -> None:
     assert abs(ahead.mean() - FARTHEST_AHEAD / 2) < bar * FARTHEST_AHEAD
     np.testing.assert_allclose(changes[~straight, 4].std(), ASIDE * 3.0, rtol=bar)
     np.testing.assert_allclose(changes[~straight, 5:].std(axis=0), ASIDE * np.sqrt(walk[5:]), rtol=bar)
-
-
-def test_the_same_draws_the_same() -> None:
-    poses = Poses.upright(np.zeros((5, 2)), np.full(5, 40.0), BASES)
-    motion, walk = np.ones((5, poses.dimension)), np.ones(poses.dimension)
-    first, second = (disperse(poses, motion, walk, np.random.default_rng(1)).morphs for _ in range(2))
-    np.testing.assert_array_equal(first, second)

@@ -58,26 +58,6 @@ def test_covered_pixels_are_those_whose_centres_are_in_a_triangle() -> None:
         assert (found.reshape(-1) != within).sum() <= 2  # centres that lie on an edge but for rounding
 
 
-def test_a_mesh_over_the_edge_of_the_box_covers_what_is_in_it() -> None:
-    model = ellipsoid()
-    positions = model.project(centred(np.zeros((1, 3))))
-    small, whole = Box(50, 70, 20, 15), covered(positions, model.triangles, WHOLE)[0]
-    np.testing.assert_array_equal(covered(positions, model.triangles, small)[0], whole[small.window])
-
-
-@pytest.mark.parametrize("model", [face_model(), ellipsoid()])
-def test_edges_know_their_triangles(model: MorphableModel) -> None:
-    edges = MeshEdges.of(model.triangles)
-    n_sides = 3 * len(model.triangles)
-    assert (edges.sides >= 0).sum() == n_sides
-    for ends, sides in zip(edges.ends, edges.sides, strict=True):
-        for side in sides[sides >= 0]:
-            assert set(ends) <= set(model.triangles[side])
-    is_closed = (edges.sides >= 0).all()
-    used = np.unique(model.triangles).size
-    assert used - len(edges.ends) + len(model.triangles) == (2 if is_closed else 1)  # Euler
-
-
 def test_the_outline_of_a_convex_body_is_its_hull() -> None:
     model = ellipsoid()
     poses = centred(np.random.default_rng(0).uniform(-1, 1, (4, 3)))
@@ -123,7 +103,7 @@ def known_outside(inside: NDArray[np.uint8], contrast: float = 3.0) -> Backgroun
     return contrast_of(np.where(inside[:1] > 0, -contrast, contrast).astype(np.float32))
 
 
-@pytest.mark.parametrize("off", [-2.5, -1.0, 0.0, 1.7, 3.0])
+@pytest.mark.parametrize("off", [-2.5, 0.0, 1.7])
 def test_a_scan_finds_the_edge(off: float) -> None:
     model = ellipsoid()
     truth = centred(np.zeros((1, 3)))
@@ -242,14 +222,3 @@ def test_the_silhouette_alone_finds_place_and_size() -> None:
     # pixels are whole, and the prior holds a little
     assert np.abs(found.translations - truth.translations).max() < 0.5
     assert np.abs(found.sizes / truth.sizes - 1).max() < 0.02
-
-
-def test_known_points_are_met() -> None:
-    model = bumpy(3, 2)
-    truth, start = poses_near(1, 3, 4), poses_near(1, 3, 4)
-    start.translations[:] += (4.0, -3.0)
-    bases = np.moveaxis(model.bases, 0, 1)[None]
-    information = np.tile([100.0, 0.0, 100.0], (1, 20, 1))
-    terms = PointTerms(np.ascontiguousarray(bases), model.project(truth), information)
-    found = peak_search(model, start, terms)
-    assert np.linalg.norm(model.project(found) - model.project(truth), axis=2).max() < 0.1

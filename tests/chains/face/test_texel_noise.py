@@ -21,15 +21,6 @@ def test_wanted_gain_and_temperature_come_out(gain: float, temperature: float) -
     assert noise.temperature == pytest.approx(temperature, rel=1e-9)
 
 
-@given(variances, variances)
-def test_noises_come_back_from_their_steady_state(rendering: float, process: float) -> None:
-    noise = TexelNoise(rendering, process)
-    again = TexelNoise.of_steady_state(steady_gain(noise), noise.temperature)
-    largest = max(rendering, process)
-    assert again.process == pytest.approx(process, rel=1e-6)
-    assert again.rendering == pytest.approx(rendering, rel=1e-6, abs=1e-9 * largest)
-
-
 @given(variances, st.floats(1e-3, 1e3))
 def test_the_filter_settles_there(rendering: float, ratio: float) -> None:
     noise = TexelNoise(rendering, ratio * rendering * USUAL_RATE)
@@ -39,14 +30,6 @@ def test_the_filter_settles_there(rendering: float, ratio: float) -> None:
         variance = variance * rendering / (variance + rendering) + change
     assert noise.steady_variance == pytest.approx(variance, rel=1e-6)
     assert steady_gain(noise) == pytest.approx(variance / (variance + rendering), rel=1e-6)
-
-
-def test_the_ends_are_template_and_flow() -> None:
-    template, flow = TexelNoise.of_steady_state(0.0, 36.0), TexelNoise.of_steady_state(1.0, 36.0)
-    assert (template.rendering, template.process) == (36.0, 0.0)
-    assert (template.steady_variance, steady_gain(template)) == (0.0, 0.0)
-    assert (flow.rendering, flow.process) == (0.0, 36.0 * USUAL_RATE)
-    assert (flow.steady_variance, steady_gain(flow)) == (36.0, 1.0)
 
 
 @pytest.mark.parametrize(("gain", "temperature"), [(-0.1, 1.0), (1.1, 1.0), (0.5, 0.0), (np.nan, 1.0)])

@@ -72,16 +72,6 @@ def test_children_have_their_parents_textures() -> None:
     assert child.learned.gain.shape == (3, 4)
 
 
-def test_hidden_texels_stay_unknown_for_ever() -> None:
-    noise = TexelNoise.of_steady_state(0.5, 36.0)
-    texture = Texture.unknown(1, 1, 3, learn=True)
-    for _ in range(200):
-        texture = texture.predicted(noise, DT)
-        texture = texture.updated(np.full((1, 1, 3), 9, np.float32), np.zeros((1, 3), np.bool_), noise, DT)
-    assert texture.variance.max() <= UNKNOWN_VARIANCE
-    np.testing.assert_array_equal(texture.mean, Texture.unknown(1, 1, 3, learn=True).mean)
-
-
 def squared_error(gain: float | None, process: float, rendering: float) -> tuple[float, float]:
     """Mean squared error of one-look predictions with a fixed or a learned gain, and its mean at the end."""
     random = np.random.default_rng(7)
@@ -118,15 +108,3 @@ def test_two_predictions_are_one(gain: float, first: float, second: float) -> No
     texture = Texture(np.zeros((1, 1, 3), np.float32), np.array([[0.0, 10.0, 3000.0]], np.float32))
     halves = texture.predicted(noise, first).predicted(noise, second)
     np.testing.assert_allclose(halves.variance, texture.predicted(noise, first + second).variance, rtol=1e-5)
-
-
-def test_at_half_the_rate_a_frame_counts_for_more() -> None:
-    noise = TexelNoise.of_steady_state(0.1, 36.0)
-    left = []
-    for dt in (DT, 2 * DT):
-        texture = Texture(np.zeros((1, 1, 1), np.float32), np.full((1, 1), noise.steady_variance, np.float32))
-        for _ in range(round(0.4 / dt)):
-            step = np.full((1, 1, 1), 100.0, np.float32)
-            texture = texture.predicted(noise, dt).updated(step, np.ones((1, 1), np.bool_), noise, dt)
-        left.append(100 - texture.mean[0, 0, 0])
-    assert left[0] < left[1] < 100 * (1 - 0.1) ** 5

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood
-from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.morphable_model import Poses
 from rsmcm.models.face.surface import SurfaceTexels
-from rsmcm.models.numerics.rotations import exponential
 from rsmcm.models.numerics.threads import set_threads, thread_count
 
 from ...support.surfaces import bilinear, bumpy, level, poses_near, smooth_picture, used_on
@@ -41,15 +39,6 @@ def test_vertices_and_their_rows_are_the_models() -> None:
     np.testing.assert_allclose(rows[..., :9], wanted, atol=1e-4)
     assert rows.shape[-1] % 8 == 0
     assert not rows[..., 9:].any()
-
-
-def test_vertices_without_texels_are_left_out() -> None:
-    model = bumpy()
-    surface = TexturedObject(model, SurfaceTexels.dense(model, 5))
-    poses = poses_near(2, 3, 0)
-    used = np.unique(surface.texels.groups)
-    np.testing.assert_array_equal(used[surface.used_texels.groups], surface.texels.groups)
-    assert surface.positions(poses).shape == (2, len(used), 2)
 
 
 def test_looks_are_bilinear_values() -> None:
@@ -89,23 +78,6 @@ def test_a_batch_is_each_pose_alone_on_any_number_of_threads(number: int) -> Non
         np.testing.assert_array_equal(alone.sums[0], together[0].sums[pose])
         alone_sums = likelihood.sums(poses[pose], owner[pose : pose + 1], level=number)
         np.testing.assert_allclose(alone_sums[0, :3], alone.sums[0], rtol=1e-5)
-
-
-def test_a_head_that_turns_hides_one_cheek() -> None:
-    model = face_model()
-    surface = TexturedObject(model, SurfaceTexels.dense(model, 1500))
-    upright = Poses.upright(np.array([[100.0, 100.0]]), np.array([40.0]), model.n_bases)
-    turned = Poses(exponential(np.array([[0, 0.9, 0], [0, -0.9, 0]])), *(
-        np.repeat(part, 2, axis=0) for part in (upright.translations, upright.morphs)
-    ))  # fmt: skip
-    front, one, other = (surface.visible(poses)[0] for poses in (upright, turned[0], turned[1]))
-    assert front.mean() > 0.9
-    assert one.mean() < front.mean() - 0.1
-    assert (one | other)[front].mean() > 0.98
-    side = np.einsum("nc,nc->n", surface.texels.weights, model.bases[0][..., 0][surface.texels.groups][
-        surface.texels.group_of_texel
-    ])  # fmt: skip
-    assert side[front & ~one].mean() * side[front & ~other].mean() < 0
 
 
 def test_without_triangles_everything_is_visible() -> None:

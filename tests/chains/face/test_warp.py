@@ -86,8 +86,7 @@ def close(found: Array, wanted: Array) -> None:
 
 
 @pytest.mark.parametrize("kind", ["dense", "patches"])
-@pytest.mark.parametrize("scale", [1.0, 0.5])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("scale", "seed"), [(1.0, 0), (0.5, 1)])
 def test_normal_equations_equal_those_of_explicit_jacobians(kind: str, scale: float, seed: int) -> None:
     one = case(kind, seed, scale)
     found = one.likelihood.equations(0, one.poses, one.owner)
@@ -124,23 +123,6 @@ def test_densities_are_the_sums_of_the_normal_equations(kind: str) -> None:
         assert sums[number, 3] == pytest.approx((squares[1] - squares[0]) / 4, rel=FLOAT32)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_vector_is_the_gradient_of_half_the_squares(seed: int) -> None:
-    one = case("patches", seed)  # whose areas do not change with the pose
-    found = one.likelihood.equations(0, one.poses, one.owner).vectors
-    steps = 1e-6 * np.r_[np.full(3, 0.05), np.ones(6)]
-    for number in range(3):
-        gradient = np.empty(9)
-        for j, step in enumerate(steps):
-            ends = [
-                explicit(one, number, one.poses[number].moved(sign * step * np.eye(9)[j : j + 1])).sums[0]
-                for sign in (-1, 1)
-            ]
-            gradient[j] = 0.5 * (ends[1] - ends[0]) / (2 * step)
-        unit = 1 / np.sqrt(np.diag(explicit(one, number).matrix))
-        close(found[number] * unit, gradient * unit)
-
-
 def test_a_coarse_level_takes_an_even_part_of_every_group() -> None:
     one = case("dense", 1, 0.5)
     coarse = one.likelihood.levels[0]
@@ -156,7 +138,7 @@ def test_a_coarse_level_takes_an_even_part_of_every_group() -> None:
         close(found.vectors[number] * unit, wanted.vector * unit)
 
 
-@pytest.mark.parametrize(("height", "width"), [(120, 160), (121, 163)])
+@pytest.mark.parametrize(("height", "width"), [(121, 163)])
 def test_a_ramp_is_the_same_on_every_level(height: int, width: int) -> None:
     ramp = np.tile(np.arange(width, dtype=np.uint8), (height, 1))
     model = bumpy(2)

@@ -46,15 +46,6 @@ def test_points_are_seen_where_they_are() -> None:
     assert solution.objective == pytest.approx(0, abs=1e-6)
 
 
-def test_frames_that_are_missing_show_nothing() -> None:
-    frames = FILM.frames()
-    frames[3] = Frame(None, frames[3].time, 4)
-    evidence = alone(frames).evidence(POINTS)
-    assert len(evidence[3].positions) == 0
-    before, after = evidence[2].positions.identities, evidence[4].positions.identities
-    assert len(np.intersect1d(before, after)) > 20
-
-
 def test_points_that_are_given_stay_as_they_are() -> None:
     given = GivenPoints(np.arange(12.0).reshape(6, 2), np.arange(6))
     frames = [replace(frame, points=given) for frame in FILM.frames()]
@@ -62,11 +53,6 @@ def test_points_that_are_given_stay_as_they_are() -> None:
         names, mean, _ = message.positions.moments
         np.testing.assert_array_equal(names, given.identities)
         np.testing.assert_allclose(mean, given.positions)
-
-
-def test_a_film_of_one_colour_has_no_points() -> None:
-    frames = [Frame(np.full((60, 80), 90, np.uint8), k / 25, k + 1) for k in range(4)]
-    assert all(len(message.positions) == 0 for message in alone(frames).evidence(POINTS))
 
 
 @pytest.fixture(scope="module")
@@ -90,17 +76,6 @@ def test_tracker_and_matcher_share_the_points(side_by_side) -> None:
     assert np.isin(solution["matcher"].identities, known).all()
     assert solution.converged
     assert len(solution.rounds) == 1
-
-
-def test_a_saved_ascent_goes_on_as_if_never_left(side_by_side, tmp_path) -> None:
-    frames = FILM.frames()
-    solution = side_by_side.run(frames)
-    side_by_side.save(tmp_path / "state.npz", solution)
-    again, _ = side_by_side.load(tmp_path / "state.npz", frames)
-    for one, other in zip(solution.evidence(POINTS), again.evidence(POINTS), strict=True):
-        np.testing.assert_array_equal(one.positions.identities, other.positions.identities)
-        np.testing.assert_array_equal(one.positions.vector, other.positions.vector)
-    assert again.objective == solution.objective
 
 
 @pytest.mark.parametrize("name", ["n_points", "n_features"])

@@ -3,7 +3,6 @@ import pytest
 from rsmcm.apps.scenes import turntable
 from rsmcm.chains.points.feature_matcher import (
     LEAST_LENGTH,
-    Features,
     FilmMatches,
     find_features,
     join_matches,
@@ -66,16 +65,6 @@ def test_of_a_picture_the_longest_tracks_stay() -> None:
         assert stay[length[here] > shortest].all()
 
 
-def test_the_order_of_pictures_does_not_matter_to_what_is_joined() -> None:
-    generator = np.random.default_rng(0)
-    shuffled = generator.permutation(len(MATCHES.frame))
-    number = np.argsort(shuffled)
-    doubt = generator.permutation(len(MATCHES.pairs)).astype(float)  # no two of them equal
-    one = FilmMatches(MATCHES.frame, MATCHES.pairs, doubt)
-    other = FilmMatches(MATCHES.frame[shuffled], number[MATCHES.pairs][:, ::-1], doubt)
-    assert groups(*one.tracks(10**6)) == groups(shuffled[other.tracks(10**6)[0]], other.tracks(10**6)[1])
-
-
 def groups(features: np.ndarray, track: np.ndarray) -> set[frozenset[int]]:
     return {frozenset(features[track == each].tolist()) for each in np.unique(track)}
 
@@ -107,14 +96,3 @@ def test_pictures_that_are_alike_are_matched_whenever_they_were_taken(order: lis
     if len(order) == 10:
         again = np.sort(found.frame[found.pairs], axis=1)
         assert ((again == [0, 8]).all(axis=1)).sum() > 100
-
-
-def test_other_things_have_no_matches() -> None:
-    others = [find_features(turntable(1, (240, 300), seed=seed).images[0], 500) for seed in (2, 3, 4)]
-    found = FilmMatches.of([*others, Features.none()])
-    features, track = found.tracks(100)
-    assert len(found.pairs) == len(features) == len(track) == 0
-
-
-def test_nothing_is_matched_with_nothing() -> None:
-    assert len(FilmMatches.of([Features.none()] * 3).tracks(10)[0]) == 0

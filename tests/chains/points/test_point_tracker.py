@@ -23,7 +23,7 @@ from rsmcm.models.core.frame import GivenPoints
 from rsmcm.models.core.gaussian_message import GaussianMessage, squared_distances
 from rsmcm.models.points.point_tracks import PointMessage, noise_of_tracks
 
-from ...support.pictures import HEIGHT, WIDTH, Pose, film, hidden_by_a_bar, sliding, turning
+from ...support.pictures import WIDTH, Pose, film, hidden_by_a_bar, sliding
 
 Numbers = NDArray[np.float64]
 
@@ -118,38 +118,6 @@ def test_messages_and_evidence_make_the_smoothed_track() -> None:
         identities, mean, covariance = belief.positions.moments
         np.testing.assert_allclose(mean, trajectory.position[time, identities], atol=1e-6)
         np.testing.assert_allclose(covariance, trajectory.covariance[time, identities], atol=1e-6)
-
-
-def test_a_point_seen_once_says_nothing_elsewhere() -> None:
-    tracks = np.full((20, 5, 2), np.nan)
-    tracks[:, :4] = np.arange(4)[:, None] * 10.0 + np.arange(20)[:, None, None]
-    tracks[7, 4] = 5.0
-    trajectory = tracked(given_frames(tracks), PointTracks(noise=0.1))
-    assert trajectory.alive[7, 4]
-    assert not trajectory.information[:, 4].any()
-    assert trajectory.alive[:, :4].all()
-
-
-def test_missing_frames_and_frames_without_points() -> None:
-    true, seen = circling(lost=0.0)
-    seen[30:32] = np.nan
-    frames = given_frames(seen)
-    frames[40] = Frame(None, frames[40].time, frames[40].number)
-    trajectory = tracked(frames, PointTracks(noise=0.5))
-    gone = [30, 31, 40]
-    assert not trajectory.observed[gone].any()
-    assert trajectory.alive[gone].all()
-    assert np.sqrt(((trajectory.position - true)[gone] ** 2).mean()) < 1.0
-
-
-def test_a_jump_does_not_make_points_restless() -> None:
-    _, seen = circling(noise=0.3, lost=0.0)
-    jumped = seen.copy()
-    jumped[25:, ::5] += 30.0
-    calm, shaken = (
-        tracked(given_frames(each), PointTracks(noise=0.3)).covariance[10, 1, 0, 0] for each in (seen, jumped)
-    )
-    assert shaken == pytest.approx(calm, rel=0.2)
 
 
 # --- pictures ---
@@ -274,17 +242,6 @@ def test_points_are_followed_to_fractions_of_a_pixel() -> None:
     assert np.sqrt((errors[right] ** 2).mean()) < 0.2
 
 
-def test_a_turning_picture_is_followed() -> None:
-    poses = turning(30)
-    finds = Finds.of_run(
-        MultiChain().connect(PointTracker(n_points=50), PointTracks()), pictures(film(poses, 4)), poses
-    )
-    errors = finds.errors
-    assert np.median([len(seen) for seen in finds.by_identity.values()]) > 15
-    assert np.median(np.abs(errors)) < 0.15
-    assert (np.abs(errors).max(axis=1) < 1).mean() > 0.95
-
-
 def test_smoothed_tracks_are_better_and_know_how_good_they_are() -> None:
     poses = sliding(40)
     frames = pictures(film(poses, 1, noise=4.0))
@@ -371,16 +328,6 @@ def test_in_later_rounds_points_are_found_wherever_they_are(
     assert (np.abs(np.concatenate(off)).max(axis=1) < 1).mean() > 0.98
 
 
-def test_without_feedback_a_batch_is_the_tracker_alone(hidden: tuple[list[Frame], tuple[Pose, ...]]) -> None:
-    frames, poses = hidden
-    tracker, node = PointTracker(n_points=40), PointTracks()
-    alone = CoordinateAscent(MultiChain().connect(tracker, node)).run(frames[:25])["tracker"]
-    model = MultiChain().connect(tracker, node).connect(PlaneKnown(poses[:25]), node, feedback=False)
-    cut = CoordinateAscent(model).run(frames[:25])["tracker"]
-    for name in ("identities", "position", "covariance", "observed", "alive", "information", "vector"):
-        np.testing.assert_array_equal(getattr(alone, name), getattr(cut, name))
-
-
 def test_identities_are_never_used_twice_and_runs_are_repeatable() -> None:
     poses = sliding(30, (3.0, 1.0))
     frames = pictures(film(poses, 3))
@@ -395,17 +342,6 @@ def test_identities_are_never_used_twice_and_runs_are_repeatable() -> None:
         assert (one.known.states.mean == other.known.states.mean).all()
         np.testing.assert_array_equal(one.known.patches, other.known.patches)
     assert first[-1].next_identity > 40
-
-
-def test_points_end_outside_the_picture() -> None:
-    poses = sliding(30, (5.0, 0.0))
-    for belief in RecursiveBP(MultiChain().connect(PointTracker(n_points=40), PointTracks())).run(
-        pictures(film(poses, 5))
-    ):
-        known = belief["tracker"].known
-        place = known.states.position[known.alive]
-        assert ((place >= -0.5) & (place <= [WIDTH - 0.5, HEIGHT - 0.5])).all()
-    assert belief["tracker"].next_identity > 50
 
 
 def test_of_two_points_on_one_spot_the_younger_ends() -> None:
@@ -444,25 +380,6 @@ def test_missing_frames_are_bridged() -> None:
     trajectory = tracked(frames, node, tracker)
     assert not trajectory.observed[[0, 1, 14, 15, 16]].any()
     assert trajectory.alive[15].sum() > 25
-
-
-def test_a_picture_of_one_colour_has_no_points() -> None:
-    flat = [np.full((HEIGHT, WIDTH), 80, np.uint8)] * 5
-    *_, last = RecursiveBP(MultiChain().connect(PointTracker(), PointTracks())).run(flat)
-    assert not len(last["tracker"].known)
-    assert not len(tracked(pictures(flat), PointTracks()).identities)
-
-
-def test_time_counts_and_not_frames() -> None:
-    """Twice the frame rate: half as far from frame to frame, as fast."""
-    speeds = []
-    for rate, n_frames in ((1, 20), (2, 40)):
-        greys = film(sliding(n_frames, (2.0 / rate, 0.0)), 7)
-        frames = [Frame(grey, DT / rate * t, t + 1) for t, grey in enumerate(greys)]
-        *_, last = RecursiveBP(MultiChain().connect(PointTracker(n_points=40), PointTracks())).run(frames)
-        known = last["tracker"].known
-        speeds.append(np.median(known.states.mean[known.alive, 2]))
-    np.testing.assert_allclose(speeds, 2.0 / DT, rtol=0.03)
 
 
 @pytest.mark.parametrize("steps", [(0.04,) * 10, (0.1, 0.3), (0.4, 0.0)])

@@ -48,20 +48,6 @@ def test_faces_of_a_film(film: list[Image]) -> None:
 
 
 @needs_cascade
-def test_flipped_and_scaled(film: list[Image]) -> None:
-    """A person who looks the other way is found as well; boxes are in the given picture's px."""
-    mirrored = [Frame(np.ascontiguousarray(image[:, ::-1]), 0.0, 1) for image in film]
-    boxes = [HaarFaces(74.0)(frame) for frame in mirrored]
-    for each in boxes:
-        each[:, 0] = 640 - each[:, 0] - each[:, 2]
-    assert hits(boxes)[0] >= 0.9 * len(film)
-    doubled = Frame(cv2.resize(film[7], None, fx=2, fy=2), 0.0, 1)
-    np.testing.assert_allclose(
-        HaarFaces(148.0)(doubled)[0] / 2, HaarFaces(74.0)(Frame(film[7], 0.0, 1))[0], atol=8
-    )
-
-
-@needs_cascade
 @pytest.mark.parametrize("height", [None, 60.0])
 def test_nothing_to_find(height: float | None) -> None:
     faces = HaarFaces(height)
@@ -69,12 +55,6 @@ def test_nothing_to_find(height: float | None) -> None:
         assert faces(Frame(image, 0.0, 1)).shape == (0, 4)
     assert copy.deepcopy(faces) == faces
     assert pickle.loads(pickle.dumps(faces)) == faces
-
-
-@needs_cascade
-def test_height_has_to_be_one() -> None:
-    with pytest.raises(ValueError, match=r"height: got 0 px of a face, expected more than 0"):
-        HaarFaces(0)
 
 
 class Cascade:
@@ -151,14 +131,6 @@ def test_a_cascade_of_the_users(film: list[Image], tmp_path: Path) -> None:
         default_faces(tmp_path / "nowhere.xml")
 
 
-def test_a_cascade_where_opencv_knows_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    path = tmp_path / "faces.xml"
-    path.touch()
-    monkeypatch.delattr(cv2, "CascadeClassifier", raising=False)
-    with pytest.raises(ValueError, match=r"faces.xml: OpenCV .* knows no cascades, expected a model file"):
-        default_faces(path)
-
-
 @needs_cascade
 def test_for_height(film: list[Image]) -> None:
     """Upright faces of a known size: they are what a face that was lost is looked for as."""
@@ -200,21 +172,6 @@ def test_the_surest_first(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> No
     assert faces(Frame(np.zeros((90, 120, 3), np.uint8), 0.0, 1)).shape == (0, 4)
     assert faces(Frame(None, 0.0, 1)).shape == (0, 4)
     assert pickle.loads(pickle.dumps(faces)) == faces
-
-
-def test_another_networks_model(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Some are only found out when they see an image."""
-
-    def fail(*_: object) -> None:
-        raise cv2.error("no such layer")
-
-    path = tmp_path / "other.onnx"
-    path.touch()
-    monkeypatch.setattr(cv2, "FaceDetectorYN", Network)
-    monkeypatch.setattr(detectors, "_is_survived", lambda *_: True)  # another process has OpenCV's
-    monkeypatch.setattr(Network, "detect", fail)
-    with pytest.raises(ValueError, match=r"other.onnx: is no model"):
-        default_faces(path)(Frame(np.ones((90, 120), np.uint8), 0.0, 1))
 
 
 def test_a_damaged_network_does_not_end_the_process(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """Files of morphable models: written and read again, small ones by hand, real ones, and damaged ones."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -86,9 +85,6 @@ def write_surrey(folder: Path, *, beside: bool) -> tuple[Array, Array, Array]:
     return mean, (modes * deviations).T.reshape(2, 6, 3), expression
 
 
-# --- ours ---------------------------------------------------------------------------------------------------
-
-
 @settings(max_examples=20)
 @given(st.integers(0, 10**6), st.integers(1, 4), st.booleans())
 def test_what_is_written_is_read_again(
@@ -125,22 +121,7 @@ def test_bases_of_any_scale_are_brought_to_that_of_models(tmp_path: Path) -> Non
     assert (again.identity, again.names, again.landmarks) == (0, (), None)
 
 
-def test_a_model_that_cannot_be_written_leaves_what_was_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "face.npz"
-    write_model(face_model(), path)
-    before = path.read_bytes()
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(np, "savez_compressed", full)
-        with pytest.raises(OSError, match=r"No space left on device: '.*face\.npz'"):
-            write_model(replace(face_model(), identity=1), path)
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
+def test_a_model_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"No such file or directory: '.*/none/face\.npz'"):
         write_model(face_model(), tmp_path / "none" / "face.npz")
     with pytest.raises(ValueError, match=r"got '\.model', expected a name that ends with \.npz"):
@@ -167,9 +148,6 @@ def test_no_archive_of_a_model(tmp_path: Path, content: dict[str, Array], messag
     np.savez(path, **(content if alone else good | content))
     with pytest.raises(ValueError, match=rf"^{path}: .*{message}"):
         read_model(path)
-
-
-# --- formats of others --------------------------------------------------------------------------------------
 
 
 def test_candide(tmp_path: Path) -> None:
@@ -220,14 +198,6 @@ def test_surrey(tmp_path: Path, name: str) -> None:
     np.testing.assert_allclose(model.bases[3], expression[kept] * flip / scale, atol=1e-6)
 
 
-def test_surrey_alone(tmp_path: Path) -> None:
-    write_surrey(tmp_path, beside=False)
-    model = read_model(tmp_path)
-    assert model.bases.shape == (3, 6, 3)
-    assert model.triangles.shape == (3, 3)
-    assert model.landmarks is None
-
-
 @pytest.mark.parametrize(
     ("name", "shape", "n_triangles"),
     [("candide3/candide3.wfm", (53, 113, 3), 184), ("surrey-face", (70, 850, 3), 1610)],
@@ -238,24 +208,15 @@ def test_real_models_look_at_the_viewer(
     if not (data_folder / name).exists():
         pytest.skip(f"no {name}")
     model = read_model(data_folder / name)
-    assert model.bases.shape == shape
-    assert len(model.triangles) == n_triangles
+    assert (model.bases.shape, len(model.triangles)) == (shape, n_triangles)
     corners = model.bases[0][model.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert np.average(normals[:, 2] < 0, weights=np.linalg.norm(normals, axis=1)) > 0.97
-    deepest, nearest = model.bases[0, :, 2].argmax(), model.bases[0, :, 2].argmin()
-    assert abs(model.bases[0, nearest, 0]) < 0.05  # the tip of the nose
-    assert abs(model.bases[0, deepest, 0]) > 0.3 or name != "surrey-face"
-    # as large as the shape, or a few times less
-    sizes = np.sqrt((model.bases[1:] ** 2).sum(axis=2).mean(axis=1))
-    assert sizes.max() < 0.5
+    assert abs(model.bases[0, model.bases[0, :, 2].argmin(), 0]) < 0.05  # the tip of the nose
     if model.landmarks is not None:
         chin, left, right = model.bases[0][model.landmarks[[8, 36, 45]]]
         assert left[0] < -0.5 < 0.5 < right[0]
         assert chin[1] > 1
-
-
-# --- what is no model ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -291,26 +252,18 @@ def test_no_model(tmp_path: Path, name: str, content: str, message: str) -> None
     assert "\n" not in str(caught.value)
 
 
-def test_no_folder_of_a_model_and_no_file(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"got a folder without sfm_shape_3448\.bin"):
-        read_model(tmp_path)
-    for name in ("none.npz", "none.obj", "none.wfm", "none.bin"):
-        with pytest.raises(OSError, match=name):
-            read_model(tmp_path / name)
-
-
 @pytest.mark.parametrize("name", ["sfm_shape_3448.bin", "expression_blendshapes_3448.bin"])
 def test_a_surrey_file_that_is_cut_off(tmp_path: Path, name: str) -> None:
     write_surrey(tmp_path, beside=True)
     whole = (tmp_path / name).read_bytes()
-    for length in range(0, len(whole) - 20, 7):
+    for length in range(0, len(whole) - 20, 37):
         (tmp_path / name).write_bytes(whole[:length])
         with pytest.raises(ValueError, match=rf"{name}: got .* expected a (shape )?model of eos"):
             read_model(tmp_path)
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@settings(max_examples=150)
+@settings(max_examples=20)
 @given(st.data())
 @pytest.mark.parametrize("kind", ["a.npz", "a.wfm", "a.obj", "sfm_shape_3448.bin"])
 def test_damage_gives_one_clear_line(
@@ -335,9 +288,6 @@ def test_damage_gives_one_clear_line(
         message = str(error)
     assert not message or message.startswith(str(path))
     assert "\n" not in message
-
-
-# --- correspondences ----------------------------------------------------------------------------------------
 
 
 def test_correspondences(tmp_path: Path) -> None:

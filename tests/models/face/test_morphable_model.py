@@ -29,9 +29,6 @@ def known() -> MorphableModel:
     )
 
 
-# --- projection ---------------------------------------------------------------------------------------------
-
-
 @given(st.integers(0, 10**6))
 def test_vertices_are_where_the_paper_has_them(seed: int) -> None:
     model = face_model()
@@ -55,9 +52,6 @@ def test_jacobian_is_the_slope_of_the_projection(seed: int) -> None:
         np.testing.assert_allclose(jacobian[..., axis], slope, atol=2e-6)
 
 
-# --- what is refused ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -78,12 +72,6 @@ def test_no_model(changes: dict[str, object], message: str) -> None:
     good = MorphableModel(np.ones((2, 4, 3)), np.array([[0, 1, 2]]))
     with pytest.raises(ValueError, match=message):
         replace(good, **changes)
-
-
-# --- fits ---------------------------------------------------------------------------------------------------
-
-
-# --- persons ------------------------------------------------------------------------------------------------
 
 
 def test_a_persons_model_is_the_model_with_its_identity_held() -> None:

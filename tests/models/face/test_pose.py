@@ -50,19 +50,3 @@ def test_mean_rotation_minimises_the_chordal_distance(seed: int) -> None:
     np.testing.assert_allclose(mean.rotations[0], expected, atol=1e-9)
     np.testing.assert_allclose(mean.translations[0], np.average(poses.translations, axis=0, weights=weights))
     np.testing.assert_allclose(mean.morphs[0], np.average(poses.morphs, axis=0, weights=weights))
-
-
-def test_choosing_and_concatenating() -> None:
-    poses = random_poses(5, 3, 1)
-    again = Poses.concatenated([poses[:2], poses[2], poses[np.array([False] * 3 + [True] * 2)]])
-    assert len(again) == 5
-    np.testing.assert_array_equal(again.rotations, poses.rotations)
-    np.testing.assert_array_equal(again.translations, poses.translations)
-    np.testing.assert_array_equal(again.morphs, poses.morphs)
-
-
-def test_upright() -> None:
-    poses = Poses.upright(np.array([[3.0, 4.0], [5.0, 6.0]]), np.array([20.0, 30.0]), 3)
-    np.testing.assert_array_equal(poses.rotations, np.tile(np.eye(3), (2, 1, 1)))
-    np.testing.assert_array_equal(poses.morphs, [[20, 0, 0], [30, 0, 0]])
-    np.testing.assert_array_equal(poses.sizes, [20, 30])

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.surface import SurfaceTexels
 
 from ...support.surfaces import bumpy, row_of_texel
@@ -55,13 +54,6 @@ def test_texels_fill_triangles_evenly() -> None:
     np.testing.assert_allclose(part.T @ part / len(part), np.full((3, 3), 1 / 12) + np.eye(3) / 12, atol=0.03)
 
 
-def test_a_single_texel_lies_in_the_middle() -> None:
-    model = face_model()
-    texels = SurfaceTexels.dense(model, 400)
-    assert texels.counts[-1] == 1
-    np.testing.assert_allclose(texels.weights[row_of_texel(texels) == 0], 1 / 3, rtol=1e-6)
-
-
 @given(st.floats(1, 12))
 def test_patches_are_discs_with_a_texel_a_pixel(radius: float) -> None:
     model = bumpy()
@@ -73,15 +65,6 @@ def test_patches_are_discs_with_a_texel_a_pixel(radius: float) -> None:
         assert (texels.groups[vertex] == vertex).all()
         np.testing.assert_array_equal(texels.weights[own], np.tile([1, 0, 0], (len(wanted), 1)))
     np.testing.assert_array_equal(texels.areas, 1)
-
-
-@pytest.mark.parametrize("radius", [4, 6, 8])
-def test_a_first_part_of_a_patch_is_spread_over_it(radius: int) -> None:
-    texels = SurfaceTexels.patches(bumpy(), radius)
-    disc = texels.offsets[texels.group_of_texel == 0]
-    quarter = disc[: -(-len(disc) // 4)]
-    assert (np.abs(quarter.mean(axis=0)) < 0.25 * radius).all()
-    np.testing.assert_allclose(quarter.var(axis=0), disc.var(axis=0), rtol=0.5)
 
 
 def test_impossible_surfaces_are_refused() -> None:

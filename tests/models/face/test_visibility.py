@@ -88,7 +88,7 @@ def scattered(mesh: Mesh, n: int, seed: int) -> tuple[Numbers, Array]:
     return random.integers(len(mesh.triangles), size=n), random.dirichlet(np.ones(3), n)
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(st.integers(0, 10**6), st.floats(3, 400), st.floats(0.05, 0.6))
 def test_of_a_sphere_that_is_seen_which_faces_the_viewer(seed: int, radius: float, facing: float) -> None:
     random = np.random.default_rng(seed)
@@ -121,20 +121,6 @@ def test_a_wall_hides_what_is_behind_it_seen_along_the_line_of_sight(turn: tuple
     np.testing.assert_array_equal(seen[clear], ~(covered & behind)[clear])
     assert (covered & behind & clear).sum() > 50
     assert seen[~behind].all()
-
-
-def test_poses_do_not_mix() -> None:
-    mesh = joined(wall(20, 20, -30), wall(80, 80, 10))
-    chosen, weights = scattered(mesh, 300, 0)
-    vertices = mesh.triangles[chosen]
-    aside = mesh.vertices.copy()
-    aside[:64, 0] += 100
-    poses = np.stack([mesh.vertices, aside, 3 * mesh.vertices - 50])
-    together = visible(poses, mesh.triangles, points(vertices, weights))
-    for pose, seen in zip(poses, together, strict=True):
-        np.testing.assert_array_equal(visible(pose[None], mesh.triangles, points(vertices, weights))[0], seen)
-    assert together[1].all()
-    assert not together[0].all()
 
 
 @pytest.mark.parametrize("size", [6.0, 40.0, 150.0, 600.0])
@@ -189,13 +175,6 @@ def test_vertices_have_no_facing_but_are_hidden() -> None:
     expected = ~((mesh.vertices[:, 2] > 0) & (margin < 0))
     np.testing.assert_array_equal(seen[np.abs(margin) > 3], expected[np.abs(margin) > 3])
     assert seen[:64].all()
-
-
-def test_facing_away_is_not_seen_but_hides() -> None:
-    near, far = wall(60, 60, -20), wall(60, 60, 20)
-    mesh = joined(Mesh(near.vertices, near.triangles[:, ::-1]), far)
-    chosen, weights = scattered(mesh, 500, 0)
-    assert not visible(mesh.vertices[None], mesh.triangles, points(mesh.triangles[chosen], weights)).any()
 
 
 def test_a_pose_gone_astray_is_no_crash() -> None:

@@ -67,29 +67,6 @@ def test_errors_are_small_and_as_large_as_stated(noise: float, error: float) -> 
     assert np.quantile(squares, 0.95) < 2.5 * -2 * np.log(0.05)
 
 
-def test_light_and_contrast_may_change_a_little() -> None:
-    before, after = shifted(1.0, gain=1.1, offset=5.0)
-    start = places(300)
-    found = align_patches(after, sample_patches(before, start, 5), start + SHIFT, 1.0)
-    errors = found.position - start - SHIFT
-    assert np.median(np.abs(errors)) < 0.2
-    assert np.median(found.ncc) > 0.95
-
-
-def test_a_patch_that_turns_a_little_stays_in_place() -> None:
-    angle = np.radians(5)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    start = np.array([WIDTH / 2, HEIGHT / 2])
-    errors = []
-    for seed in range(60):
-        texture = Texture(seed)
-        before = picture(texture, Pose(np.eye(2), np.zeros(2)))
-        after = picture(texture, Pose(turn, start - turn @ start))
-        found = align_patches(after, sample_patches(before, start[None], 5), start[None], 1.0)
-        errors.append(found.position[0] - start)
-    assert np.median(np.abs(errors)) < 0.1
-
-
 def test_what_has_no_texture_or_is_too_far_is_like_nothing() -> None:
     flat = np.full((HEIGHT, WIDTH), 90, np.uint8)
     before, after = shifted(0.0)
@@ -101,14 +78,6 @@ def test_what_has_no_texture_or_is_too_far_is_like_nothing() -> None:
         assert np.isfinite(found.covariance).all()
     far = align_patches(after, patches, start + SHIFT + 0.4, 0.1)
     assert (far.ncc == -1).mean() > 0.8
-
-
-def test_start_is_left_as_it_is() -> None:
-    before, after = shifted(0.0)
-    start = places(5)
-    kept = start.copy()
-    align_patches(after, sample_patches(before, start, 5), start, 1.0)
-    np.testing.assert_array_equal(start, kept)
 
 
 def test_ncc_is_the_correlation_and_light_makes_no_difference() -> None:

@@ -25,12 +25,6 @@ def texture(seed: int) -> Grey:
     return np.clip(128 + 40 * smooth / smooth.std(), 0, 255).astype(np.uint8)
 
 
-def smaller_eigenvalues(grey: Grey, corners: NDArray[np.float64], side: int) -> NDArray[np.float64]:
-    strengths = cv2.cornerMinEigenVal(grey, side)
-    columns, rows = np.rint(corners).astype(int).T
-    return np.asarray(strengths[rows, columns], np.float64)
-
-
 def test_corners_of_a_chequerboard() -> None:
     grey = chequers()
     corners = find_corners(grey, 1000, NOBODY, 8, 5)
@@ -40,7 +34,7 @@ def test_corners_of_a_chequerboard() -> None:
     assert cdist(corners, crossings).min(axis=1).max() < 2.5
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32), st.integers(3, 30), st.integers(0, 12), st.integers(1, 60))
 def test_corners_keep_their_distance(seed: int, spacing: int, n_taken: int, most: int) -> None:
     grey = texture(seed)
@@ -55,15 +49,6 @@ def test_corners_keep_their_distance(seed: int, spacing: int, n_taken: int, most
     assert (corners <= np.array([159, 119]) - BORDER).all()
 
 
-def test_the_best_come_first_and_fewer_are_the_best_of_more() -> None:
-    grey = texture(3)
-    many, few = find_corners(grey, 200, NOBODY, 6, 5), find_corners(grey, 20, NOBODY, 6, 5)
-    assert len(many) > len(few) > 10
-    strengths = smaller_eigenvalues(grey, many, 5)
-    assert (np.diff(strengths) <= 1e-9).all()
-    np.testing.assert_array_equal(few, many[: len(few)])
-
-
 @pytest.mark.parametrize(
     "grey",
     [
@@ -75,8 +60,3 @@ def test_the_best_come_first_and_fewer_are_the_best_of_more() -> None:
 )
 def test_where_nothing_fixes_a_place_there_is_no_corner(grey: Grey) -> None:
     assert find_corners(grey, 100, NOBODY, 8, 5).shape == (0, 2)
-
-
-def test_noise_of_the_sensor_is_no_corner() -> None:
-    noise = np.random.default_rng(0).normal(90, 1, (120, 160))
-    assert len(find_corners(np.rint(noise).astype(np.uint8), 100, NOBODY, 8, 5)) == 0

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.core.gaussian_message import squared_distances
-from rsmcm.models.points.patches import align_patches, find_corners, sample_patches
+from rsmcm.models.points.patches import find_corners, sample_patches
 from rsmcm.models.points.search import (
     GRID,
     LEAST_NCC,
@@ -83,7 +83,7 @@ def opencv_peaks(image: Grey, patch: NDArray[np.float32], x: int, y: int, radius
     return np.asarray(found[np.argsort(-found[:, 0])], np.float64)
 
 
-@settings(max_examples=60)
+@settings(max_examples=20)
 @given(
     st.integers(0, 2**32),
     st.sampled_from([3, 5, 7]),
@@ -124,20 +124,6 @@ def test_the_prior_decides_between_equals() -> None:
         np.testing.assert_allclose(found.ncc, 1, atol=1e-4)
 
 
-@pytest.mark.parametrize("prior", [True, False])
-def test_other_patches_do_not_matter(prior: bool) -> None:
-    image = noise_picture(12, 60, 60)
-    random = np.random.default_rng(0)
-    positions, covariances = random.uniform(5, 55, (20, 2)), random.uniform(0.1, 9, (20, 1, 1)) * np.eye(2)
-    patches = sample_patches(image, positions, 7)
-    together = likeliest(image, patches, positions, covariances, 12.0, prior=prior)
-    for k in range(20):
-        one = slice(k, k + 1)
-        alone = likeliest(image, patches[one], positions[one], covariances[one], 12.0, prior=prior)
-        for a, b in zip(alone, together, strict=True):
-            np.testing.assert_array_equal(a, b[one])
-
-
 def test_where_nothing_can_be_there_is_nothing() -> None:
     image, flat = noise_picture(9, 40, 50), np.full((40, 50), 90, np.uint8)
     patches = np.repeat(sample_patches(image, np.array([[20.0, 20.0]]), 5), 5, axis=0)
@@ -155,13 +141,6 @@ def test_where_nothing_can_be_there_is_nothing() -> None:
 
 
 # --- points ---
-
-
-def test_the_wider_the_window_the_more_correlation_is_asked_for() -> None:
-    asked = [least_ncc(0.05, area, 5) for area in (10.0, 100.0, 1000.0)]
-    assert (np.diff(asked) > 0).all()
-    assert (np.diff([least_ncc(0.05, 100.0, side) for side in (5, 7, 9, 11)]) < 0).all()
-    assert least_ncc(0.01, 100.0, 5) > least_ncc(0.1, 100.0, 5)
 
 
 def test_among_equals_the_prior_decides_or_nobody_does() -> None:
@@ -235,22 +214,6 @@ def test_covariances_are_about_right_on_real_pictures(data_folder: Path, deviati
     assert len(np.concatenate(squares)) > 800
     assert 1.4 < np.concatenate(squares).mean() < 2.8
     assert np.concatenate(wrong).mean() < 0.05
-
-
-def test_an_edge_tells_nothing_along_it() -> None:
-    random = np.random.default_rng(6)
-    angle = 0.4
-    y, x = np.mgrid[:60, :60].astype(float)
-    across = np.array([np.cos(angle), np.sin(angle)])
-    edge = 128 + 60 * np.tanh((x - 30) * across[0] + (y - 30) * across[1])
-    one, other = (rounded(edge + random.normal(0, 2, edge.shape)) for _ in range(2))
-    along = np.array([-across[1], across[0]])
-    positions = np.array([30.0, 30.0]) + random.uniform(-12, 12, (200, 1)) * along
-    patches = sample_patches(one, positions, 5)
-    covariance = align_patches(other, patches, positions, 1.0).covariance
-    sure, unsure = across @ covariance @ across, along @ covariance @ along
-    assert (sure < 0.1**2).all()
-    assert (unsure > 4 * sure).mean() > 0.9  # here and there noise is like noise
 
 
 # --- points that may be hidden ---
