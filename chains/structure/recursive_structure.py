@@ -20,7 +20,7 @@ from ...inference.sfm.factor_analysis.factorisation import Factorisation, factor
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.short_repr import short_repr
-from ...models.points.point_tracks import NOWHERE, PointMessage, PointTracks
+from ...models.points.point_tracks import NO_POINTS, PointMessage, PointTracks
 
 Numbers = NDArray[np.float64]
 Identities = NDArray[np.int64]
@@ -710,7 +710,7 @@ def _seen(state: StructureState, others: PointMessage) -> ObservedPoints:
         return ObservedPoints(identities, positions, variances)
     found = others.view.points
     if state.time - others.view.time > 0.5 * state.elapsed:  # a tracker's view of an earlier frame
-        found = NOWHERE
+        found = NO_POINTS
     common, here, there = np.intersect1d(
         identities, found.identities, assume_unique=True, return_indices=True
     )
