@@ -3,13 +3,14 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, Literal, Self, overload
+from typing import Annotated, Any, Literal, Self, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Cavity, Incoming, Port
 from ...inference.smc import copied, log_sum, normalised
+from ...models.core.checks import Count, CountFrom0, NotNegative, Positive, at_least, between, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import PickledByFields, short_repr
 from ...models.face.morphable_model import MorphableModel, Poses, SurfacePoints
@@ -127,6 +128,7 @@ class Observation:
     fit: float  # as of `GFlowState`
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class GFlow(PickledByFields):
@@ -209,17 +211,17 @@ class GFlow(PickledByFields):
 
     model: MorphableModel
     start: Poses | Callable[[Frame], Poses]
-    experts: int = 20
+    experts: Count = 20
     surface: Literal["dense", "patches"] = "dense"
-    texels: int = 2000
-    radius: float = 4.0
-    gain: float | Literal["learned"] = 0.05
-    temperature: float = 36.0
-    effective_pixels: float = 150.0
-    samples: int = 10
-    covariance_scale: float = 0.2
-    resample_interval: float = 0.2
-    levels: int = N_LEVELS
+    texels: Count = 2000
+    radius: Annotated[float, at_least(1)] = 4.0
+    gain: Annotated[float, between(0, 1)] | Literal["learned"] = 0.05
+    temperature: Positive = 36.0
+    effective_pixels: Positive = 150.0
+    samples: Count = 10
+    covariance_scale: NotNegative = 0.2
+    resample_interval: Positive = 0.2
+    levels: Annotated[int, between(1, N_LEVELS)] = N_LEVELS
     local_mean: bool = True
     dynamics: PoseDynamics = field(default_factory=PoseDynamics)
     texture: Texture | None = None
@@ -228,25 +230,12 @@ class GFlow(PickledByFields):
     background: Literal["shared", "experts"] = "shared"
     tracked: tuple[int, ...] = ()
     occlusion: bool = True
-    seed: int = 0
+    seed: CountFrom0 = 0
     name: str = "gflow"
 
     ports = (Port(PixelLabels, Cavity.OTHERS), Port(PointTracks, optional=True))
 
     def __post_init__(self) -> None:
-        gain = self.gain
-        for names, right, expected in (
-            ("experts texels samples radius", lambda value: value >= 1, "1 or more"),
-            ("temperature effective_pixels resample_interval", lambda value: value > 0, "more than 0"),
-            ("covariance_scale", lambda value: value >= 0, "0 or more"),
-            ("levels", lambda value: 1 <= value <= N_LEVELS, f"1 to {N_LEVELS}"),
-            ("surface", lambda value: value in ("dense", "patches"), "'dense' or 'patches'"),
-        ):
-            for name in names.split():
-                if not right(getattr(self, name)):
-                    raise ValueError(f"{name}: got {getattr(self, name)!r}, expected {expected}")
-        if gain != "learned" and not (isinstance(gain, int | float) and 0 <= gain <= 1):
-            raise ValueError(f"gain: got {gain!r}, expected 0 to 1 or 'learned'")
         numbers, n_vertices = self._tracked, self.model.n_vertices
         if (np.diff(numbers) <= 0).any() or not ((numbers >= 0) & (numbers < n_vertices)).all():
             raise ValueError(
@@ -260,15 +249,17 @@ class GFlow(PickledByFields):
             self._check_start(self.start)
 
     def _check_start(self, start: Poses) -> None:
-        numbers = start.arrays
-        if not all(np.isfinite(part).all() for part in numbers) or not (start.sizes > 0).all():
-            raise ValueError("start: got poses with NaN, infinity or a size of 0 or less, expected none")
-        if len(start) not in (1, self.experts):
-            raise ValueError(f"start: got {len(start)} poses, expected 1 or {self.experts}, one an expert")
-        if start.morphs.shape[1] != self.model.n_bases:
+        if not isinstance(start, Poses):
+            raise TypeError(f"start: got a {type(start).__name__}, expected Poses")
+        shapes = [np.shape(part) for part in start.arrays]
+        n = shapes[0][0] if shapes[0] else 0
+        if shapes != [(n, 3, 3), (n, 2), (n, self.model.n_bases)] or n not in (1, self.experts):
             raise ValueError(
-                f"start: got {start.morphs.shape[1]} morph coefficients, expected {self.model.n_bases}"
+                f"start: got rotations, translations and morphs of shapes {shapes}, expected (n, 3, 3), "
+                f"(n, 2) and (n, {self.model.n_bases}) with n = 1 or {self.experts}, one an expert"
             )
+        if not all(np.isfinite(part).all() for part in start.arrays) or not (start.sizes > 0).all():
+            raise ValueError("start: got poses with NaN, infinity or a size of 0 or less, expected none")
 
     @cached_property
     def object(self) -> TexturedObject:

@@ -1,8 +1,8 @@
-"""What is known of poses besides the texture: how an object moves, points of its surface, and its outline.
+"""Terms of the pose besides the texture: dynamics, points of the surface, and the outline.
 
-The region terms of G-flow eq. (18) change with the pose only where the outline moves. Gauss-Newton cannot
-see that in them, so the edge is searched for across the outline. Its mean and variance are Gaussian terms of
-the pose, as those of points are.
+The region terms of G-flow eq. (18) change with the pose only where the outline moves, for which Gauss-Newton
+has no derivative. So the edge is searched for across the outline; its mean and variance are Gaussian terms of
+the pose, as those of points.
 """
 
 from dataclasses import dataclass, replace
@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import Positive, checked
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.face.morphable_model import RIGID, MorphableModel, Poses, SurfacePoints
@@ -20,15 +21,16 @@ from .background import BackgroundContrast
 
 Array = NDArray[np.float64]
 
-SHORTEST = 1e-6  # s: two pictures of one time are taken for this far apart, so that no variance is 0
+SHORTEST = 1e-6  # s: least time between two pictures, so that no variance is 0
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class PoseDynamics:
-    """A random walk in continuous time, of which size and shape are drawn back to what is usual.
+    """Random walk of poses in continuous time, mean-reverting in size and shape.
 
-    Rotation and translation: du = Q^1/2 dw. A morph coefficient c of usual value m, range s and walk q is an
+    Rotation and translation: du = Q^1/2 dw. A morph coefficient c of mean m, range s and walk q is an
     Ornstein-Uhlenbeck process, dc = q (m - c) / (2 s^2) dt + q^1/2 dw, whose distribution in the long run is
     N(m, s^2). Departure: the paper (§2.3) multiplies the walk by N(m, s^2) once a frame, which draws the more
     the more frames a second has.
@@ -51,27 +53,22 @@ class PoseDynamics:
         of the other coefficients about zero, in sizes.
     """
 
-    rotation: float = 0.6
-    translation: float = 1.0
-    size: float = 0.05
-    morphs: float = 4.0
-    size_range: float = 0.11
-    morph_range: float = 0.8
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value > 0:
-                raise ValueError(f"{name}: got {value}, expected more than 0")
+    rotation: Positive = 0.6
+    translation: Positive = 1.0
+    size: Positive = 0.05
+    morphs: Positive = 4.0
+    size_range: Positive = 0.11
+    morph_range: Positive = 0.8
 
     def transition(self, size: float, dimension: int, elapsed: float) -> tuple[Array, Array]:
-        """Moments of poses after `elapsed` seconds, for an object that had `size` px at the start.
+        """Return the transition after `elapsed` seconds, for an object that had `size` px at the start.
 
         Returns
         -------
         memory
-            `(dimension - 5,)`: share of the deviations from the usual morph coefficients that is left.
+            `(dimension - 5,)`: remaining share of the deviations from the mean morph coefficients.
         variance
-            `(dimension,)` of the change about that.
+            `(dimension,)` of the change.
         """
         rates = np.full(dimension, (self.morphs * size) ** 2)
         rates[:3] = self.rotation**2
@@ -87,23 +84,23 @@ class PoseDynamics:
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """p(u_t | u_s) of experts, each with its own earlier pose: Gaussian in a change from the expected one."""
+    """p(u_t | u_s) of experts: Gaussian in the change from the predicted poses."""
 
-    mean: Poses  # the expected poses
+    mean: Poses  # predicted
     variance: Array  # `(dimension,)` of a change from them
 
     @classmethod
     def after(cls, previous: Poses, dynamics: PoseDynamics, size: float, elapsed: float) -> "PosePrior":
-        """Prior of poses `elapsed` seconds after `previous`, of an object that had `size` px at the start."""
+        """Return the prior `elapsed` s after `previous`, of an object that had `size` px at the start."""
         memory, variance = dynamics.transition(size, previous.dimension, elapsed)
         usual = np.zeros(len(memory))
         usual[0] = size
         return cls(replace(previous, morphs=usual + memory * (previous.morphs - usual)), variance)
 
     def energy(self, poses: Poses, owner: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Minus log density `(n,)` up to a constant, and its gradient `(n, dimension)` in a change of pose.
+        """Return minus the log density `(n,)` up to a constant, and its gradient `(n, dimension)`.
 
-        The gradient takes the tangent spaces of both poses for one, which they are for small turns.
+        The gradient identifies the tangent spaces of both poses, an approximation for small rotations.
         """
         change = poses.changes_from(self.mean[owner])
         gradient = change * self.precision
@@ -115,7 +112,7 @@ class PosePrior:
         return 1 / self.variance
 
     def log_density(self, poses: Poses, owner: NDArray[np.int64]) -> Array:
-        """log p(u_t | u_s) `(n,)`."""
+        """Return log p(u_t | u_s) `(n,)`."""
         normaliser = -0.5 * np.log(2 * np.pi * self.variance).sum()
         density: Array = normaliser - self.energy(poses, owner)[0]
         return density
@@ -123,21 +120,19 @@ class PosePrior:
 
 @dataclass(frozen=True, eq=False)
 class PointTerms:
-    """Points of the surface that are known to be at a place: sum of (x_i - t_i)' I_i (x_i - t_i) / 2."""
+    """Gaussian terms of points of the surface: sum of (x_i - t_i)' I_i (x_i - t_i) / 2."""
 
-    # `(n, n_points, n_bases, 3)`: the points by morph coefficients, of each expert, or one row for all
-    bases: Array
+    bases: Array  # `(n, n_points, n_bases, 3)`: the points' bases, of each expert, or one row for all
     targets: Array  # `(n, n_points, 2)` px
-    # `(n, n_points, 3)` 1/px^2: the elements xx, xy and yy of I, all 0 where nothing is known
-    information: Array
+    information: Array  # `(n, n_points, 3)` 1/px^2: the elements xx, xy and yy of I
 
     def around(self, poses: Poses, level: int) -> Self:
-        """These terms: they hold about all poses."""
+        """Return these terms, which hold about all poses."""
         return self
 
     def equations(self, poses: Poses, owner: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-        """Energy `(n,)`, gradient `(n, dimension)` and Gauss-Newton curvature `(n, dimension, dimension)` of
-        poses, of which number m belongs to expert `owner[m]`."""
+        """Return energy `(n,)`, gradient `(n, dimension)` and Gauss-Newton curvature `(n, dimension,
+        dimension)` of poses, of which number m belongs to expert `owner[m]`."""
         n, dimension = len(poses), RIGID + self.bases.shape[2]
         energy, gradient = np.empty(n), np.empty((n, dimension))
         curvature = np.empty((n, dimension, dimension))
@@ -150,9 +145,9 @@ class PointTerms:
 
 
 def measured_points(model: MorphableModel, message: GaussianMessage, chosen: NDArray[np.int64]) -> PointTerms:
-    """What a message says of the places of vertices, of which the identities are their numbers.
+    """Return the terms of a message about vertices, whose identities are their numbers.
 
-    Others than those `chosen`, and those of whose place not enough is said, are left out.
+    Only those `chosen` that have a proper density are included.
     """
     identities, means, covariances = message.moments
     known = np.isin(identities, chosen)
@@ -166,7 +161,7 @@ def measured_points(model: MorphableModel, message: GaussianMessage, chosen: NDA
 def predicted_points(
     model: MorphableModel, prior: PosePrior, weights: Array, chosen: NDArray[np.int64]
 ) -> GaussianMessage:
-    """Where the vertices `chosen` should be, as experts expect their poses before the picture.
+    """Return the predicted positions of the vertices `chosen`.
 
     Moments of the mixture over experts, with x_i linear in the change of the pose.
     """
@@ -179,24 +174,24 @@ def predicted_points(
 
 
 REACH = 4  # steps of a scan to either side, each of a pixel of the level
-NOISE = 1.0  # squared steps by which the outline of a coarse mesh is off the object's
+NOISE = 1.0  # squared steps: variance of a coarse mesh's outline about the object's
 
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
     """Evidence of the outline."""
 
-    model: MorphableModel  # shape
-    edges: MeshEdges  # of its triangles
-    contrast: BackgroundContrast  # what is known of the background
-    effective_pixels: float  # number of independent pixels that the object's pixels are worth
+    model: MorphableModel
+    edges: MeshEdges
+    contrast: BackgroundContrast
+    effective_pixels: float  # effective number of independent pixels of the object
 
     def around(self, poses: Poses, level: int) -> PointTerms:
-        """Points of the outlines in `poses`, known along their normals where the background ends.
+        """Return the terms of the outlines in `poses`: where the background ends along their normals.
 
         Every 3 px of the outline the edge is at s on its normal, within 4 px of the level, with density
-        exp(sum of the border beyond s): known background against the object's tones. Its mean and variance
-        make a Gaussian, and that of the scan itself is taken out again.
+        exp(sum of the border beyond s): background against the object's tones. The term is the Gaussian of
+        the same mean and variance, divided by that of the scan itself.
         """
         positions = self.model.project(poses)
         box = self.contrast.box
@@ -217,4 +212,4 @@ class Silhouette:
         return PointTerms(np.ascontiguousarray(bases), targets, information)
 
 
-PoseEvidence = PointTerms | Silhouette  # what else is known of poses, of which terms can be made about any
+PoseEvidence = PointTerms | Silhouette  # further evidence of poses

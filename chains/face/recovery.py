@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, Self
+from typing import Protocol, Self, runtime_checkable
 
 import cv2
 import numpy as np
@@ -100,6 +100,7 @@ detectors find faces up to about 0.3 rad from upright."""
 LARGEST = 640  # px: longer side of the picture in which a lost face is searched for
 
 
+@runtime_checkable
 class Finder(Protocol):
     """Detector of an object, without memory of its track."""
 

@@ -19,7 +19,7 @@ from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from ...inference.engine.protocols import BatchIncoming, Port, Smoothed
-from ...models.core.bounds import POSITIVE, check_bounds
+from ...models.core.checks import Count, checked
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.pictures import grey_of
 from ...models.core.short_repr import Rows, short_repr
@@ -453,6 +453,7 @@ class FeatureTracks:
         return nearest[point]
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class FeatureMatcher:
@@ -466,14 +467,11 @@ class FeatureMatcher:
         number of features of a picture to match.
     """
 
-    n_points: int = 500
-    n_features: int = 4000
+    n_points: Count = 500
+    n_features: Count = 4000
     name: str = "matcher"
 
     ports = (Port(PointTracks),)
-
-    def __post_init__(self) -> None:
-        check_bounds(self, dict.fromkeys(("n_points", "n_features"), POSITIVE))
 
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: FeatureTracks | None = None

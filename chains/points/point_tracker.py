@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from ...inference import kalman
 from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ...inference.kalman import STATE, PointStates
-from ...models.core.bounds import POSITIVE, check_bounds
+from ...models.core.checks import Count, Positive, checked
 from ...models.core.frame import Frame, GivenPoints
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.short_repr import Rows, short_repr
@@ -541,6 +541,7 @@ FIRST_ACCELERATION = 300.0  # px/s^2: initial standard deviation, where it is le
 REMEMBERED = 4  # lost points that are kept in filtering, for each tracked one
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class PointTracker:
@@ -563,18 +564,13 @@ class PointTracker:
         px in pictures, standard deviation of a position from which on a point is lost.
     """
 
-    n_points: int = 300
-    spacing: float = 10.0
-    acceleration: float | None = None
-    max_position_std: float = 8.0
+    n_points: Count = 300
+    spacing: Positive = 10.0
+    acceleration: Positive | None = None
+    max_position_std: Positive = 8.0
     name: str = "tracker"
 
     ports = (Port(PointTracks, sole="appearance"),)
-
-    def __post_init__(self) -> None:
-        check_bounds(self, dict.fromkeys(("n_points", "spacing", "max_position_std"), POSITIVE))
-        if self.acceleration is not None and not self.acceleration > 0:
-            raise ValueError(f"acceleration: got {self.acceleration}, expected more than 0 px/s^2 or None")
 
     # --- filtering ---
 

@@ -1,4 +1,4 @@
-"""Where faces are in an image: detectors that tracking programs can be given, and OpenCV's."""
+"""Face detectors: their protocol, and those of OpenCV."""
 
 import subprocess
 import sys
@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.checks import Count, Positive, checked
 from ..core.frame import Frame
 from ..core.pictures import grey_of
 from ..core.short_repr import short_repr
@@ -19,10 +20,10 @@ Array = NDArray[np.float64]
 
 FRONTAL, PROFILE = "haarcascade_frontalface_default.xml", "haarcascade_profileface.xml"
 UPRIGHT = "haarcascade_frontalface_alt2.xml"
-"""Where size and place are known, this one finds 118 of 120 faces that turn and talk, where the other finds
-111 and errs twice as often."""
+"""At a known size and place, this cascade detects 118 of 120 faces that turn and talk; `FRONTAL` detects 111
+with twice as many errors."""
 
-LEAST_SURE = 0.6  # of a detection of YuNet's
+LEAST_SURE = 0.6  # least score of a detection of YuNet's
 
 MOST_BYTES = 1 << 26  # of a file; YuNet's has 230,000, OpenCV's largest cascade 3 million
 PROBE_TIMEOUT = 8.0  # seconds
@@ -45,35 +46,36 @@ FRONTAL_PIXELS, PROFILE_PIXELS = 52.0, 36.0
 """px: height to which a face of known size is scaled. The cascades were trained at 24 and 20, and often miss
 faces below these sizes; larger ones only cost time."""
 
-SIZES = (0.7, 1.5)  # around the known size
+SIZES = (0.7, 1.5)  # range of detected heights over the given one
 STEP, MIN_NEIGHBORS = 1.1, 4  # OpenCV's `scaleFactor` and `minNeighbors`
 
 
 class PartDetector(Protocol):
-    """Anything that finds faces: a class or a function."""
+    """Face detector: an object or a function."""
 
     def __call__(self, frame: Frame) -> Array:
-        """Boxes `(k, 4)` px of the faces: x, y, width, height, the surest or largest first; k may be 0."""
+        """Return boxes `(k, 4)` px of faces: x, y, width, height, the surest or largest first; k may be 0."""
         ...
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class HaarFaces:
-    """OpenCV's cascades of Haar features, which its versions 4 bring along.
+    """Face detector by OpenCV's Haar cascades, which its versions 4 contain.
 
-    Faces of any size are sought from the front; those of a known size, where that finds none, also in
-    profile. On 125 frames of a signer this raises what is found from 81 to 122, in less time.
+    Faces of any size are detected from the front; of a given height, if there are none, also in profile. On
+    125 frames of a signer this raises the number of detected faces from 81 to 122, in less time.
 
     Parameters
     ----------
     height
-        px: of a face's box. Faces from 0.7 to 1.5 times as high are found; without, those above an eighth of
-        the image's shorter side.
+        px: of a face's box. Faces from 0.7 to 1.5 times as high are detected; by default those above an
+        eighth of the image's shorter side.
     min_neighbors
         number of neighbouring detections that make one face of known height.
     upright
-        whether faces look at the viewer, upright.
+        whether to detect upright frontal faces only.
     file
         another cascade (`.xml`), of Haar features or LBP, which is then the only one.
 
@@ -85,16 +87,15 @@ class HaarFaces:
         if this OpenCV has no cascades, the file is none, or the height is not above 0.
     """
 
-    height: float | None = None
-    min_neighbors: int = MIN_NEIGHBORS
+    height: Positive | None = None
+    min_neighbors: Count = MIN_NEIGHBORS
     upright: bool = False
     file: Path | None = None
     _frontal: Any = field(init=False, repr=False, compare=False)
     _profile: Any = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if self.height is not None and not self.height > 0:
-            raise ValueError(f"height: got {self.height} px of a face, expected more than 0")
+
         if self.file is not None:
             cascades = _given_cascade(self.file), None
         elif self.upright:
@@ -109,7 +110,7 @@ class HaarFaces:
         return type(self), (self.height, self.min_neighbors, self.upright, self.file)
 
     def __call__(self, frame: Frame) -> Array:
-        """Boxes `(k, 4)` px, the largest first."""
+        """Return boxes `(k, 4)` px: x, y, width, height, the largest first."""
         if frame.image is None:
             return np.zeros((0, 4))
         grey = grey_of(frame.image)
@@ -127,10 +128,11 @@ class HaarFaces:
         return found
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class YuNetFaces:
-    """OpenCV's network YuNet, from a model file.
+    """Face detector by OpenCV's network YuNet, from a model file.
 
     Parameters
     ----------
@@ -159,7 +161,10 @@ class YuNetFaces:
         return type(self), (self.path,)  # networks cannot be copied
 
     def __call__(self, frame: Frame) -> Array:
-        """Boxes `(k, 4)` px, the surest first. Raises `ValueError` if the model is another network's."""
+        """Return boxes `(k, 4)` px: x, y, width, height, the surest first.
+
+        Raises `ValueError` if the model is another network's.
+        """
         if frame.image is None:
             return np.zeros((0, 4))
         image = cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR) if frame.image.ndim == 2 else frame.image
@@ -173,7 +178,7 @@ class YuNetFaces:
         return np.asarray(found[np.argsort(-found[:, -1], kind="stable"), :4], np.float64)
 
     def _network(self, size: tuple[int, int]) -> Any:
-        """The network for images of `size` (width, height)."""
+        """Return the network for images of `size` (width, height)."""
         if size not in self._networks:
             try:
                 self._networks[size] = cv2.FaceDetectorYN.create(str(self.path), "", size, LEAST_SURE)
@@ -192,7 +197,7 @@ def _is_harmless(path: Path, probe: str) -> bool:
 
 @lru_cache
 def _is_survived(path: str, probe: str, _changed: int) -> bool:
-    """Whether a process lives through looking at a picture with a detector; a damaged one may end it."""
+    """Return whether a detector runs in a process of its own: a damaged file may crash OpenCV."""
     command = [sys.executable, "-c", probe, path]
     try:
         done = subprocess.run(
@@ -204,9 +209,9 @@ def _is_survived(path: str, probe: str, _changed: int) -> bool:
 
 
 def default_faces(path: Path | None = None, otherwise: str = "a model file of YuNet") -> PartDetector:
-    """YuNet or a cascade (`.xml`) if a file is given, the cascades that OpenCV brings along otherwise.
+    """Return YuNet or a cascade (`.xml`) if a file is given, OpenCV's own cascades otherwise.
 
-    Where this OpenCV has none, the error says that something `otherwise` is expected.
+    `otherwise` is what the error says is expected if this OpenCV has none.
 
     Raises `ValueError` if there is no detector, or the file is none; `FileNotFoundError` if there is no such
     file.
@@ -222,14 +227,14 @@ def default_faces(path: Path | None = None, otherwise: str = "a model file of Yu
 def for_height(
     detector: PartDetector, height: float, min_neighbors: int = MIN_NEIGHBORS, *, upright: bool = True
 ) -> PartDetector:
-    """The detector for faces about `height` px high, which cascades are glad to know, upright or not."""
+    """Return the detector for faces about `height` px high; only cascades depend on it."""
     if not isinstance(detector, HaarFaces):
         return detector
     return replace(detector, height=height, min_neighbors=min_neighbors, upright=upright)
 
 
 def _cascade(name: str) -> Any:
-    """One that OpenCV brings along."""
+    """Return a cascade of OpenCV's."""
     path = Path(cv2.__file__).parent / "data" / name
     try:
         if not path.is_file():
@@ -240,7 +245,7 @@ def _cascade(name: str) -> Any:
 
 
 def _given_cascade(path: Path) -> Any:
-    """One from a user's file."""
+    """Return the cascade in a user's file."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
     if not hasattr(cv2, "CascadeClassifier"):
@@ -262,7 +267,7 @@ def _read_cascade(path: Path) -> Any:
 
 
 def _search(cascade: Any, grey: Any, height: float, pixels: float, min_neighbors: int) -> Array:
-    """Boxes of faces about `height` px high, in an image scaled so that they have `pixels`."""
+    """Return boxes of faces about `height` px high, detected in an image where they have `pixels`."""
     scale = min(1.0, pixels / height)
     if scale < 1:
         grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
@@ -272,7 +277,7 @@ def _search(cascade: Any, grey: Any, height: float, pixels: float, min_neighbors
 
 
 def _largest_first(found: Any) -> Array:
-    """Boxes in an order of their own: OpenCV's is that in which its threads come to an end."""
+    """Return the boxes in a fixed order: OpenCV's depends on its threads."""
     boxes = np.asarray(found, np.float64).reshape(-1, 4)
     left, top, width, height = boxes.T
     return boxes[np.lexsort((left, top, -width * height))]

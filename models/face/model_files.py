@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..array_files import read_arrays
 from ..files import MOST_NUMBERS, MOST_SETTINGS, read_text, write_atomically
-from .morphable_model import MorphableModel, spread
+from .morphable_model import MorphableModel, rms_radius
 
 Array = NDArray[np.float64]
 
@@ -162,7 +162,7 @@ def _read_npz(path: Path) -> MorphableModel:
             tuple(str(name) for name in fields.get("names", np.array([], np.str_)).reshape(-1)),
             _vertex_numbers(fields["landmarks"]) if "landmarks" in fields else None,
         )
-        size = _positive_spread(model.bases)
+        size = _positive_radius(model.bases)
     if abs(size - 1) < 1e-9:  # written by us: not a bit is changed
         return model
     return replace(model, bases=model.bases / size)
@@ -376,7 +376,7 @@ def _model(
     corners = bases[0][triangles]
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2].sum()
     return MorphableModel(
-        bases / _positive_spread(bases),
+        bases / _positive_radius(bases),
         triangles if facing < 0 else triangles[:, ::-1].copy(),
         identity,
         names,
@@ -384,9 +384,9 @@ def _model(
     )
 
 
-def _positive_spread(bases: Array) -> float:
+def _positive_radius(bases: Array) -> float:
     """That of the typical shape, to which all bases have to be in some proportion."""
-    size = spread(bases[0])
+    size = rms_radius(bases[0])
     if not 1e-9 * max(1e-30, float(np.abs(bases).max())) < size < np.inf:
         raise ValueError("got a typical shape of no size, or bases beyond all numbers")
     return size

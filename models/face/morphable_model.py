@@ -1,4 +1,4 @@
-"""A 3-D morphable model under weak perspective, its poses u = {r, l, c}, points that ride on its surface."""
+"""A 3-D morphable model under weak perspective, its poses u = {r, l, c}, and points on its surface."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -42,14 +42,14 @@ class Poses(Rows):
         return len(self.rotations)
 
     def __getitem__(self, chosen: Any) -> Self:
-        """The poses chosen by a slice, a mask or indices; a single number gives a batch of one."""
+        """Select poses by a slice, a mask or indices; a single number gives a batch of one."""
         if isinstance(chosen, int | np.integer):
             chosen = [chosen]
         return self.only(chosen)
 
     @property
     def arrays(self) -> tuple[Array, Array, Array]:
-        """All of them, in this order."""
+        """Rotations, translations and morphs."""
         return self.rotations, self.translations, self.morphs
 
     @property
@@ -64,7 +64,7 @@ class Poses(Rows):
 
     @classmethod
     def upright(cls, translations: Array, sizes: Array, n_bases: int) -> Self:
-        """Unturned and undeformed objects at `translations` `(n, 2)` px, of `sizes` `(n,)` px."""
+        """Return upright, undeformed poses at `translations` `(n, 2)` px, of `sizes` `(n,)` px."""
         n = len(translations)
         morphs = np.zeros((n, n_bases))
         morphs[:, 0] = sizes
@@ -72,32 +72,32 @@ class Poses(Rows):
 
     @classmethod
     def concatenated(cls, parts: Sequence[Self]) -> Self:
-        """All poses of `parts`, one after the other."""
+        """Concatenate poses."""
         return parts[0].joined(parts[1:])
 
     def replaced(self, which: NDArray[np.int64], poses: "Poses") -> Self:
-        """With `poses` in the places `which` `(k,)`."""
+        """Return these poses with rows `which` `(k,)` replaced by `poses`."""
         changed = type(self)(*(each.copy() for each in self.arrays))
         for own, new in zip(changed.arrays, poses.arrays, strict=True):
             own[which] = new
         return changed
 
     def moved(self, changes: Array) -> Self:
-        """The poses changed by `changes` `(n, dimension)`; one pose may be moved in many ways."""
+        """Apply `changes` `(n, dimension)` to these poses, or to one pose."""
         turned = exponential(changes[:, :3]) @ self.rotations
         # one Newton step towards the nearest rotation keeps rounding from growing over a long film
         turned = turned @ (1.5 * np.eye(3) - 0.5 * np.swapaxes(turned, -1, -2) @ turned)
         return type(self)(turned, self.translations + changes[:, 3:5], self.morphs + changes[:, 5:])
 
     def changes_from(self, other: "Poses") -> Array:
-        """`(n, dimension)`: the changes that lead from `other` to these poses, `other.moved(...)`."""
+        """Return the changes `(n, dimension)` from `other` to these poses, inverse to `other.moved(...)`."""
         turned = logarithm(self.rotations @ np.swapaxes(other.rotations, -1, -2))
         return np.concatenate(
             [turned, self.translations - other.translations, self.morphs - other.morphs], axis=1
         )
 
     def mean(self, weights: Array) -> Self:
-        """One pose: the weighted mean, for rotations the chordal one (nearest to the mean matrix)."""
+        """Return the weighted mean pose, of rotations the chordal one (nearest to the mean matrix)."""
         share = weights / weights.sum()
         rotation = nearest_rotation(np.einsum("n,nij->ij", share, self.rotations))
         return type(self)(rotation[None], (share @ self.translations)[None], (share @ self.morphs)[None])
@@ -105,29 +105,28 @@ class Poses(Rows):
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
-    """Points given by three vertices each: sum_a weights_a h_a c + c_1 offset in the object's coordinates."""
+    """Points by three vertices each: sum_a weights_a h_a c + c_1 offset in the object's coordinates."""
 
     vertices: NDArray[np.int64]  # `(n, 3)` int64, vertex numbers
-    weights: Array  # `(n, 3)`, summing to one for a point on the surface or beside it
-    offsets: Array  # `(n, 3)` in units of c_1, in the object's axes: how far off the surface a point is held
+    weights: Array  # `(n, 3)`, summing to one
+    offsets: Array  # `(n, 3)` from the surface, in units of c_1 and the object's axes
 
     def __len__(self) -> int:
         return len(self.vertices)
 
     @classmethod
     def of_vertices(cls, numbers: ArrayLike) -> Self:
-        """The vertices with these `numbers` `(n,)`."""
+        """Return the points at the vertices with these `numbers` `(n,)`."""
         chosen = np.asarray(numbers, np.int64)
         weights = np.tile([1.0, 0.0, 0.0], (len(chosen), 1))
         return cls(np.repeat(chosen[:, None], 3, axis=1), weights, np.zeros((len(chosen), 3)))
 
     @classmethod
     def attached(cls, model: "MorphableModel", pose: Poses, places: Array) -> Self:
-        """Fix points to the surface that are seen at `places` when the object is in `pose`.
+        """Return points on the surface that are seen at `places` when the object is in `pose`.
 
-        Each is on the front-most triangle under its place. Beside the object's silhouette it is held by the
-        surface point that is seen nearest to it, at the offset in the plane of the picture that is missing;
-        so all places are met exactly in this pose.
+        Each is on the front-most triangle at its place. Outside of the silhouette it is the nearest visible
+        surface point with an offset in the plane of the picture; so all places are met exactly in this pose.
 
         `model`: with triangles; `pose`: one; `places` `(n, 2)` px. Raises `ValueError` if there is more than
         one pose, the model has no triangles, or a place is not finite.
@@ -151,18 +150,18 @@ class SurfacePoints:
         return cls(model.triangles[chosen], weights, missing @ pose.rotations[0] / pose.sizes[0])
 
     def bases(self, model: "MorphableModel") -> Array:
-        """`(n_bases, n, 3)`: the points as linear combinations of the morph coefficients, like vertices."""
+        """Return the bases of the points, `(n_bases, n, 3)`."""
         bases: Array = np.einsum("na,knac->knc", self.weights, model.bases[:, self.vertices])
         bases[0] += self.offsets
         return bases
 
     def project(self, model: "MorphableModel", poses: Poses) -> Array:
-        """`(n_poses, n, 2)` px: where the points are seen."""
+        """Return image positions of the points, `(n_poses, n, 2)` px."""
         return model.of_points(self).project(poses)
 
 
 def _seen_at(places: Array, corners: Array) -> tuple[NDArray[np.int64], Array]:
-    """The triangle of each place, and weights of its corners: front-most under it, or else the nearest."""
+    """Return the triangle at each place and weights of its corners: the front-most, or the nearest one."""
     weights = _nearest_weights(places, corners[..., :2])
     found = np.einsum("nta,tac->ntc", weights, corners)
     distance = np.linalg.norm(places[:, None] - found[..., :2], axis=2)
@@ -239,6 +238,12 @@ class MorphableModel(PickledByFields):
     landmarks: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
+        for name in ("bases", "triangles", "landmarks"):
+            value = getattr(self, name)
+            if not isinstance(value, np.ndarray) and not (name == "landmarks" and value is None):
+                raise TypeError(f"{name}: got a {type(value).__name__}, expected an array")
+        if not isinstance(self.identity, int):
+            raise TypeError(f"identity: got {self.identity!r}, expected a whole number")
         shape = np.shape(self.bases)
         if len(shape) != 3 or shape[2] != 3 or 0 in shape:
             raise ValueError(f"bases: got {shape}, expected (n_bases, n_vertices, 3)")
@@ -279,25 +284,25 @@ class MorphableModel(PickledByFields):
         return np.ascontiguousarray(self.bases.reshape(self.n_bases, -1))
 
     def turned(self, poses: Poses) -> Array:
-        """r h_i c: `(n, n_vertices, 3)` px in the camera's axes, from the object's origin."""
+        """Return r h_i c, `(n, n_vertices, 3)` px in the camera's axes, from the object's origin."""
         shapes = (poses.morphs @ self._flat_bases).reshape(len(poses), self.n_vertices, 3)
         return shapes @ np.swapaxes(poses.rotations, -1, -2)
 
     def positions(self, poses: Poses) -> Array:
-        """`(n, n_vertices, 3)` px: where vertices are seen (x, y), and how far they are behind the origin."""
+        """Return image positions of vertices and their depths from the origin, `(n, n_vertices, 3)` px."""
         turned = self.turned(poses)
         turned[..., :2] += poses.translations[:, None, :]
         return turned
 
     def project(self, poses: Poses) -> Array:
-        """x_i = g r h_i c + l: `(n, n_vertices, 2)` px."""
+        """Return x_i = g r h_i c + l, `(n, n_vertices, 2)` px."""
         projected: Array = self.positions(poses)[..., :2]
         return projected
 
     def jacobian(self, poses: Poses, n_axes: int = 2) -> Array:
-        """d x_i / d u at each pose, with depth for three axes: `(n, n_vertices, n_axes, dimension)`.
+        """Return d x_i / d u, with depth for three axes, `(n, n_vertices, n_axes, dimension)`.
 
-        The order is that of a change of `Poses`.
+        The order of u is that of a change of `Poses`.
         """
         turned = self.turned(poses)
         rows = np.zeros((len(poses), self.n_vertices, n_axes, poses.dimension))
@@ -307,11 +312,11 @@ class MorphableModel(PickledByFields):
         return rows
 
     def of_points(self, points: SurfacePoints) -> "MorphableModel":
-        """The model whose vertices are `points` on the surface of this one, without triangles."""
+        """Return the model whose vertices are `points` of this one, without triangles."""
         return replace(self, bases=points.bases(self), triangles=np.zeros((0, 3), np.int64), landmarks=None)
 
     def landmark_points(self, numbers: ArrayLike) -> SurfacePoints:
-        """The points at landmarks of the model's own list, given by their `numbers` `(n,)` in it (from 1).
+        """Return the points at landmarks of the model's own list, by their `numbers` `(n,)` in it (from 1).
 
         Raises
         ------
@@ -331,7 +336,7 @@ class MorphableModel(PickledByFields):
         return SurfacePoints.of_vertices(vertices)
 
     def personalised(self, morphs: Array) -> "MorphableModel":
-        """The model of one person: what the identity bases say goes into the typical shape.
+        """Return the model of one person, with the identity bases absorbed in the typical shape.
 
         Parameters
         ----------
@@ -356,10 +361,10 @@ class MorphableModel(PickledByFields):
         end = 1 + self.identity
         shares = np.append(1.0, morphs[1:end] / morphs[0])
         typical = np.einsum("k,kvc->vc", shares, self.bases[:end])
-        bases = np.concatenate([typical[None], self.bases[end:]]) / spread(typical)
+        bases = np.concatenate([typical[None], self.bases[end:]]) / rms_radius(typical)
         return replace(self, bases=bases, identity=0, names=self.names[:1] + self.names[end:])
 
 
-def spread(shape: Array) -> float:
-    """Root mean square distance of vertices `(n_vertices, 3)` from their centroid, over x and y."""
+def rms_radius(shape: Array) -> float:
+    """Return the root mean square distance of vertices `(n_vertices, 3)` from their centroid, over x, y."""
     return float(np.sqrt(shape[:, :2].var(axis=0).sum()))

@@ -6,12 +6,13 @@ them move together.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.bounds import POSITIVE, SHARE, check_bounds
+from ..core.checks import Array as Shape
+from ..core.checks import Positive, Share, at_least, checked
 from ..core.frame import Frame, GivenPoints
 from ..core.gaussian_message import GaussianMessage
 from ..core.pictures import draw_region, grey_of
@@ -125,6 +126,7 @@ def _grouped(
     return groups
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class PointTracks:
@@ -143,18 +145,17 @@ class PointTracks:
         px, largest distance from the mean of the prior at which a point is searched for.
     """
 
-    patch_size: int = 5
-    noise: float = 1.0
-    false_alarm_rate: float = 0.05
-    search_radius: float = 24.0
+    patch_size: Annotated[int, at_least(3)] = 5
+    noise: Positive = 1.0
+    false_alarm_rate: Share = 0.05
+    search_radius: Positive = 24.0
     name: str = "points"
 
     searches = True
 
     def __post_init__(self) -> None:
-        if self.patch_size < 3 or self.patch_size % 2 == 0:
-            raise ValueError(f"patch_size: got {self.patch_size} px, expected an odd number from 3")
-        check_bounds(self, {"false_alarm_rate": SHARE, "search_radius": POSITIVE, "noise": POSITIVE})
+        if self.patch_size % 2 == 0:
+            raise ValueError(f"patch_size: got {self.patch_size}, expected an odd number")
 
     def uniform(self) -> PointMessage:
         """Return the message without points."""
@@ -231,21 +232,30 @@ def _previous_view(view: View | None, identities: NDArray[np.int64]) -> Previous
     return PreviousView(view.grey, shown, position)
 
 
+@checked
 def frames_of_tracks(
-    tracks: NDArray[np.float64], numbers: range | None = None, rate: float = 25.0
+    tracks: Annotated[NDArray[np.float64], Shape("n_frames", "n_tracks", 2, finite=False)],
+    numbers: range | None = None,
+    rate: Positive = 25.0,
 ) -> list[Frame]:
     """Return frames with the points of tracks `(n_frames, n_tracks, 2)` px, NaN where one is missing.
 
     Identities are the tracks' columns; `numbers` of frames are 1, 2, ... by default; `rate` in frames a
     second.
     """
+    numbers = numbers or range(1, len(tracks) + 1)
+    if len(numbers) != len(tracks):
+        raise ValueError(f"numbers: got {len(numbers)}, expected one for each of {len(tracks)} frames")
+    if np.isinf(tracks).any():
+        raise ValueError("tracks: got infinity, expected px, or NaN where a point is missing")
     frames = []
-    for number, points in zip(numbers or range(1, len(tracks) + 1), tracks, strict=True):
+    for number, points in zip(numbers, tracks, strict=True):
         seen = np.flatnonzero(~np.isnan(points).all(axis=1)).astype(np.int64)
         frames.append(Frame(None, (number - 1) / rate, number, GivenPoints(points[seen], seen)))
     return frames
 
 
+@checked
 def noise_of_tracks(frames: Iterable[Frame]) -> float:
     """Estimate the standard deviation of each coordinate of the points that are given with frames, px.
 
@@ -258,6 +268,9 @@ def noise_of_tracks(frames: Iterable[Frame]) -> float:
     ValueError
         if no frame has points.
     """
+    frames = list(frames)
+    if not all(isinstance(frame, Frame) for frame in frames):
+        raise TypeError("frames: got something else, expected an iterable of Frame")
     given = [frame.points for frame in frames if frame.points is not None]
     if not any(len(points.identities) for points in given):
         raise ValueError("frames: got none with points, expected some")

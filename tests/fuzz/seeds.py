@@ -20,7 +20,7 @@ from rsmcm.inference import RecursiveBP
 from rsmcm.inference.validity import RecordedPredictions
 from rsmcm.models.body.upper_body import JOINTS
 from rsmcm.models.face.model_files import write_model
-from rsmcm.models.face.morphable_model import MorphableModel, spread
+from rsmcm.models.face.morphable_model import MorphableModel, rms_radius
 
 from .mutations import Files
 from .networks import tiny_network
@@ -204,7 +204,7 @@ def _models(folder: Path) -> list[Files]:
     random = np.random.default_rng(0)
     bases = random.normal(size=(3, 9, 3))
     model = MorphableModel(
-        bases / spread(bases[0]),
+        bases / rms_radius(bases[0]),
         random.integers(9, size=(5, 3)),
         1,
         ("mean", "wide", "smile"),

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 from rsmcm.chains.face.texture_likelihood import Level
-from rsmcm.models.face.morphable_model import MorphableModel, Poses, spread
+from rsmcm.models.face.morphable_model import MorphableModel, Poses, rms_radius
 from rsmcm.models.face.surface import SurfaceTexels
 from rsmcm.models.numerics.rotations import exponential
 
@@ -16,7 +16,7 @@ def bumpy(n_bases: int = 3, seed: int = 0, *, closed: bool = True) -> MorphableM
     across, down = np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 4))
     shape = np.stack([across, down, 0.5 * (across**2 + down**2)], axis=-1).reshape(-1, 3)
     shape[:, :2] += random.uniform(-0.1, 0.1, (20, 2))
-    shape = (shape - shape.mean(axis=0)) / spread(shape)
+    shape = (shape - shape.mean(axis=0)) / rms_radius(shape)
     waves = [
         0.15 * np.sin(shape @ random.normal(size=(3, 3)) + random.uniform(0, 6, 3))
         for _ in range(n_bases - 1)

@@ -221,19 +221,3 @@ def test_vertices_have_the_moments_of_the_mixture(scene: FaceScene, run: list[GF
 def test_starts_where_a_function_finds_the_face(scene: FaceScene, images: list[Image]) -> None:
     chain = GFlow(scene.model, lambda frame: scene.poses[0], experts=2, texels=500)
     assert error(chain, scene, states(chain, images[:3])[-1], 2) < 2
-
-
-@pytest.mark.parametrize(
-    ("setting", "value"),
-    [("experts", 0), ("gain", 1.5), ("gain", "much"), ("temperature", 0.0), ("texels", 0), ("radius", 0.0),
-     ("effective_pixels", 0.0), ("samples", 0), ("covariance_scale", -1.0), ("resample_interval", 0.0),
-     ("levels", 4), ("surface", "round"), ("tracked", (3, 2)), ("tracked", (10**6,))],
-)  # fmt: skip
-def test_wrong_settings_are_named(scene: FaceScene, setting: str, value: object) -> None:
-    with pytest.raises(ValueError, match=setting):
-        chain_for(scene, **{setting: value})
-
-
-def test_wrong_starts_are_refused(scene: FaceScene) -> None:
-    with pytest.raises(ValueError, match="start"):
-        GFlow(scene.model, scene.poses[:3], experts=5)

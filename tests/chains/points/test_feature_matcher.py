@@ -78,12 +78,6 @@ def test_tracker_and_matcher_share_the_points(side_by_side) -> None:
     assert len(solution.rounds) == 1
 
 
-@pytest.mark.parametrize("name", ["n_points", "n_features"])
-def test_parameters_are_positive(name: str) -> None:
-    with pytest.raises(ValueError, match=f"{name}: got 0, expected more than 0"):
-        FeatureMatcher(**{name: 0})
-
-
 @dataclass(frozen=True)
 class GeometryKnown:
     """A chain that knows where every point is in every frame, but for some that it has wrong."""

@@ -416,14 +416,6 @@ def test_a_run_goes_on_from_a_file_as_if_nothing_had_been(
     np.testing.assert_array_equal(one.view.points.positions, other.view.points.positions)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"n_points": 0}, {"spacing": -1.0}, {"max_position_std": 0.0}, {"acceleration": 0.0}]
-)
-def test_wrong_parameters_are_named(wrong: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        PointTracker(**wrong)  # type: ignore[arg-type]
-
-
 def test_a_point_of_one_picture_is_no_track() -> None:
     generator = np.random.default_rng(5)
     blots = [generator.integers(0, 255, (15, 20), np.uint8).repeat(8, 0).repeat(8, 1) for _ in range(4)]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.model_files import read_correspondences, read_model, write_model
-from rsmcm.models.face.morphable_model import MorphableModel, spread
+from rsmcm.models.face.morphable_model import MorphableModel, rms_radius
 
 Array = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ def test_what_is_written_is_read_again(
 ) -> None:
     random = np.random.default_rng(seed)
     bases = random.normal(size=(n_bases, 9, 3))
-    bases /= spread(bases[0])
+    bases /= rms_radius(bases[0])
     model = MorphableModel(
         bases,
         random.integers(9, size=(5, 3)),
@@ -157,7 +157,7 @@ def test_candide(tmp_path: Path) -> None:
     assert model.names == ("shape", "Width", "Smile", "Frown")
     assert model.identity == 1
     np.testing.assert_array_equal(model.triangles, [[0, 2, 1]])  # turned, it is still seen from the front
-    assert spread(model.bases[0]) == pytest.approx(1)
+    assert rms_radius(model.bases[0]) == pytest.approx(1)
     np.testing.assert_allclose(model.bases[0].mean(axis=0), 0, atol=1e-12)
     scale = 2 / (model.bases[0, 1, 0] - model.bases[0, 0, 0])
     edge = [1.0, 2.0, -0.5]  # y down, z away
@@ -191,7 +191,7 @@ def test_surrey(tmp_path: Path, name: str) -> None:
     assert len(model.landmarks) == 68
     assert model.landmarks[[1, 29]].tolist() == [1, 3]
     assert (np.delete(model.landmarks, [1, 29]) == -1).all()
-    flip, scale = [1, -1, -1], spread(mean[kept])
+    flip, scale = [1, -1, -1], rms_radius(mean[kept])
     centred = (mean[kept] - mean[kept].mean(axis=0)) * flip
     np.testing.assert_allclose(model.bases[0], centred / scale, atol=1e-6)
     np.testing.assert_allclose(model.bases[1:3], modes[:, kept] * flip / scale, atol=1e-6)

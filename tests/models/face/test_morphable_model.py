@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.morphable_model import MorphableModel, Poses, spread
+from rsmcm.models.face.morphable_model import MorphableModel, Poses, rms_radius
 
 Array = NDArray[np.float64]
 
@@ -80,11 +80,11 @@ def test_a_persons_model_is_the_model_with_its_identity_held() -> None:
     person = model.personalised(pose.morphs[0])
     assert (person.n_bases, person.identity) == (model.n_bases - 2, 0)
     assert person.names == model.names[:1] + model.names[3:]
-    assert spread(person.bases[0]) == pytest.approx(1)
+    assert rms_radius(person.bases[0]) == pytest.approx(1)
     # the same shapes, in the scale of the person
     held = model.bases[0] + np.einsum("k,kvc->vc", pose.morphs[0, 1:3] / pose.sizes[0], model.bases[1:3])
     expressions = pose.morphs[:, 3:] / pose.sizes[:, None]
-    morphs = spread(held) * pose.sizes[:, None] * np.append(np.ones((1, 1)), expressions, axis=1)
+    morphs = rms_radius(held) * pose.sizes[:, None] * np.append(np.ones((1, 1)), expressions, axis=1)
     same = Poses(pose.rotations, pose.translations, morphs)
     np.testing.assert_allclose(person.positions(same), model.positions(pose), atol=1e-9)
     with pytest.raises(ValueError, match=r"morphs: got \(2,\)"):

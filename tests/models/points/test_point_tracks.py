@@ -95,22 +95,6 @@ def test_appearance_is_one_trackers() -> None:
         message * message
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"patch_size": 4},
-        {"patch_size": 1},
-        {"false_alarm_rate": 0.0},
-        {"false_alarm_rate": 1.0},
-        {"noise": 0.0},
-        {"search_radius": -1.0},
-    ],
-)
-def test_wrong_parameters_are_named(wrong: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        PointTracks(**wrong)  # type: ignore[arg-type]
-
-
 # --- points that are given ---
 
 
