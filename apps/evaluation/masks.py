@@ -1,4 +1,4 @@
-"""How good masks are: pixels against labels, components against objects."""
+"""Measures of masks: pixels against labels, components against objects."""
 
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, field
@@ -24,7 +24,7 @@ _COVERED = 0.5
 
 @dataclass(frozen=True)
 class PixelScores:
-    """Pixels counted, and CDnet's measures of them; a measure whose denominator is zero is NaN."""
+    """Pixel counts and CDnet's measures of them; a measure whose denominator is zero is NaN."""
 
     true_positives: int
     false_positives: int
@@ -61,7 +61,7 @@ class PixelScores:
 
 @dataclass
 class PixelScore:
-    """Counts right and wrong pixels frame by frame.
+    """Counter of right and wrong pixels, frame by frame.
 
     Shadow counts as background; pixels that are unknown or outside the region of interest do not count.
     """
@@ -106,7 +106,7 @@ class PixelScore:
 
 
 def joined(scores: Iterable[PixelScore]) -> PixelScore:
-    """The frames of all scores in one."""
+    """Return one score of the frames of all scores."""
     whole = PixelScore()
     for score in scores:
         whole.numbers += score.numbers
@@ -121,7 +121,7 @@ def total(scores: Iterable[PixelScore]) -> PixelScores:
 
 @dataclass(frozen=True)
 class ErrorClasses:
-    """The three error classes of the paper (§4.2, Fig. 8), counted over frames; instances add up.
+    """Error classes of the paper (§4.2, Fig. 8), counted over frames; instances add up.
 
     `missed_objects` is the first two for truth that does not tell pedestrians from vehicles.
     `missed_by_pixels`, of all kinds, is the stricter count that takes the components' pixels and not their
@@ -259,5 +259,5 @@ def _sum_counts(counts: list[tuple[int, int, int, int]]) -> PixelScores:
 
 
 def ratio(numerator: float, denominator: float) -> float:
-    """The ratio; NaN where the denominator is zero."""
+    """Return the ratio; NaN where the denominator is zero."""
     return numerator / denominator if denominator else float("nan")

@@ -1,4 +1,4 @@
-"""What chains predicted of their common features while a run went on, recorded in `predictions.npz`.
+"""Predictions of chains for their common features, recorded in `predictions.npz` during a run.
 
 For every pair of chains and feature: both predictions of each point (or part, or box), made before it was
 observed, and what was then observed; or, where predictions are no Gaussians, the log densities that they gave
@@ -49,7 +49,7 @@ class PairRecord(_Pair):
     frames: NDArray[np.int64]  # `(n,)`, numbers of the frames
 
     def rows(self, kept: NDArray[np.int64]) -> "PairRecord":
-        """Some of its rows."""
+        """Return some of the rows."""
         predictions = self.predictions.rows(kept)
         return replace(self, predictions=predictions, tracks=self.tracks[kept], frames=self.frames[kept])
 
@@ -62,7 +62,7 @@ class ScoreRecord(_Pair):
     frames: NDArray[np.int64]  # `(n,)`, numbers of the frames
 
     def rows(self, kept: NDArray[np.int64]) -> "ScoreRecord":
-        """Some of its rows."""
+        """Return some of the rows."""
         return replace(self, scores=self.scores[kept], frames=self.frames[kept])
 
 
@@ -71,7 +71,7 @@ Record = PairRecord | ScoreRecord
 
 @dataclass(eq=False)
 class PairRecorder:
-    """Gathers what two chains say of a feature of many points, frame by frame.
+    """Recorder of the messages of two chains about a feature of many points, frame by frame.
 
     Memory is bounded: when there are more than `most` rows, every other frame is dropped, and from then on
     frames are taken half as often.
@@ -91,7 +91,7 @@ class PairRecorder:
     def add(
         self, number: int, first: GaussianMessage, second: GaussianMessage, evidence: GaussianMessage
     ) -> None:
-        """Take in a frame: both chains' predictions and what the image says, which neither has heard yet.
+        """Record a frame: both chains' predictions, made before it, and the evidence of the image.
 
         Points that not all three speak of are left out.
         """
@@ -112,7 +112,7 @@ class PairRecorder:
             self._every *= 2
 
     def saved(self) -> dict[str, Any]:
-        """Everything as plain JSON; arrays in base 64."""
+        """Return the state as plain JSON; arrays in base 64."""
         frames = [
             (number, *(_encoded(array) for array in (identities, *arrays)))
             for number, identities, arrays in self._frames
@@ -120,14 +120,14 @@ class PairRecorder:
         return {"every": self._every, "offered": self._offered, "frames": frames}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Take up what `saved` kept."""
+        """Set the state that `saved` returned."""
         self._every, self._offered, self._frames = saved["every"], saved["offered"], []
         for number, *encoded in saved["frames"]:
             identities, *arrays = map(_decoded, encoded)
             self._frames.append((number, identities.astype(np.int64), arrays))
 
     def record(self) -> PairRecord | None:
-        """Everything that was gathered; `None` if there was no common point in any frame."""
+        """Return all recorded rows; `None` if no frame had a common point."""
         if not self._frames:
             return None
         first, of_first, second, of_second, observed, noise = (

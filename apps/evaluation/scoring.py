@@ -1,4 +1,4 @@
-"""Scores of one method on one source, gathered frame by frame, with whatever truth there is."""
+"""Scores of one method on one source, frame by frame, by any kind of ground truth."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
@@ -18,7 +18,7 @@ Mask = NDArray[np.uint8]
 
 
 class Scoring:
-    """Compares masks with the ground truth as they come.
+    """Comparison of masks with the ground truth, frame by frame.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Scoring:
         self.errors += mask_error_classes(foreground, labels)
 
     def measures(self, tracks: NDArray[np.float64] | None) -> dict[str, Any]:
-        """Return everything measured so far, as nested plain values; nothing if no frame had a truth.
+        """Return all measures as nested plain values; empty if no frame had a truth.
 
         Parameters
         ----------
@@ -95,7 +95,7 @@ class Scoring:
         return measures
 
     def saved(self) -> dict[str, Any]:
-        """All that was counted, as plain JSON."""
+        """Return all counts as plain JSON."""
         return {
             "frames": self.frames,
             "pixels": [self.pixels.numbers, self.pixels.counts],
@@ -103,7 +103,7 @@ class Scoring:
         }
 
     def restore(self, data: Mapping[str, Any]) -> None:
-        """Go on from what `saved` gave."""
+        """Set the counts that `saved` returned."""
         self.frames = list(data["frames"])
         numbers, counts = data["pixels"]
         self.pixels = PixelScore(list(numbers), [(tp, fp, fn, tn) for tp, fp, fn, tn in counts])
@@ -113,7 +113,7 @@ class Scoring:
 def scoring_of(
     path: Path | None, source: Source, start: int, step: int, region: Mask | None
 ) -> Scoring | None:
-    """Read ground truth, if it is given, and make sure that it belongs to a source.
+    """Read ground truth, if it is given, and check that it belongs to a source.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How good a recovered shape and its tracks are, where the truth is known."""
+"""Measures of a recovered shape and its tracks against the truth."""
 
 from dataclasses import dataclass
 

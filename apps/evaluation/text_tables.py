@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 
 def in_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Lay out a table as text; numbers are rounded and set to the right."""
+    """Return a table as text; numbers are rounded and set to the right."""
     cells = [[rounded(cell) if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
     numeric = [all(_is_number(row[k]) for row in cells) for k in range(len(header))]
     widths = [max(len(line[k]) for line in (header, *cells)) for k in range(len(header))]
@@ -21,7 +21,7 @@ def in_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def rounded(value: float, digits: int = 3) -> str:
-    """A number to so many digits, and not rounded before its point; a dash for what is not finite."""
+    """Return a number with so many digits, never rounded before its point; a dash if it is not finite."""
     if not math.isfinite(value):
         return "–"
     return f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"

@@ -1,4 +1,4 @@
-"""How good tracks are: boxes with identities against true ones."""
+"""Measures of tracks: boxes with identities against true ones."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -204,7 +204,7 @@ def _hota(seen: Sequence[Seen], n_objects: int, n_tracks: int) -> tuple[float, f
 
 
 def track_rows(boxes: NDArray[np.void]) -> NDArray[np.float64]:
-    """Turn boxes as `read_tracks` gives them into rows frame, identity, x, y, width, height."""
+    """Return boxes of `read_tracks` as rows frame, identity, x, y, width, height."""
     return np.column_stack([boxes["frame"], boxes["id"], boxes["box"].reshape(-1, 4)]).astype(np.float64)
 
 

@@ -1,4 +1,4 @@
-"""Which chains of a finished run help each other, and why (§3.3 of the RSMCM paper)."""
+"""Verdicts on which chains of a finished run help each other, and why (§3.3 of the RSMCM paper)."""
 
 import errno
 from pathlib import Path
@@ -35,12 +35,12 @@ HEADER = (
 
 
 class TooFewError(ValueError):
-    """What was recorded of a pair is too little to be judged."""
+    """Raised when a pair has too few recorded predictions."""
 
 
 @checked
 def report_validity(folder: str | Path) -> str:
-    """A table of all pairs of chains of a run, and what it means in sentences.
+    """Return a table of all pairs of chains of a run, and its meaning in sentences.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def report_validity(folder: str | Path) -> str:
 
 
 def judge(record: PairRecord) -> Comparison:
-    """Compare a pair with the more cautious one of two intervals.
+    """Compare a pair of chains by the wider one of two intervals.
 
     Errors of one track are related over time, and errors of one frame over all tracks (they share a camera),
     so that neither tracks nor frames are independent of each other: once tracks are resampled, once stretches
@@ -102,7 +102,7 @@ def judge(record: PairRecord) -> Comparison:
 
 
 def judge_scores(record: ScoreRecord) -> ScoreComparison:
-    """Compare a pair by its log densities; stretches of frames are taken for independent."""
+    """Compare a pair by its log densities, with stretches of frames as independent groups."""
     if len(np.unique(record.frames)) < 2:
         raise TooFewError(f"{record.first} + {record.second}: got scores of one frame, expected more")
     return compare_scores(record.scores, _stretches(record.frames))
@@ -116,7 +116,7 @@ def _stretches(frames: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def noise_ratio(record: PairRecord) -> float:
-    """Squared distance of what was observed from the nearer prediction, over the noise that is stated of it.
+    """Return the squared distance of observations from the nearer prediction over their stated noise.
 
     Of right noises it is 1 and more: predictions err too. Below, the noise is overstated, and what is left of
     the errors without it means nothing.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Entry:
-    """A line of the table of experiments."""
+    """Line of the table of experiments."""
 
     about: str  # what it shows
     function: str  # module and function that does the work: from here, and imported when it is run
@@ -72,7 +72,7 @@ EXPERIMENTS = {
 
 
 def usual_folder(name: str) -> Path:
-    """Where the results of an experiment go."""
+    """Return the default folder of an experiment's results."""
     return Path("results") / ("body-comparison" if name == "body" else name)  # `rsmcm body` has the other
 
 

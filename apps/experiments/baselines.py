@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 class Subtractor(Protocol):
-    """Anything that tells foreground from background in one picture after the other."""
+    """Background subtractor, picture by picture."""
 
     def apply(self, image: Image, /) -> Image:
         """Take the next `(height, width[, 3])` picture.
@@ -33,7 +33,7 @@ class Subtractor(Protocol):
 
 
 def opencv_subtractor(method: str, history: int, threshold: float) -> Subtractor:
-    """OpenCV's "MOG2" or "KNN" with shadows, which remembers `history` frames.
+    """Return OpenCV's "MOG2" or "KNN" with shadows, with a memory of `history` frames.
 
     `threshold` is the squared distance between pixel and model from which a pixel is foreground:
     `varThreshold` (in variances) for MOG2, `dist2Threshold` (in squared grey values) for KNN.
@@ -45,7 +45,7 @@ def opencv_subtractor(method: str, history: int, threshold: float) -> Subtractor
 
 @dataclass(frozen=True)
 class Setting:
-    """A subtractor to be tried: its method, what sets it apart in words, and what makes a fresh one."""
+    """Subtractor to be tried: its method, its parameters in words, and what makes a new one."""
 
     method: str
     parameters: str
@@ -67,7 +67,7 @@ SETTINGS = tuple(
 
 @dataclass(frozen=True)
 class CleanUp:
-    """What is done to a mask: shadows, median, opening, closing, least area, in this order."""
+    """Clean-up of a mask: shadows, median, opening, closing, least area, in this order."""
 
     keep_shadows: bool = False  # whether a shadow is foreground: dark clothes are often taken for one
     # median, opening, closing: width of the window or elliptic structuring element in px; 0 for none
@@ -131,7 +131,7 @@ def components(mask: Image) -> NDArray[np.float64]:
 
 
 class KalmanHungarian:
-    """Tracks boxes by a Kalman filter each and the assignment of greatest overlap (SORT).
+    """Tracker of boxes by a Kalman filter each and the assignment of greatest overlap (SORT).
 
     The state is centre, size (px) and the centre's velocity (px a frame).
     A. Bewley et al., *Simple online and realtime tracking* (2016).
@@ -152,7 +152,7 @@ class KalmanHungarian:
         self._next_identity = 1
 
     def update(self, boxes: Boxes | None) -> NDArray[np.float64]:
-        """Take the next frame's boxes.
+        """Update the tracks with the next frame's boxes.
 
         Parameters
         ----------

@@ -61,7 +61,7 @@ N_SHOWN = 40  # poses that are drawn from a posterior to be shown, as in the pap
 
 @dataclass(frozen=True, eq=False)
 class SignerFilm:
-    """A scene whose pictures are drawn once for all trackers, and what is to be known of its colours."""
+    """Scene whose pictures are drawn once for all trackers, and its colours."""
 
     scene: SignerScene
     frames: Sequence[Frame]
@@ -69,7 +69,7 @@ class SignerFilm:
 
     @classmethod
     def of(cls, **settings: Any) -> Self:
-        """The scene of these settings of `signer`; skin is learned from it as from any clip."""
+        """Return the scene of these settings of `signer`; skin is learned from it as from any clip."""
         scene = signer(**settings)
         frames = list(scene)
         images = [frame.image for frame in frames if frame.image is not None]
@@ -82,7 +82,7 @@ System = Literal["rsmcm", "sampler", "condensation", "flesh"]
 
 @dataclass(frozen=True)
 class BodyTracker:
-    """One of the trackers that are compared."""
+    """Body tracker that is compared."""
 
     name: str  # for tables
     # `"rsmcm"`: likelihood sampling and the tracker of flesh correct each other. `"sampler"`: the same
@@ -94,7 +94,7 @@ class BodyTracker:
     lag: int = 0
 
     def connected(self, film: SignerFilm) -> tuple[MultiChain, str]:
-        """The model for a film, and the name of the chain that is measured."""
+        """Return the model for a film, and the name of the chain that is measured."""
         body, parts, seed = film.scene.body, film.parts, film.scene.seed
         model = MultiChain()
         if self.system == "condensation":
@@ -123,7 +123,7 @@ class _Run:
         self._hindsight = FixedLag(dynamics, tracker.lag, seed=seed) if tracker.lag else None
 
     def step(self, index: int) -> None:
-        """Take in frame `index`."""
+        """Run on frame `index`."""
         frame = self._film.frames[index]
         started = time.perf_counter()
         belief = self._engine.step(self._state, frame)
@@ -146,13 +146,13 @@ class _Run:
             self._later.add(answer.samples)
 
     def trial(self) -> BodyTrial:
-        """What was measured."""
+        """Return the measures."""
         trial = self._now.trial()
         return trial if self._hindsight is None else replace(trial, later=self._later.trial())
 
 
 class _EstimateLog:
-    """What is said of one frame after the other, beside the truth."""
+    """Log of a chain's estimates, frame by frame, beside the truth."""
 
     def __init__(self, scene: SignerScene, shown: Sequence[int]) -> None:
         self._scene, self._shown = scene, shown
@@ -162,7 +162,7 @@ class _EstimateLog:
         self.seconds: list[float] = []
 
     def add(self, after: Any) -> None:
-        """Take in what a chain knows of the next frame."""
+        """Add the state of a chain after the next frame."""
         index, effective = len(self._rows), np.nan
         if isinstance(after, BodySamples):
             joints, covariances = self._of_samples(index, after)
@@ -187,7 +187,7 @@ class _EstimateLog:
         return found.joints, found.joint_covariances
 
     def trial(self) -> BodyTrial:
-        """What was measured."""
+        """Return the measures."""
         flat, deep, nees, hands, effective = (np.array(row) for row in zip(*self._rows, strict=True))
         scene = self._scene
         truth = scene.joints[: len(hands), HAND_JOINTS, :2]
@@ -217,7 +217,7 @@ def in_turns(film: SignerFilm, trackers: Sequence[BodyTracker], shown: Sequence[
 def on_one_scene(
     trackers: Sequence[BodyTracker], scene: Mapping[str, Any], shown: Sequence[int], n_frames: int, seed: int
 ) -> dict[str, BodyTrial]:
-    """Draw a scene and run all trackers on it; answers with hindsight have a name of their own."""
+    """Draw a scene and run all trackers on it; smoothed estimates have a name of their own."""
     found = {}
     trials = in_turns(SignerFilm.of(**{**scene, "n_frames": n_frames, "seed": seed}), trackers, shown)
     for tracker, trial in zip(trackers, trials, strict=True):
@@ -289,7 +289,7 @@ TrialsByTracker = dict[str, list[BodyTrial]]  # by tracker, one for each seed
 
 
 def body() -> Findings:
-    """Fig. 6, with what is wanted of it."""
+    """Run Fig. 6."""
     trackers = compared()
     measure = partial(on_one_scene, trackers, SCENE, SHOWN)
     (found,) = by_seed("body", measure, [SCENE["n_frames"]], SEEDS).values()
@@ -311,7 +311,7 @@ def body() -> Findings:
 
 
 def compared() -> list[BodyTracker]:
-    """All trackers; those of `TIMED_SAMPLES` with as many samples as take the time they are given."""
+    """Return all trackers; those of `TIMED_SAMPLES` with as many samples as take their time."""
     timed = [RSMCM]
     timed += [BodyTracker(f"{system} {n}", system, n) for system, both in TIMED_SAMPLES.items() for n in both]
     measure = partial(on_one_scene, timed, SCENE, ())
@@ -331,7 +331,7 @@ def compared() -> list[BodyTracker]:
 
 
 def samples_in(seconds: float, counts: tuple[int, int], timed: tuple[float, float]) -> int:
-    """How many samples a tracker takes in so many seconds a frame, to two digits.
+    """Return how many samples a tracker takes in so many seconds a frame, to two digits.
 
     It is known what it takes with two `counts` of samples; in between and beyond, time is linear.
     """
@@ -342,7 +342,7 @@ def samples_in(seconds: float, counts: tuple[int, int], timed: tuple[float, floa
 
 
 def errors_of(trials: Sequence[BodyTrial]) -> list[float | str]:
-    """A tracker's cells of `ERRORS`, after its name and samples."""
+    """Return a tracker's cells of `ERRORS`, after its name and samples."""
     errors, deep = pooled(trials, "errors"), pooled(trials, "errors_3d")
     heads = np.mean([trial.error / trial.head_height for trial in trials])
     parts = [each[:, part].mean() for each in (errors, deep) for part in (HANDS, ELBOWS)]
@@ -350,7 +350,7 @@ def errors_of(trials: Sequence[BodyTrial]) -> list[float | str]:
 
 
 def behaviour_of(trials: Sequence[BodyTrial], rsmcm: Sequence[BodyTrial]) -> list[float | str]:
-    """A tracker's cells of `BEHAVIOUR`, after its name."""
+    """Return a tracker's cells of `BEHAVIOUR`, after its name."""
     recovered, known = recoveries(trials)
     return _cells(
         100 * coverage(trials),
@@ -369,22 +369,24 @@ def _cells(*values: float | np.floating[Any]) -> list[float | str]:
 
 
 def error(trials: Sequence[BodyTrial]) -> float:
-    """px: mean over hands and elbows, frames and scenes."""
+    """Return the mean error over hands and elbows, frames and scenes, px."""
     return float(np.mean([trial.error for trial in trials]))
 
 
 def off(trials: Sequence[BodyTrial]) -> float:
-    """Share of frames in which a hand is not followed."""
+    """Return the share of frames in which a hand is lost."""
     return float(np.mean([trial.off for trial in trials]))
 
 
 def exchanged(trials: Sequence[BodyTrial]) -> int:
-    """Scenes in which the hands are exchanged for long."""
+    """Return the number of scenes in which the hands are exchanged for long."""
     return sum(trial.longest_exchange > SOON for trial in trials)
 
 
 def seconds(trials: Sequence[BodyTrial]) -> float:
-    """A frame's: median over stretches of frames, since answers with hindsight come several at a time."""
+    """Return seconds a frame: median over stretches of frames, since smoothed estimates come several at a
+    time.
+    """
     stretches = [
         trial.seconds[first : first + LAG].mean()
         for trial in trials
@@ -394,8 +396,9 @@ def seconds(trials: Sequence[BodyTrial]) -> float:
 
 
 def time_to_come_near(times: Sequence[float], ratios: Sequence[float]) -> float:
-    """Time at which a ratio of errors falls to `NEAR`, between the points that were measured; the last one
-    if it never does."""
+    """Return the time at which a ratio of errors falls to `NEAR`, interpolated; the last one if it never
+    does.
+    """
     for place, ratio in enumerate(ratios):
         if ratio <= NEAR:
             if not place:
@@ -406,7 +409,7 @@ def time_to_come_near(times: Sequence[float], ratios: Sequence[float]) -> float:
 
 
 def expectations_of(trials: TrialsByTracker) -> list[Expectation]:
-    """What is wanted."""
+    """Return what is expected of the trackers."""
     now, later, sampler = trials[RSMCM.name], trials[LATER.format(RSMCM.name)], trials[SAMPLER]
     clouds, cloud_later = [trials[name] for name in CLOUDS], trials[LATER.format(CLOUDS[0])]
     ratios = [error(cloud) / error(now) for cloud in clouds]
@@ -436,7 +439,7 @@ def expectations_of(trials: TrialsByTracker) -> list[Expectation]:
 
 
 def draw_samples(scene: SignerScene, trials: Mapping[str, BodyTrial]) -> Image:
-    """Poses drawn from the posteriors, as in the paper: a row for each frame, a column for each tracker."""
+    """Draw poses of the posteriors, as in the paper: a row for each frame, a column for each tracker."""
     overlay, rows = BodyOverlay(scene.body.upper_arm + scene.body.forearm), []
     for index in SHOWN:
         frame = scene.frame(index)

@@ -1,4 +1,4 @@
-"""The body application over a film, with many seeds, beside joints that somebody has noted in its frames.
+"""The body application over a film, with many seeds, beside joints that were clicked in its frames.
 
 `python -m rsmcm.apps.experiments.body_film FILM JOINTS.csv --out FOLDER`
 """
@@ -41,7 +41,7 @@ app = App(name="body_film", help=__doc__.splitlines()[0])
 
 @dataclass(frozen=True, eq=False)
 class FilmTrial:
-    """What a run found in the frames that somebody has looked at."""
+    """Errors of a run in the frames with clicked joints."""
 
     errors: Numbers  # `(n, 8)` px: distance of each joint in the picture; NaN where it was not noted
     exchanged: Numbers  # `(n,)` as of `exchanged_hands`
@@ -104,7 +104,7 @@ def main(
 
 
 def compared(runs: Sequence[BodyJob], noted: ClickedJoints) -> Findings:
-    """Carry out all runs; what they found, and what is wanted of it."""
+    """Carry out all runs, and compare them."""
     trials = in_parallel("seeds", [(tracked, (run, noted)) for run in runs])
     rows = [[run.seed, *cells_of(trial)] for run, trial in zip(runs, trials, strict=True)]
     caption = f"In {len(noted.frames)} frames of which joints were noted."
@@ -121,7 +121,7 @@ def tracked(job: BodyJob, noted: ClickedJoints) -> FilmTrial:
 
 
 def cells_of(trial: FilmTrial) -> list[float | str]:
-    """A run's cells of `COLUMNS`, after its seed."""
+    """Return a run's cells of `COLUMNS`, after its seed."""
     hands, elbows = _finite(trial.errors[:, HANDS]), _finite(trial.errors[:, ELBOWS])
     values = [np.median(hands), 100 * (hands > FAR).mean()] if len(hands) else [np.nan] * 2
     values.append(np.median(elbows) if len(elbows) else np.nan)
@@ -130,7 +130,7 @@ def cells_of(trial: FilmTrial) -> list[float | str]:
 
 
 def expectations_of(by_name: Mapping[str, Sequence[FilmTrial]]) -> list[Expectation]:
-    """What is wanted, over all seeds."""
+    """Return what is expected over all seeds."""
     trials = by_name["trials"]
     hands = np.concatenate([_finite(trial.errors[:, HANDS]) for trial in trials])
     long = sum(trial.longest > SOON for trial in trials)

@@ -1,4 +1,4 @@
-"""Compare methods on one film: Fig. 8's table and Fig. 11's pictures of the RSMCM paper."""
+"""Comparison of methods on one film: Fig. 8's table and Fig. 11's pictures of the RSMCM paper."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -42,7 +42,7 @@ PICTURE_WIDTH = 240  # px
 
 
 class Model:
-    """A multi-chain model by its name for tables; engine, parameters and camera are as of `build_model`.
+    """Multi-chain model with a name for tables; engine, parameters and camera are as of `build_model`.
 
     `size` is `(width, height)` px of the pictures.
     """
@@ -60,13 +60,13 @@ class Model:
         self._state = RunState()
 
     def step(self, frame: Frame) -> Found:
-        """Take in the next frame."""
+        """Process the next frame."""
         belief = self._engine.step(self._state, frame)
         self._state = belief.state
         return found_in(belief, self._size)
 
     def background(self) -> Image:
-        """The background as it is believed now, `(height, width[, 3])` uint8."""
+        """Return the estimated background, `(height, width[, 3])` uint8."""
         if not self._state.states:
             return np.zeros((self._size[1], self._size[0]), np.uint8)
         picture: Image = self._state.states["background"].picture()
@@ -74,7 +74,7 @@ class Model:
 
 
 class ModelSubtractor:
-    """A model as something that turns picture after picture into masks."""
+    """Model as a background subtractor."""
 
     def __init__(
         self, engine: Engine, size: tuple[int, int], rate: float, parameters: Parameters | None = None
@@ -88,7 +88,8 @@ class ModelSubtractor:
 
 
 class Usual:
-    """A fresh subtractor, a clean-up of its mask, Kalman filters and the Hungarian method on the boxes.
+    """Usual pipeline: a subtractor, a clean-up of its mask, Kalman filters and the Hungarian method on the
+    boxes.
 
     `size` is `(width, height)` px of the pictures.
     """
@@ -101,7 +102,7 @@ class Usual:
         self._mask: Image = np.zeros((size[1], size[0]), np.uint8)
 
     def step(self, frame: Frame) -> Found:
-        """Take in the next frame; a missing one leaves the mask as it was."""
+        """Process the next frame; a missing one leaves the mask as it was."""
         if frame.image is not None:
             self._mask = self._clean_up.apply(self._subtractor.apply(frame.image))
         found = self._tracker.update(components(self._mask)[:, :4])
@@ -110,7 +111,7 @@ class Usual:
 
 @dataclass
 class Tally:
-    """One method's results, gathered frame by frame."""
+    """Results of one method, frame by frame."""
 
     method: Model | Usual
     scoring: Scoring | None
@@ -119,7 +120,7 @@ class Tally:
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
     def add(self, frame: Frame, region: Image | None) -> Found:
-        """Let the method take in a frame, and note what it finds."""
+        """Run the method on a frame, and add its results."""
         started = perf_counter()
         found = self.method.step(frame)
         self.seconds += perf_counter() - started
@@ -132,7 +133,7 @@ class Tally:
         return found
 
     def values(self, n_frames: int) -> dict[str, Any]:
-        """The method's line of the table."""
+        """Return the method's line of the table."""
         line: dict[str, Any] = {
             "method": self.method.name,
             "foreground, %": 100 * self.share / n_frames,
@@ -170,14 +171,14 @@ class Moment:
 
 @dataclass
 class Gallery:
-    """Evenly spaced moments of a source of unknown length: at most ten, of which five are shown."""
+    """Evenly spaced moments of a source of unknown length: ten at most, of which five are shown."""
 
     moments: list[Moment] = field(default_factory=list)
     stride: int = 1
     seen: int = 0
 
     def add(self, number: int, image: Image, systems: Sequence[tuple[Model, Found]]) -> None:
-        """Keep a frame and what each system makes of it, if it is one of those to keep.
+        """Keep a frame and both systems' results, if it is one of those to keep.
 
         Whenever there are more, every second one goes and the distance doubles.
         """
@@ -190,7 +191,7 @@ class Gallery:
         self.seen += 1
 
     def chosen(self) -> list[Moment]:
-        """Up to five of them, evenly spaced, with the last."""
+        """Return up to five of them, evenly spaced, with the last."""
         kept = self.moments
         return [kept[round(place)] for place in np.linspace(0, len(kept) - 1, min(COLUMNS, len(kept)))]
 
@@ -220,7 +221,7 @@ FIGURE_ROWS = (
 def methods_of_figure_8(
     size: tuple[int, int], parameters: Parameters, camera: Camera = "fixed"
 ) -> list[Model | Usual]:
-    """The background by itself at several P(B), feed-forward, RSMCM, and OpenCV's subtractors as they come.
+    """Return the background alone at several P(B), feed-forward, RSMCM, and OpenCV's subtractors.
 
     The latter know neither parameters nor a camera that moves. `size` is `(width, height)` px.
     """

@@ -1,4 +1,4 @@
-"""Where the public sequences are: a folder that the user names, one beside the checkout, or the network."""
+"""Folders of the public sequences: one that the user names, one beside the checkout, or from the network."""
 
 import logging
 import os
@@ -53,7 +53,7 @@ SEQUENCES: dict[str, tuple[tuple[str, ...], str]] = {
 
 
 def data_folder(name: str) -> Path:
-    """The folder of a public sequence.
+    """Return the folder of a public sequence.
 
     The first that has the sequence's files of: `$RSMCM_DATA/NAME`; `../shared/data/NAME`, seen from the
     current folder or from the checkout; the user's cache. PETS2009 S2.L1 is fetched into the cache when no

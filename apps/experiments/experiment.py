@@ -1,4 +1,4 @@
-"""What an experiment leaves: printed tables, pictures, a record as JSON, and a page with everything."""
+"""Results of an experiment: printed tables, pictures, a record as JSON, and a page."""
 
 import textwrap
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -69,14 +69,14 @@ def noisy(frame: Frame, seed: int) -> Frame:
 
 
 def in_words(values: Sequence[float], dash: str = "–") -> str:
-    """Median and quartiles."""
+    """Return median and quartiles as text."""
     low, middle, high = np.quantile(values, (0.25, 0.5, 0.75))
     return f"{middle:.3g} ({low:.3g}{dash}{high:.3g})"
 
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """A plot: its file's name, what draws it, its size in inches, and what is said below it."""
+    """Plot: its file's name, the function that draws it, its size in inches, and its caption."""
 
     name: str
     draw: Callable[["Figure"], None]
@@ -96,7 +96,7 @@ class Plot:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture `(height, width[, 3])` uint8 BGR: its file's name, and what is said below it."""
+    """Picture `(height, width[, 3])` uint8 BGR: its file's name and its caption."""
 
     name: str
     image: Image
@@ -109,7 +109,7 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What an experiment found."""
+    """Results of an experiment."""
 
     title: str  # heading of the page, `index.html`
     # tables, expectations: what was measured, and what was wanted of it: printed, on the page, and in the
@@ -120,7 +120,7 @@ class Findings:
 
 
 def publish(name: str, command: str, out: Path, run: Callable[[], Findings]) -> None:
-    """Run an experiment; print what it found, and write it with its pictures and its record into a folder.
+    """Run an experiment; print its results, and write them with pictures and record into a folder.
 
     `name` and `command`, which repeats it, are for the record. The folder is made if need be.
 
@@ -156,7 +156,7 @@ TALLEST = 4  # times as high as wide: the room for a picture
 
 
 def fitting(shape: tuple[int, ...], width: int) -> tuple[int, int]:
-    """Width and height, px, of a picture `(height, width[, 3])` at a width; less for a very tall one."""
+    """Return width and height, px, of a picture `(height, width[, 3])` at a width; less if it is tall."""
     scale = min(width / shape[1], TALLEST * width / shape[0])
     return max(1, round(scale * shape[1])), max(1, round(scale * shape[0]))
 

@@ -42,7 +42,7 @@ LOST_SECONDS = 1.0  # for how long at a stretch, unless it is so in the last fra
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """How a tracker did on a sequence."""
+    """Errors of a tracker on a sequence."""
 
     # `(n_frames,)` px: distance in the picture of the vertices that were found from the true ones, mean over
     # all vertices, hidden ones too
@@ -59,7 +59,7 @@ class Evaluation:
 
     @classmethod
     def of(cls, scene: FaceScene, vertices: Numbers, nees: Numbers | None = None) -> Self:
-        """Of the vertices `(n_frames, n_vertices, 3)` px that were found in a scene."""
+        """Evaluate the vertices `(n_frames, n_vertices, 3)` px of a tracker on a scene."""
         errors = vertex_errors(vertices, scene.model.positions(scene.poses))
         nees = np.full(len(scene), np.nan) if nees is None else nees
         return cls(*errors, nees, float(scene.poses.sizes[0]), scene.dt)
@@ -68,12 +68,12 @@ class Evaluation:
 
     @property
     def error(self) -> float:
-        """px: mean over the frames after the first."""
+        """Mean over the frames after the first, px."""
         return float(self.errors[1:].mean())
 
     @property
     def error_3d(self) -> float:
-        """px: mean over the frames after the first."""
+        """Mean over the frames after the first, px."""
         return float(self.errors_3d[1:].mean())
 
     @property
@@ -94,43 +94,44 @@ Measured = Mapping[str, Sequence[Evaluation]]  # by tracker, one for each seed
 
 
 def vertex_errors(estimated: Numbers, truth: Numbers) -> tuple[Numbers, Numbers]:
-    """Mean distance of vertices `(n, n_vertices, 3)`, `(n,)` px: in the picture, and in space without the
-    mean offset in depth."""
+    """Return mean distances of vertices `(n, n_vertices, 3)`, each `(n,)` px: in the picture, and in space
+    without the mean offset in depth.
+    """
     off = estimated - truth
     off[..., 2] -= off[..., 2].mean(axis=1, keepdims=True)
     return np.linalg.norm(off[..., :2], axis=2).mean(axis=1), np.linalg.norm(off, axis=2).mean(axis=1)
 
 
 def values(evaluations: Sequence[Evaluation], measure: str = "error") -> list[float]:
-    """A measure of `Evaluation` of every sequence."""
+    """Return a measure of `Evaluation` of every sequence."""
     return [getattr(evaluation, measure) for evaluation in evaluations]
 
 
 def median(evaluations: Sequence[Evaluation], measure: str = "error") -> float:
-    """Over the sequences."""
+    """Return the median of a measure over the sequences."""
     return float(np.median(values(evaluations, measure)))
 
 
 def quartiles(evaluations: Sequence[Evaluation], measure: str = "error") -> str:
-    """Median and quartiles over the sequences, in words."""
+    """Return median and quartiles over the sequences, as text."""
     return in_words(values(evaluations, measure), "-")
 
 
 def n_lost(evaluations: Sequence[Evaluation]) -> int:
-    """Sequences on which the face was lost."""
+    """Return the number of sequences on which the face was lost."""
     return sum(evaluation.lost for evaluation in evaluations)
 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A scene whose pictures are drawn once for all trackers."""
+    """Scene whose pictures are drawn once for all trackers."""
 
     scene: FaceScene
     frames: Sequence[Frame]
 
     @classmethod
     def of(cls, **settings: Any) -> Self:
-        """The scene of these settings of `face`."""
+        """Return the scene of these settings of `face`."""
         scene = face(**settings)
         return cls(scene, list(scene))
 
@@ -153,7 +154,7 @@ def states(
 
 @dataclass(frozen=True)
 class Tracker:
-    """G-flow with settings, for all sequences alike."""
+    """G-flow with settings, the same for all sequences."""
 
     name: str  # for tables
     settings: Mapping[str, Any] = field(default_factory=dict)  # of `GFlow`, beyond model and start
@@ -188,7 +189,7 @@ def follow(clip: Clip, chain: GFlow, *, true_texture: bool = False) -> Evaluatio
 
 
 def floor(clip: Clip, chain: GFlow) -> Evaluation:
-    """The oracle: texture learned at the true poses, Gauss-Newton started at the true pose of each frame.
+    """Run the oracle: texture learned at the true poses, Gauss-Newton started at the true pose of each frame.
 
     Its prior is what the filter's would be if all had gone well before: a walk from the true pose of the
     previous frame. What remains is noise of the picture, the model's error, and texture that changes.
@@ -206,7 +207,7 @@ def floor(clip: Clip, chain: GFlow) -> Evaluation:
 
 
 def normalised_square(truth: Poses, estimate: Poses, covariance: Numbers) -> float:
-    """e' C^-1 e per dimension, for the error e of one pose in the tangent space of the estimate."""
+    """Return e' C^-1 e per dimension, for the error e of a pose in the tangent space of the estimate."""
     error = truth.changes_from(estimate)[0]
     return float(error @ np.linalg.solve(covariance, error)) / len(error)
 
@@ -225,7 +226,7 @@ class _GroundTruthTexture:
 
     @cached_property
     def size(self) -> float:
-        """px: of the face at the start, as the chain takes it."""
+        """Size of the face at the start, px, as the chain takes it."""
         return float(self.clip.scene.poses.sizes[0])
 
     def levels(self, index: int) -> list[Level]:
@@ -274,7 +275,7 @@ OVER_SEQUENCES = "Medians and quartiles over the sequences."
 
 
 def errors_of(evaluations: Sequence[Evaluation]) -> list[object]:
-    """The cells of `ERRORS`."""
+    """Return the cells of `ERRORS`."""
     return [quartiles(evaluations), quartiles(evaluations, "error_3d"), n_lost(evaluations)]
 
 
@@ -324,7 +325,7 @@ EXPERTS: Sequence[tuple[Tracker, str]] = (
 
 
 def experts() -> Findings:
-    """Fig. 3a, with what is wanted of it."""
+    """Run Fig. 3a."""
     measure = partial(on_one_scene, [tracker for tracker, _ in EXPERTS], {QUICK: EXPERTS_SCENE})
     found = by_seed("experts", measure, [QUICK], SEEDS)[QUICK]
     lines = [[name, *errors_of(evaluations)] for name, evaluations in found.items()]
@@ -338,7 +339,7 @@ def experts() -> Findings:
 
 
 def expected_of_experts(measured: Measured) -> list[Expectation]:
-    """What is wanted; of ratios of medians."""
+    """Return what is expected of ratios of medians."""
 
     def over(name: str, other: str, measure: str = "error") -> float:
         return median(measured[name], measure) / median(measured[other], measure)
@@ -362,7 +363,7 @@ def expected_of_experts(measured: Measured) -> list[Expectation]:
 
 
 def draw_experts(measured: Measured, canvas: Figure) -> None:
-    """Error over time, median over the sequences."""
+    """Draw the error over time, median over the sequences."""
     axis = canvas.add_subplot()
     for (name, evaluations), (_, colour) in zip(measured.items(), EXPERTS, strict=True):
         times = evaluations[0].dt * np.arange(len(evaluations[0].errors))
@@ -391,7 +392,7 @@ GAIN_SCENES: Mapping[str, Mapping[str, Any]] = {
 
 
 def gain() -> Findings:
-    """Fig. 3b, with what is wanted of it."""
+    """Run Fig. 3b."""
     everything = by_seed("gain", partial(on_one_scene, GAIN_TRACKERS, GAIN_SCENES), list(GAIN_SCENES), SEEDS)
     lines = [
         [scene, name, *errors_of(evaluations)]
@@ -415,7 +416,7 @@ def _best_gain(measured: Measured) -> float:
 
 
 def expected_of_gains(everything: Mapping[str, Measured]) -> list[Expectation]:
-    """What is wanted; of ratios of medians."""
+    """Return what is expected of ratios of medians."""
     best_gain = {scene: _best_gain(found) for scene, found in everything.items()}
     best = {scene: median(found[f"{best_gain[scene]:g}"]) for scene, found in everything.items()}
     flow, moved = median(everything[STEADY][f"{GAINS[-1]:g}"]), best_gain[CHANGING] / best_gain[STEADY]
@@ -433,7 +434,7 @@ def expected_of_gains(everything: Mapping[str, Measured]) -> list[Expectation]:
 
 
 def draw_gains(everything: Mapping[str, Measured], canvas: Figure) -> None:
-    """Error over the gain, on a scale of its log odds, so that both ends are seen."""
+    """Draw the error over the gain, on a scale of its log odds, so that both ends are seen."""
     axis = canvas.add_subplot()
     places = np.log(np.array(GAINS) / (1 - np.array(GAINS)))
     for (scene, found), colour in zip(everything.items(), ("#1f5fa8", "#c98a2b"), strict=True):
@@ -465,7 +466,7 @@ BLANK = "blank texture"
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
-    """How scattered experts did on a sequence."""
+    """Errors of scattered experts on a sequence."""
 
     errors: Numbers  # `(n_frames,)` px: mean distance of the mean pose's vertices from the true ones
     at_first: Numbers  # `(n_experts,)` px: the same for every expert, in the first frame
@@ -473,7 +474,7 @@ class Recovery:
 
 
 def recovery() -> Findings:
-    """Fig. 4: the texture is known at the start, or learned by each expert at its own wrong pose."""
+    """Run Fig. 4: texture known at the start, or learned by each expert at its own wrong pose."""
     (found,) = by_seed("recovery", recover, [N_EXPERTS], RECOVERY_SEEDS).values()
     lines: list[list[object]] = []
     for start, runs in found.items():
@@ -510,7 +511,8 @@ def recover(n_experts: int, seed: int) -> dict[str, Recovery]:
 
 
 def scattered(scene: FaceScene, random: np.random.Generator) -> Poses:
-    """Experts about the true pose of the first frame, `SCATTER` px from it in the mean over all vertices.
+    """Return experts about the true pose of the first frame, `SCATTER` px from it in the mean over all
+    vertices.
 
     Turned, shifted, sized and deformed at random, in proportions in which each of these moves vertices by
     about as much.
@@ -543,7 +545,7 @@ def _recovered(clip: Clip, chain: GFlow) -> Recovery:
 
 
 def expected_of_recovery(runs_of: Mapping[str, Sequence[Recovery]]) -> list[Expectation]:
-    """What is wanted, in the worst run; with a blank texture nothing is."""
+    """Return what is expected of the worst run; nothing is of a blank texture."""
     known, blank = runs_of[KNOWN], runs_of[BLANK]
     at_start = float(np.mean([run.at_first for run in known]))
     by_then, end = ([float(run.errors[index]) for run in blank] for index in (SOON, -1))
@@ -563,7 +565,7 @@ def expected_of_recovery(runs_of: Mapping[str, Sequence[Recovery]]) -> list[Expe
 def draw_scattered(
     pictures: Sequence[NDArray[np.uint8]], runs: Mapping[str, Recovery], canvas: Figure
 ) -> None:
-    """Vertices of all experts over the pictures, a row for each start."""
+    """Draw vertices of all experts over the pictures, a row for each start."""
     axes = canvas.subplots(len(runs), len(pictures), squeeze=False)
     for row, (start, run) in zip(axes, runs.items(), strict=True):
         for axis, index, picture, vertices in zip(row, SHOWN, pictures, run.vertices, strict=True):
@@ -586,7 +588,7 @@ SEEN, ALL = "self-occlusion handled", "every texel taken for visible"
 
 
 class PannedScene(FaceScene):
-    """The room moves to the side behind the face."""
+    """Scene whose room moves to the side behind the face."""
 
     def _render(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         picture, covered = super()._render(index)
@@ -645,7 +647,7 @@ def follow_case(case: tuple[str, str], seed: int) -> dict[str, Evaluation]:
 
 
 def face_background() -> Findings:
-    """Errors with no background, a shared one, and one an expert; and with self-occlusion handled and not."""
+    """Compare no background, a shared one, and one an expert; and self-occlusion handled and not."""
     cases = [(condition, method) for condition, methods in COMPARED.items() for method in methods]
     found: dict[str, dict[str, list[Evaluation]]] = {condition: {} for condition in COMPARED}
     for (condition, _), evaluations in by_seed("face and background", follow_case, cases, SEEDS).items():
@@ -665,7 +667,7 @@ def face_background() -> Findings:
 
 
 def expected_of_backgrounds(measured: Mapping[str, Measured]) -> list[Expectation]:
-    """What is wanted of ratios of medians."""
+    """Return what is expected of ratios of medians."""
 
     def over(condition: str, method: str, other: str) -> float:
         return median(measured[condition][method]) / median(measured[condition][other])
@@ -706,7 +708,7 @@ FILM_SEEDS = range(3)  # of the experts, and of noise on the film
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """The model and pose that a method starts with, in the frame of an index."""
+    """Model and pose of a method's start, and the index of its first frame."""
 
     face: FaceStart
     first: int
@@ -714,7 +716,7 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class FilmTrial:
-    """How landmarks were followed through a film."""
+    """Errors of landmarks that were followed through a film."""
 
     errors: Numbers  # `(n_frames,)` % of the pupils' distance
     lost: int  # frames in which the face was
@@ -770,7 +772,7 @@ def follow_landmarks(
 
 
 def expected_of_landmarks(measured: Mapping[str, Mapping[str, Sequence[FilmTrial]]]) -> list[Expectation]:
-    """What is wanted: of means over seeds."""
+    """Return what is expected of means over seeds."""
     surrey, own = measured[SURREY][""], measured[OWN][""]
     mean, worst, of_own = (
         float(np.mean([of(each.errors) for each in trials]))
@@ -786,6 +788,8 @@ def expected_of_landmarks(measured: Mapping[str, Mapping[str, Sequence[FilmTrial
 
 
 def landmarks_of_film(original: NDArray[np.floating]) -> Numbers:
-    """The annotation, made on the original film of 720x576 px, in px of the public one of half its size."""
+    """Return the annotation, made on the original film of 720x576 px, in px of the public one of half its
+    size.
+    """
     places = np.asarray(original, np.float64)
     return np.stack([(places[..., 0] + 7.45) / 2, (places[..., 1] - 0.45) / 2], axis=-1)

@@ -1,4 +1,4 @@
-"""Points that go behind something: how many are found again in the pictures, frame by frame.
+"""Points that go behind something: how many are found again in the pictures.
 
 A textured bar is painted over the film; where points are behind it, the same run on the film without it says.
 """
@@ -38,7 +38,7 @@ SEEDS = range(10)  # of bars, each of its own size, way and texture
 
 @dataclass(frozen=True, eq=False)
 class Refound:
-    """What a run with a bar found of points that were behind it; all `(n,)`."""
+    """Results of a run with a bar, of the points behind it; all `(n,)`."""
 
     # whether the point was found within `SOON` frames, where it is and under its number; of those that the
     # film without the bar shows in all these frames
@@ -64,7 +64,7 @@ def hidden_points() -> Findings:
 
 
 def expectations_of(refound: Mapping[str, Sequence[Refound]]) -> list[Expectation]:
-    """Shares over the points of all bars."""
+    """Return shares over the points of all bars."""
     expectations = []
     for name, runs in refound.items():
         again, wrong, false = (
@@ -84,7 +84,7 @@ def expectations_of(refound: Mapping[str, Sequence[Refound]]) -> list[Expectatio
 def behind_a_bar(
     frames: Sequence[Frame], truth: Mapping[str, Numbers], _: None, seed: int
 ) -> dict[str, Refound]:
-    """Both models on the film with a bar, compared with what each found without it."""
+    """Run both models on the film with a bar, and compare them with their runs without it."""
     covered, hidden = with_bar(frames, seed)
     return {
         name: compared(tracked(covered, feedback), truth[name], hidden) for name, feedback in MODELS.items()
@@ -92,7 +92,7 @@ def behind_a_bar(
 
 
 def with_bar(frames: Sequence[Frame], seed: int) -> tuple[list[Frame], Mask]:
-    """The film behind a bar, and `(n_frames, height, width)`: where that is.
+    """Return the film with a bar, and where the bar is, `(n_frames, height, width)`.
 
     Its middle passes that of the picture, within 15 % of the picture's side, in the middle of the frames
     from `ENTER` on.
@@ -125,7 +125,7 @@ def with_bar(frames: Sequence[Frame], seed: int) -> tuple[list[Frame], Mask]:
 
 
 def tracked(frames: Sequence[Frame], feedback: bool) -> Numbers:
-    """`(n_frames, n, 2)` px: where points were found in the pictures, by number; NaN where they were not."""
+    """Return where points were seen in the pictures, by number, `(n_frames, n, 2)` px; NaN where not."""
     points = PointTracks()
     model = MultiChain().connect(PointTracker(), points)
     model.connect(RecursiveStructure(), points, feedback=feedback)

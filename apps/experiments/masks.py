@@ -1,4 +1,6 @@
-"""Masks beside the truth: a generated man who stands still (Figs. 1 and 7 of the RSMCM paper), and a film."""
+"""Masks beside the truth: a generated person who stands still (Figs. 1 and 7 of the RSMCM paper), and a
+film.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
@@ -29,7 +31,7 @@ ScoresByMethod = Mapping[tuple[str, str], Sequence[PixelScore]]  # by method and
 
 
 def sleeping_man(*, long: bool) -> Findings:
-    """Figs. 1 and 7: a person stands still; alone, the background takes them in, together with blobs not.
+    """Run Figs. 1 and 7: a person stands still, with the background alone and with the blob tracker.
 
     Parameters
     ----------
@@ -51,7 +53,7 @@ def sleeping_man(*, long: bool) -> Findings:
 
 
 def best_settings(pooled: ScoresByMethod) -> dict[str, tuple[str, Sequence[PixelScore]]]:
-    """Of each method, the setting of the greatest F over all scenes, and its scores."""
+    """Return the setting of each method with the greatest F over all scenes, and its scores."""
     best: dict[str, tuple[str, Sequence[PixelScore]]] = {}
     for (name, setting), scores in pooled.items():
         if name not in best or total(scores).f_measure > total(best[name][1]).f_measure:
@@ -60,7 +62,7 @@ def best_settings(pooled: ScoresByMethod) -> dict[str, tuple[str, Sequence[Pixel
 
 
 def expectations_of(pooled: ScoresByMethod) -> list[Expectation]:
-    """What is wanted of RSMCM beside the others' best settings."""
+    """Return what is expected of RSMCM beside the others' best settings."""
     found = {name: total(scores).f_measure for name, (_, scores) in best_settings(pooled).items()}
     return [
         Expectation("F, RSMCM", found["RSMCM"]),
@@ -72,12 +74,14 @@ def expectations_of(pooled: ScoresByMethod) -> list[Expectation]:
 
 
 def scores_of(settings: Sequence[Setting], _: object, seed: int) -> dict[tuple[str, str], PixelScore]:
-    """Scores of all methods on the scene of a seed, by method and setting."""
+    """Return scores of all methods on the scene of a seed, by method and setting."""
     return scores_of_scene(street(seed=seed), settings)
 
 
 def scores_of_scene(scene: Scene, settings: Sequence[Setting]) -> dict[tuple[str, str], PixelScore]:
-    """Scores of the chains, and of OpenCV's subtractors with and without shadows, by method and setting."""
+    """Return scores of the chains, and of OpenCV's subtractors with and without shadows, by method and
+    setting.
+    """
     frames, masks = list(scene), list(scene.masks)
     found = {
         (name, ""): _model_score(Model(name, engine, scene.size), frames, masks) for name, engine in CHAINS
@@ -122,7 +126,7 @@ def _score_of_long(name: str, seed: int) -> dict[str, PixelScore]:
 
 
 def expectations_of_long(measured: Mapping[str, Mapping[str, Sequence[PixelScore]]]) -> list[Expectation]:
-    """What is wanted of long scenes: of all their frames, and of the worst 250 in a row."""
+    """Return what is expected of long scenes: of all their frames, and of the worst 250 in a row."""
     expectations = []
     for name, scores in measured.items():
         least = [
@@ -135,7 +139,7 @@ def expectations_of_long(measured: Mapping[str, Mapping[str, Sequence[PixelScore
 
 
 def figures(scene: Scene) -> list[Picture]:
-    """Figs. 1 and 7: input every thirtieth frame, background, foreground."""
+    """Make Figs. 1 and 7: input every thirtieth frame, background, foreground."""
     alone = Model("alone", "stand-alone", scene.size, {"background": {"prior": SHOWN_PRIOR}})
     systems = {
         "Fig. 1: the background by itself": alone,
@@ -165,7 +169,7 @@ CLEAN_UPS = {"raw": CleanUp(), "5x5 median": CleanUp(median=5)}
 
 
 def highway() -> Findings:
-    """Foreground of CDnet's highway with noise against its masks, raw and after a 5x5 median.
+    """Score the foreground of CDnet's highway with noise by its masks, raw and after a 5x5 median.
 
     Raises
     ------
@@ -181,7 +185,7 @@ def highway() -> Findings:
 
 
 def scores_of_film(folder: Path, _: object, seed: int) -> dict[tuple[str, str], PixelScore]:
-    """Scores of the chains on a folder of CDnet with noise, by method and clean-up."""
+    """Return scores of the chains on a folder of CDnet with noise, by method and clean-up."""
     truth = read_ground_truth(folder)
     assert isinstance(truth, MaskTruth)
     with open_source(str(folder / "input")) as source:
@@ -198,7 +202,7 @@ def scores_of_film(folder: Path, _: object, seed: int) -> dict[tuple[str, str], 
 
 
 def expectations_of_film(scores: ScoresByMethod) -> list[Expectation]:
-    """What is wanted of F with feedback."""
+    """Return what is expected of F with feedback."""
     return [
         Expectation("F, raw", total(scores["RSMCM", "raw"]).f_measure, ">=", 0.93),
         Expectation("F, after a 5x5 median", total(scores["RSMCM", "5x5 median"]).f_measure, ">=", 0.955),

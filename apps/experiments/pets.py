@@ -55,7 +55,7 @@ NOISE_SEEDS = range(5)
 
 @dataclass(frozen=True, eq=False)
 class AnnotatedFilm:
-    """A film whose objects are known: name, source, true boxes, and detections if there are any."""
+    """Film with ground truth: name, source, true boxes, and detections if there are any."""
 
     name: str
     source: str
@@ -79,12 +79,12 @@ class AnnotatedFilm:
         return cls(name, str(source), boxes, found)
 
     def frames(self, seed: int, step: int = 1, every: int | None = None) -> Iterator[Frame]:
-        """Its frames with noise; with the detector's boxes on every `every`-th, if that is given."""
+        """Yield frames with noise; with the detector's boxes on every `every`-th, if that is given."""
         with open_source(self.source, step=step) as source:
             yield from self.prepare(source, seed, every)
 
     def prepare(self, frames: Iterable[Frame], seed: int, every: int | None) -> Iterator[Frame]:
-        """The same of frames that are open."""
+        """Add noise and boxes to frames of an open source."""
         shaken = (noisy(frame, seed) for frame in frames)
         if every is None:
             return shaken
@@ -94,7 +94,7 @@ class AnnotatedFilm:
 
 @dataclass(frozen=True)
 class Trial:
-    """A method to be tried."""
+    """Method to be tried."""
 
     # name, described: the method, and how it is set, for tables
     name: str
@@ -105,7 +105,7 @@ class Trial:
 
 
 def run_trials(label: str, trials: Sequence[Trial]) -> dict[str, list[Tracks]]:
-    """The tracks of all trials by name, one table a seed; worked out in several processes."""
+    """Return the tracks of all trials by name, one table a seed; made in several processes."""
     work = [(trial.tracks, (seed,)) for trial in trials for seed in trial.seeds]
     made = iter(in_parallel(label, work))
     return {trial.name: [next(made) for _ in trial.seeds] for trial in trials}
@@ -114,7 +114,7 @@ def run_trials(label: str, trials: Sequence[Trial]) -> dict[str, list[Tracks]]:
 def score_trials(
     trials: Sequence[Trial], tracks: Mapping[str, Sequence[Tracks]], truth: BoxTruth
 ) -> dict[str, list[TrackScores]]:
-    """Scores of all trials by name, one for each seed."""
+    """Return scores of all trials by name, one for each seed."""
     found = {}
     for trial in trials:
         judged = [number for number in truth.frames if (number - 1) % trial.step == 0]
@@ -123,12 +123,12 @@ def score_trials(
 
 
 def mean(scores: Sequence[TrackScores], measure: str) -> float:
-    """Of an attribute of `TrackScores` over seeds."""
+    """Return the mean of an attribute of `TrackScores` over seeds."""
     return float(np.mean([getattr(each, measure) for each in scores]))
 
 
 def cells(scores: Sequence[TrackScores]) -> list[str]:
-    """A table's cells of `TRACKS`: mean and, of several seeds, standard deviation."""
+    """Return a table's cells of `TRACKS`: mean and, of several seeds, standard deviation."""
     found = []
     for measure in TRACKS.values():
         digits, values = 1 if measure == "switches" else 3, [getattr(each, measure) for each in scores]
@@ -138,7 +138,7 @@ def cells(scores: Sequence[TrackScores]) -> list[str]:
 
 
 def model_tracks(film: AnnotatedFilm, engine: Engine, step: int, every: int | None, seed: int) -> Tracks:
-    """Tracks by a multi-chain model, which sees every `step`-th frame, and the detector's boxes perhaps."""
+    """Track with a multi-chain model on every `step`-th frame, perhaps with the detector's boxes."""
     system: Model | None = None
     rows: list[tuple[float, ...]] = []
     for frame in film.frames(seed, step, every):
@@ -150,7 +150,7 @@ def model_tracks(film: AnnotatedFilm, engine: Engine, step: int, every: int | No
 
 
 def whole_film_tracks(film: AnnotatedFilm, every: int | None, seed: int) -> Tracks:
-    """Tracks by the model that reads the film as a whole, with the detector's boxes perhaps."""
+    """Track with the model of whole films, perhaps with the detector's boxes."""
     job = BackgroundJob(film.source, out=Path(), engine=WHOLE_FILM)  # nothing is written
     model, known = build_model(job.engine), partial(film.prepare, seed=seed, every=every)
     with open_source(film.source) as source:
@@ -165,7 +165,7 @@ def whole_film_tracks(film: AnnotatedFilm, every: int | None, seed: int) -> Trac
 def usual_tracks(
     film: AnnotatedFilm, setting: Setting, clean_up: CleanUp, parameters: Parameters, seed: int
 ) -> Tracks:
-    """Tracks by a subtractor, a clean-up, Kalman filters and assignment."""
+    """Track with a subtractor, a clean-up, Kalman filters and assignment."""
     subtractor, tracker = setting.make(), KalmanHungarian(*parameters)
     rows: list[tuple[float, ...]] = []
     for frame in film.frames(seed):
@@ -188,7 +188,7 @@ ASSOCIATIONS: Sequence[Parameters] = tuple(product((0.1, 0.3), (1, 3, 5), (10, 2
 def associated(
     film: AnnotatedFilm, every: int, quantile: float, parameters: Parameters, seed: int = 0
 ) -> Tracks:
-    """Tracks by Kalman filters and assignment of the detector's boxes on every `every`-th frame.
+    """Track the detector's boxes on every `every`-th frame with Kalman filters and assignment.
 
     In between, tracks are where their filters predict them. `quantile` is the share of the boxes that is left
     out, those with the lowest scores. The seed is not used: nothing is seen of the pictures.
@@ -209,7 +209,7 @@ def associated(
 
 
 def best_associations(film: AnnotatedFilm, every: int) -> dict[str, tuple[str, partial[Tracks]]]:
-    """What plain association is best with on this film, in IDF1 and in MOTA: in words, and its tracks."""
+    """Return the best plain association in IDF1 and in MOTA on this film: in words, and its tracks."""
     combined = list(product(SCORE_QUANTILES, ASSOCIATIONS))
     work = [(_association_scores, (film, every, *each)) for each in combined]
     scores: list[TrackScores] = in_parallel(f"{film.name}, association", work)
@@ -252,7 +252,7 @@ Component = tuple[int, NDArray[np.float64]]  # a frame's number and its componen
 
 @dataclass(frozen=True)
 class Tried:
-    """A subtractor, a clean-up and a tracker's parameters, and how good the tracks are."""
+    """Subtractor, clean-up and a tracker's parameters, and the scores of their tracks."""
 
     row: Row[Component]
     clean_up: CleanUp
@@ -271,7 +271,7 @@ class Tried:
 
 
 def best_usual(tried: Sequence[Tried]) -> dict[str, Tried]:
-    """By what they are called in tables: those with the best IDF1 of MOG2 and KNN, and with the best MOTA."""
+    """Return by name those with the best IDF1 of MOG2 and KNN, and with the best MOTA."""
     best = {
         name: max((each for each in tried if each.method == name), key=lambda each: each.scores.idf1)
         for name in ("MOG2", "KNN")
@@ -348,7 +348,7 @@ PLAIN, RARE_PLAIN = "association", "association, every fifth frame"
 
 
 def pets() -> Findings:
-    """Figs. 8 and 11 on PETS2009 S2.L1: errors of extracted components, and tracks.
+    """Run Figs. 8 and 11 on PETS2009 S2.L1: errors of extracted components, and tracks.
 
     Tracks are found without and with the boxes of a detector, also on TUD-Campus, where people are there from
     the first frame, as far as these files are there.
@@ -498,13 +498,13 @@ def _crowd() -> tuple[list[Trial], dict[str, list[TrackScores]]]:
 
 
 def pixel_trials(film: AnnotatedFilm) -> list[Trial]:
-    """The model without a detector: with and without feedback, and reading the film as a whole."""
+    """Return the trials without a detector: with and without feedback, and of the whole film."""
     trials = [Trial(name, "", partial(model_tracks, film, engine, 1, None)) for name, engine in CHAINS]
     return [*trials, Trial(WHOLE, "", partial(whole_film_tracks, film, None))]
 
 
 def detector_trials(film: AnnotatedFilm) -> list[Trial]:
-    """The model with the detector, on every frame and every fifth, and plain association of the same boxes.
+    """Return the trials with a detector, on every frame and every fifth, and of plain association.
 
     Nothing where there are no detections.
     """
@@ -575,7 +575,7 @@ def _expectations_of_rates(idf1_of: Mapping[str, Sequence[float]]) -> list[Expec
 def detector_expectations(
     film: str, wanted: tuple[float, float], switches: float | None, scores: BySeed
 ) -> list[Expectation]:
-    """What is wanted of the model with a detector: IDF1 and MOTA, identity switches perhaps."""
+    """Return what is expected of the model with a detector: IDF1 and MOTA, perhaps identity switches."""
     if DETECTED not in scores:
         return []
     ours = scores[DETECTED]

@@ -1,4 +1,4 @@
-"""What an experiment measured beside what is wanted of it, where and when: records, kept and shown."""
+"""Records of experiments: figures beside what is expected, where and when they were measured."""
 
 import json
 import math
@@ -34,7 +34,7 @@ HEADER = ("measure", "wanted", "measured", "±", "")
 
 @dataclass(frozen=True)
 class Expectation:
-    """A number and the bound that it should keep."""
+    """A number and the bound that is expected of it."""
 
     what: str  # is measured, with its unit
     measured: float  # its value
@@ -71,7 +71,7 @@ class Expectation:
 def over_seeds(
     judge: Callable[[Any], Sequence[Expectation]], measured: Mapping[Any, Any]
 ) -> list[Expectation]:
-    """What is judged of all seeds, with the standard errors that the choice of seeds brings.
+    """Judge all seeds; add the standard errors that come from the choice of seeds.
 
     Seeds are drawn again from those there are (the bootstrap of Efron, 1979), the same for all methods, so
     ratios of methods keep what they have in common. `judge` gives the expectations, always in the same order,
@@ -132,7 +132,7 @@ class Provenance:
 
 
 class Stopwatch:
-    """Notes where and when it was made; `provenance` adds how long it took since."""
+    """Stopwatch that notes where and when it was made; `provenance` adds how long it took since."""
 
     def __init__(self) -> None:
         self._started, self._busy = time.perf_counter(), _busy_elsewhere()
@@ -149,7 +149,7 @@ class Stopwatch:
         }
 
     def provenance(self) -> Provenance:
-        """Of what was measured since."""
+        """Return the provenance of what was measured since."""
         seconds = time.perf_counter() - self._started
         others = max(0.0, _busy_elsewhere() - self._busy) / seconds
         return Provenance(**self._known, seconds=seconds, others=others, threads=thread_count())
@@ -163,7 +163,7 @@ def _busy_elsewhere() -> float:
 
 
 def git(*arguments: str) -> str:
-    """What git says of the checkout; nothing for a package that is installed."""
+    """Return the output of git in the checkout; nothing for an installed package."""
 
     def output_of(*arguments: str) -> str:
         command = ["git", "-C", str(ROOT), *arguments]
@@ -186,7 +186,7 @@ def _processor() -> str:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """What was measured: names of the columns, rows, and what is said above them."""
+    """Table of measurements: names of the columns, rows, and caption."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[object]]
@@ -195,7 +195,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What an experiment measured."""
+    """Measurements of an experiment."""
 
     # name, title: of the experiment
     name: str
@@ -211,7 +211,7 @@ class Record:
         return {each.what: each for each in self.expectations}
 
     def write(self, path: Path) -> None:
-        """Write it as JSON.
+        """Write the record as JSON.
 
         Raises
         ------
@@ -226,7 +226,7 @@ class Record:
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read what `write` has written; NaN, which JSON does not know, is null there.
+        """Read a record; NaN, which JSON does not know, is null there.
 
         Raises
         ------

@@ -52,7 +52,7 @@ was wanted. Where a record took the place of a table, that is in `docs/results/e
 
 @dataclass(frozen=True)
 class Documents:
-    """What pages are made from."""
+    """Content from which pages are made."""
 
     records: Mapping[str, Record]  # by name, in the order of the notes
     notes: Mapping[str, str]  # by a record's name, what is to be said of it
@@ -90,7 +90,7 @@ def _toml(path: Path) -> dict[str, Any]:
 
 
 def results_page(documents: Documents, changed: str) -> str:
-    """The page of results.
+    """Return the page of results.
 
     `changed`, ISO 8601, is when the code that tracks was changed last: what was measured before is of an
     earlier state. It is empty where that is not known.
@@ -116,7 +116,7 @@ def results_page(documents: Documents, changed: str) -> str:
 
 
 def figures(record: Record) -> str:
-    """What an experiment measured, beside what is wanted of it."""
+    """Return a table of an experiment's figures, beside what is expected of them."""
     rows = []
     for each in record.expectations:
         what, wanted, measured, error, _ = each.cells
@@ -134,7 +134,7 @@ def _tables(record: Record) -> list[str]:
 
 
 def measured_when(record: Record, changed: str) -> str:
-    """With which command a record was made, when, where, and how busy the machine was."""
+    """Return the command of a record, and when, where and on how busy a machine it was measured."""
     made = record.made
     minutes = round(made.seconds / 60)
     took = f"{made.seconds:.0f} s" if minutes < 2 else f"{minutes} min"
@@ -147,7 +147,7 @@ def measured_when(record: Record, changed: str) -> str:
 
 
 def readme_with(text: str, documents: Documents, changed: str) -> str:
-    """README with its figures.
+    """Return README with its figures.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def readme_with(text: str, documents: Documents, changed: str) -> str:
 
 
 def scale_page(text: str, records: Mapping[str, Record], changed: str) -> str:
-    """The page on scale with what was recorded of capacity and curves.
+    """Return the page on scale with the records of capacity and curves.
 
     Raises
     ------
@@ -191,7 +191,7 @@ def scale_page(text: str, records: Mapping[str, Record], changed: str) -> str:
 
 
 def between(text: str, name: str, content: str, page: str) -> str:
-    """A text of a page with other lines between the marks of a name, which must be there."""
+    """Return a page's text with new lines between the marks of a name, which must be there."""
     begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
     before, found, rest = text.partition(begin)
     _, closed, after = rest.partition(end)
@@ -201,7 +201,7 @@ def between(text: str, name: str, content: str, page: str) -> str:
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table, with a line's end behind it."""
+    """Return a table in Markdown, with a newline behind it."""
     lines = [header, ["---"] * len(header), *rows]
     return "".join(f"| {' | '.join(cell.replace('|', '&#124;') for cell in line)} |\n" for line in lines)
 
@@ -230,7 +230,7 @@ def _anchor(title: str) -> str:
 
 
 def collect(folder: Path, kept: Path) -> None:
-    """Keep what has been recorded in the folders of `folder`, if nothing younger is kept."""
+    """Keep the records in the folders of `folder`, if no younger one is kept."""
     for path in sorted([*folder.glob("*/results.json"), *folder.glob("*/benchmarks.json")]):
         record = Record.read(path)
         place = kept / f"{record.name}.json"

@@ -38,7 +38,7 @@ SHOWN = 4  # frames in the pictures
 
 @dataclass(frozen=True, eq=False)
 class LearnedShape:
-    """A shape learned, and how far it is from the truth."""
+    """Learned shape, and the truth."""
 
     # name, missing: of the sequence, and the share of its positions that were withheld
     name: str
@@ -73,7 +73,7 @@ class LearnedShape:
 
     @property
     def published(self) -> float:
-        """The error by the measure that is published of this sequence."""
+        """Error by the measure that is published of this sequence."""
         return self.e3d if self.name in MOTION_CAPTURE else self.error
 
     @property
@@ -131,7 +131,7 @@ def learn_withheld(
 
 
 def expectations_of(measured: ByCase) -> list[Expectation]:
-    """What is published of each sequence, beside ours."""
+    """Return the error of each sequence, beside what is published."""
     return [
         Expectation(
             f"{shapes[0].label}: {'e3D' if name in MOTION_CAPTURE else '3-D error'}",
@@ -154,7 +154,7 @@ EXPLANATION = (
 
 
 def sequence_file(name: str) -> Path:
-    """Where a sequence is kept.
+    """Return the path of a sequence.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def sequence_file(name: str) -> Path:
 
 
 def read_truth(path: Path) -> Numbers:
-    """`(n_frames, n_points, 3)` of a sequence in the camera's axes.
+    """Read a sequence, `(n_frames, n_points, 3)` in the camera's axes.
 
     Its `P3_gt` has all frames' X, then all Y, then all Z; or its `X` is `(3, n_points, n_frames)`.
 
@@ -188,7 +188,7 @@ def read_truth(path: Path) -> Numbers:
 
 
 def withheld(tracks: Numbers, share: float, random: np.random.Generator) -> Numbers:
-    """Tracks `(n_frames, n_points, 2)` with a share of positions replaced by NaN, at random."""
+    """Return tracks `(n_frames, n_points, 2)` with a share of positions replaced by NaN, at random."""
     partial = tracks.copy()
     hidden = random.random(tracks.shape[:2]) < share
     hidden[:LEAST_FRAMES] = False  # every point is to be seen often enough
@@ -197,25 +197,25 @@ def withheld(tracks: Numbers, share: float, random: np.random.Generator) -> Numb
 
 
 def centred(shapes: Numbers) -> Numbers:
-    """Shapes `(n_frames, n_points, 3)` about their centroids."""
+    """Return shapes `(n_frames, n_points, 3)` about their centroids."""
     about: Numbers = shapes - shapes.mean(axis=1, keepdims=True)
     return about
 
 
 def normalised_error(shapes: Numbers, truth: Numbers) -> float:
-    """Mean over frames of |S - T| / |T|, Frobenius norms about the centroids."""
+    """Return the mean over frames of |S - T| / |T|, Frobenius norms about the centroids."""
     away = np.linalg.norm(centred(shapes) - centred(truth), axis=(1, 2))
     return float(np.mean(away / np.linalg.norm(centred(truth), axis=(1, 2))))
 
 
 def nearer_image(shapes: Numbers, truth: Numbers) -> Numbers:
-    """The shapes about their centroids or their mirror images in depth, all frames alike."""
+    """Return the shapes about their centroids or their mirror images in depth, all frames alike."""
     images = [centred(shapes), centred(shapes) * [1, 1, -1]]
     return min(images, key=lambda image: normalised_error(image, truth))
 
 
 def turned_onto(shapes: Numbers, truth: Numbers) -> Numbers:
-    """Each shape, or its mirror image in depth, turned onto the truth by least squares (Procrustes)."""
+    """Turn each shape, or its mirror image in depth, onto the truth by least squares (Procrustes)."""
     goal = centred(truth)
     placed = []
     for image in (centred(shapes), centred(shapes) * [1, 1, -1]):
@@ -228,7 +228,7 @@ def turned_onto(shapes: Numbers, truth: Numbers) -> Numbers:
 
 
 def draw(result: LearnedShape, canvas: Figure) -> None:
-    """Some frames' shapes over the truth, from the camera and from above."""
+    """Draw some frames' shapes over the truth, from the camera and from above."""
     placed, truth = result.placed, centred(result.truth)
     frames: Sequence[int] = np.linspace(0, len(truth) - 1, SHOWN).astype(int).tolist()
     for column, frame in zip(canvas.subplots(2, SHOWN).T, frames, strict=True):

@@ -57,7 +57,7 @@ METHODS = {
 
 @dataclass(frozen=True)
 class Cell:
-    """Chances with which sequences are made; `regain` is `None` where it is the same as `loose`."""
+    """Probabilities with which sequences are made; `regain` is `None` where it equals `loose`."""
 
     loose: float
     drift: float
@@ -65,18 +65,18 @@ class Cell:
 
     @property
     def named(self) -> tuple[str, str, str]:
-        """For tables."""
+        """Probabilities as text, for tables."""
         return f"{self.loose:g}", f"{self.drift:g}", "P(loose)" if self.regain is None else f"{self.regain:g}"
 
     def sequence(self, seed: int) -> Cylinder:
-        """The sequence of a seed."""
+        """Return the sequence of a seed."""
         regain = self.loose if self.regain is None else self.regain
         return cylinder(p_loose=self.loose, p_drift=self.drift, p_regain=regain, seed=seed)
 
 
 @dataclass(frozen=True, eq=False)
 class Recovered:
-    """What a method makes of a sequence, in radii."""
+    """Reconstruction of a sequence by a method, in radii."""
 
     positions: Numbers
     shape: Numbers
@@ -84,7 +84,7 @@ class Recovered:
 
 
 def cells() -> list[Cell]:
-    """All that the four panels show, at both values of P(regain); where nothing is lost, there is but one."""
+    """Return the cells of the four panels, at both values of P(regain); without loss there is but one."""
     chances = {(loose, drift) for loose in DRIFT_AT for drift in DRIFT}
     chances |= {(loose, drift) for loose in LOOSE for drift in LOOSE_AT}
     return [
@@ -120,7 +120,7 @@ def _dual_chain(tracks: Numbers, coherence: Coherence) -> Recovered:
 
 
 def scores(cell: Cell, seed: int) -> dict[str, StructureScores]:
-    """Errors of all methods on one sequence."""
+    """Return errors of all methods on one sequence."""
     truth = cell.sequence(seed)
     return {
         name: score_structure(found.positions, found.shape, found.point_of_track, truth)
@@ -132,7 +132,7 @@ Measured = Mapping[str, Sequence[StructureScores]]  # by method, one for each se
 
 
 def turning_cylinder() -> Findings:
-    """Figs. 9 and 10, with what is wanted of them."""
+    """Run Figs. 9 and 10."""
     everything = by_seed("cylinder", scores, cells(), SEEDS)
     errors = [
         [*cell.named, *(in_words(_errors(measured[name])) for name in METHODS)]
@@ -161,7 +161,7 @@ def turning_cylinder() -> Findings:
 
 
 def expectations_of(everything: Mapping[Cell, Measured]) -> list[Expectation]:
-    """What is wanted; of ratios of medians, in the worst of the cells that it is wanted of."""
+    """Return what is expected of ratios of medians, in the worst of the cells concerned."""
 
     def over(measured: Measured, name: str, *others: str, field: str = "reprojection_error") -> float:
         return _median(measured[name], field) / min(_median(measured[other], field) for other in others)
@@ -197,7 +197,7 @@ def expectations_of(everything: Mapping[Cell, Measured]) -> list[Expectation]:
 
 
 def draw_panels(everything: Mapping[Cell, Measured], canvas: Figure) -> None:
-    """Fig. 10: error over P(drift) above, over P(loose) below."""
+    """Draw Fig. 10: error over P(drift) above, over P(loose) below."""
     axes = canvas.subplots(2, 2)
     panels = [
         *(
@@ -233,7 +233,7 @@ def draw_panels(everything: Mapping[Cell, Measured], canvas: Figure) -> None:
 
 
 def draw_shapes(shapes: Mapping[str, Recovered], truth: Cylinder, canvas: Figure) -> None:
-    """Fig. 9: every method's shape from above and from the front."""
+    """Draw Fig. 9: every method's shape from above and from the front."""
     axes = canvas.subplots(2, len(METHODS), sharex=True, sharey="row")
     for column, (name, found) in zip(axes.T, shapes.items(), strict=True):
         placed = aligned(found, truth)
@@ -247,7 +247,7 @@ def draw_shapes(shapes: Mapping[str, Recovered], truth: Cylinder, canvas: Figure
 
 
 def aligned(recovered: Recovered, truth: Cylinder) -> Numbers:
-    """The shape `(n_points, 3)` after the affine map that brings it closest to the truth."""
+    """Return the shape `(n_points, 3)` after the affine map that brings it closest to the truth."""
     taken = recovered.point_of_track != REJECTED
     best = affine_alignment(
         recovered.shape[recovered.point_of_track[taken]], truth.shape[truth.point_of_track[taken]]
@@ -274,7 +274,7 @@ LINE = ("sequence", "method", "frames", "tracks", "points", "median frames of a 
 
 @dataclass(frozen=True, eq=False)
 class TrackedObject:
-    """What a method makes of a turning object."""
+    """Reconstruction of a turning object by a method."""
 
     counts: tuple[int, int, int]  # frames, tracks, points
     length: float  # median number of frames in which a point is seen
@@ -284,7 +284,7 @@ class TrackedObject:
 
 
 def box() -> Findings:
-    """Fig. 12 on CMU's hotel and on a table top: tracker and shape together, and one after the other.
+    """Run Fig. 12 on CMU's hotel and on a table top: tracker and shape together, and one after the other.
 
     Raises
     ------
@@ -315,7 +315,7 @@ def box() -> Findings:
 def expectations_of_objects(
     measured: Mapping[str, Mapping[str, Sequence[TrackedObject]]],
 ) -> list[Expectation]:
-    """What is wanted of both chains over the tracker alone."""
+    """Return what is expected of both chains over the tracker alone."""
     expectations = []
     for name, methods in measured.items():
         length, error = (

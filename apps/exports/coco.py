@@ -99,7 +99,7 @@ BITS, GOES_ON, NEGATIVE = 5, 0x20, 0x10
 
 
 def object_masks(foreground: NDArray[np.uint8], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """What of the foreground `(height, width)`, 0 or 255, lies in each box `(n, 4)`: x, y, width, height px.
+    """Return the foreground `(height, width)`, 0 or 255, within each box `(n, 4)`: x, y, width, height px.
 
     Returns
     -------
@@ -121,7 +121,7 @@ def _pixels(start: float, length: float, limit: int) -> slice:
 
 
 def compressed(mask: NDArray[np.bool_]) -> str:
-    """A mask `(height, width)` as COCO's compressed run lengths, `counts` of its `segmentation`.
+    """Return a mask `(height, width)` as COCO's compressed run lengths, `counts` of its `segmentation`.
 
     Runs of pixels that are 0 and 1 by turns, column after column, beginning with 0; from the fourth on, each
     is written as the difference from the one before the last, in characters of 5 bits (`rleToString` of the

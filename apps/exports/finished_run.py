@@ -1,4 +1,4 @@
-"""The folder of a finished run, as it is read again."""
+"""Folders of finished runs, read again."""
 
 import errno
 import json
@@ -26,7 +26,7 @@ SUMMARY = "summary.json"
 
 
 class RunFrame(NamedTuple):
-    """A frame of a background run: its number from 1, and the objects in it, whose covariances are NaN.
+    """Frame of a background run: its number from 1, and its objects, whose covariances are NaN.
 
     `foreground` is `(height, width)` uint8, 0 or 255; `None` where the run wrote no mask.
     """
@@ -38,7 +38,7 @@ class RunFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A run of an application whose results are in a folder, and the content of its `summary.json`."""
+    """Finished run of an application: its folder and the content of `summary.json`."""
 
     folder: Path
     application: str
@@ -101,7 +101,7 @@ class FinishedRun:
 
     @property
     def numbers(self) -> range:
-        """Numbers of the frames that were processed; of a live stream, of those that it dropped as well."""
+        """Numbers of the processed frames; of a live stream, of dropped ones as well."""
         first, last = self.summary.get("first_frame", 0), self.summary.get("last_frame", 0)
         parameters = self.summary.get("parameters")
         step = parameters.get("step", 0) if isinstance(parameters, dict) else 0
@@ -115,7 +115,7 @@ class FinishedRun:
 
     @property
     def source(self) -> str:
-        """What the run has read, as the user gave it."""
+        """Source of the run, as the user gave it."""
         return str(self.summary.get("source"))
 
     @property
@@ -126,7 +126,7 @@ class FinishedRun:
         return [path.name for path in images_among(Path(self.source).iterdir())]
 
     def frames(self, masks: bool = True) -> Iterator[RunFrame]:
-        """Read the frames of a background run, one after the other, with masks if these are wanted.
+        """Yield the frames of a background run, with masks if these are wanted.
 
         Raises
         ------
@@ -189,7 +189,7 @@ class FinishedRun:
 
 @checked
 def read_tracks_table(path: str | Path) -> dict[str, NDArray[Any]]:
-    """Read `tracks.csv` as columns, of which `pandas.DataFrame` and `polars.DataFrame` make a table.
+    """Read `tracks.csv` as columns, from which `pandas.DataFrame` and `polars.DataFrame` make a table.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def read_tracks_table(path: str | Path) -> dict[str, NDArray[Any]]:
 
 
 def table_rows(path: Path) -> Iterator[list[float]]:
-    """Rows of `tracks.csv` one by one, with the values of `COLUMNS`; raises as `read_tracks_table`."""
+    """Yield the rows of `tracks.csv`, with the values of `COLUMNS`; raises as `read_tracks_table`."""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         lines = lines_of(file)
         header = next(lines, "").strip()

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def to_supervision(
     tracks: Sequence[TrackedObject], foreground: Annotated[NDArray[np.uint8], Array(None, None)] | None = None
 ) -> "supervision.Detections":
-    """Objects of a frame as `supervision.Detections`.
+    """Return objects of a frame as `supervision.Detections`.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def to_key_points(
     covariances: Annotated[ArrayLike, Array("n", None, None, finite=False)],
     visible: Annotated[ArrayLike, Array("n")] | None = None,
 ) -> "supervision.KeyPoints":
-    """Points of one body or face as `supervision.KeyPoints`, whose ellipse annotators draw the covariances.
+    """Return points of one body or face as `supervision.KeyPoints`, for annotators that draw covariances.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ SPACE = ["x", "y"]
 
 @checked
 def to_movement(run: str | Path, out: str | Path) -> str:
-    """Write what a run has tracked as a netCDF file of `movement`, whole or not at all.
+    """Write the tracks of a run as a netCDF file of `movement`, whole or not at all.
 
     `run` is the folder of a background, body or face run. Returns a line on what was written.
 
@@ -45,7 +45,7 @@ def to_movement(run: str | Path, out: str | Path) -> str:
 
 @checked
 def movement_dataset(run: str | Path) -> "xarray.Dataset":
-    """What a run has tracked as a dataset of `movement`, from version 0.17 on (before, dims were plural).
+    """Return the tracks of a run as a dataset of `movement`, from version 0.17 on (before, dims were plural).
 
     Of a background run bounding boxes: `position` (the middle, px from the left and upper edge of the
     picture), `shape` (width and height, px) and `confidence`. Of a body and a face poses: `position` (px, the

@@ -1,4 +1,4 @@
-"""A finished run as a video: its film, with what was found drawn on it."""
+"""Films of finished runs with their results drawn on them."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,7 +22,7 @@ from .finished_run import FinishedRun
 
 @checked
 def to_video(run: str | Path, out: str | Path) -> str:
-    """Write the film of a run, what the page of the run plays, with what was found drawn on it, as MP4.
+    """Write the film of a run, which its page plays, with the results drawn on it, as MP4.
 
     Its pictures are of the size of the source, but their detail is that of `film.mp4`, whose sides are at
     most 640 px; `--video` of the run itself draws on the frames as they are. Returns a

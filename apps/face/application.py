@@ -57,12 +57,12 @@ class GivenLandmarks:
     step: int = 1
 
     def of_frame(self, number: int) -> Array | None:
-        """`(n_landmarks, 2)` px of the frame with this number; `None` if there are none."""
+        """Return the landmarks `(n_landmarks, 2)` px of the frame with this number; `None` without any."""
         row = (number - self.start) // self.step
         return self.rows[row] if 0 <= row < len(self.rows) else None
 
     def error(self, number: int, landmarks: Array) -> float:
-        """Mean distance of a frame's landmarks `(n_landmarks, 2)` from the given ones, px.
+        """Return the mean distance of a frame's landmarks `(n_landmarks, 2)` from the given ones, px.
 
         NaN where none is given for this frame, or only those of one frame are: they are where the track
         starts and say nothing about it.
@@ -76,7 +76,7 @@ class GivenLandmarks:
 
     @property
     def size(self) -> float:
-        """Px: root of the area of the box round the first landmarks."""
+        """Root of the area of the box around the first landmarks, px."""
         return float(np.sqrt(np.prod(np.nanmax(self.rows[0], axis=0) - np.nanmin(self.rows[0], axis=0))))
 
 
@@ -134,7 +134,7 @@ def _given_landmarks(job: FaceJob) -> GivenLandmarks | None:
 
 
 class Face(Application[FaceJob]):
-    """Where the face is in the first frame, its poses and texture, and how good they are."""
+    """Application that tracks a face with `GFlow`."""
 
     name = "face"
     files = ("poses.npz", "texture.png", "texture_variance.png")
@@ -147,11 +147,11 @@ class Face(Application[FaceJob]):
         self._textures: dict[str, Image] = {}
 
     def bytes_needed(self, source: Source) -> tuple[float, float]:
-        """Depends on the number of experts."""
+        """Return bytes a pixel and beside them, for the number of experts."""
         return FACE + self.job.experts * FACE_EXPERT, self.job.experts * EXPERT
 
     def build(self, start: Start) -> Engine:
-        """Take the face that is known from another run, or find it in the first frame that shows one."""
+        """Take the face from another run, or find it in the first frame that shows one; connect the chain."""
         job, memory = self.job, start.memory(self.schema)
         self._start = face = self._find_start(start) if memory is None else memory["start"]
         self._drawing = FaceDrawing(face.model)
@@ -171,7 +171,7 @@ class Face(Application[FaceJob]):
         return self._engine
 
     def _find_start(self, start: Start) -> FaceStart:
-        """The face in the first frame that shows one; frames before it are left out."""
+        """Find the face in the first frame that shows one; leave out frames before it."""
         for first in start.frames:
             face = self._start_in(first, start)
             if face is not None:
@@ -189,7 +189,7 @@ class Face(Application[FaceJob]):
         return face
 
     def columns(self, belief: Belief) -> Columns:
-        """Poses of the experts, their mean, and how sure they are."""
+        """Return the poses of the experts, their mean, and their covariance."""
         frame, state = belief.frame, belief[self._chain]
         mean = self._chain.mean_pose(state)
         vertices, covariance = self._chain.vertices(state)
@@ -227,15 +227,15 @@ class Face(Application[FaceJob]):
         )
 
     def drawing(self) -> Draw:
-        """Points of the face, and landmarks."""
+        """Return what draws the points of the face and the landmarks."""
         return draw_face
 
     def state_dict(self) -> dict[str, Any]:
-        """Who is tracked."""
+        """Return the start, with the person's model."""
         return {"start": self._start}
 
     def finish(self, log: RowLog) -> dict[str, Any]:
-        """Write poses and texture; how the track began, where it was lost, and errors against landmarks."""
+        """Write poses and texture; return start, lost frames, and errors against landmarks."""
         start, record, out = self._start, FaceRecord(log), self.job.out
         constants = {"bases": start.model.bases, "triangles": start.model.triangles}
         log.write_arrays(out / "poses.npz", constants, POSES)
@@ -261,7 +261,7 @@ class Face(Application[FaceJob]):
         }
 
     def page(self, log: RowLog, film: Film | None, summary: Mapping[str, Any]) -> Page:
-        """The face over the film and in space, and what is to be said of it."""
+        """Return the page: the face over the film and in space."""
         state, model = self._engine.state.states["gflow"], self._start.model
         morphs = self._chain.mean_pose(state).morphs[0]
         places = vertices_on_texture(model, morphs, self._chain.object.texels)
@@ -269,7 +269,7 @@ class Face(Application[FaceJob]):
         return face_page(self.title(summary["source"]), FaceRecord(log), summary, film, layer, model.names)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
-        """How much was lost, and the error."""
+        """Describe how much was lost, and the error."""
         words = [
             f"{summary['frames']} frames, {summary['frames_per_second']:.1f} a second, "
             f"{summary['lost_frames']} lost, {len(summary['reinitialised'])} re-initialisations"
@@ -282,7 +282,7 @@ class Face(Application[FaceJob]):
         return words
 
     def _finder(self, start: FaceStart) -> Finder | None:
-        """Who is asked where the face is when it is lost; nobody where OpenCV brings no detector along."""
+        """Return the detector that finds a lost face; `None` where OpenCV has none."""
         try:
             return DetectedFace(start.model, self._faces)
         except ValueError:
@@ -297,7 +297,7 @@ class Face(Application[FaceJob]):
         )
 
     def _start_in(self, frame: Frame, start: Start) -> FaceStart | None:
-        """Where the face is in a frame; `None` if it is not found, or nothing is to be seen."""
+        """Return the start of a face in a frame; `None` without one."""
         if frame.image is None:
             return None
         if self._given is None:

@@ -1,4 +1,4 @@
-"""What the face application is asked for."""
+"""Job of the face application."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from ..options.job import Bounds, FilmJob
 
 @dataclass(frozen=True, kw_only=True)
 class FaceJob(FilmJob):
-    """Which face to track, and how.
+    """Options of a face run.
 
     Parameters
     ----------

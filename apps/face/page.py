@@ -41,7 +41,7 @@ of a talking face all had more, and errors below 6.2 % of the pupils' distance; 
 
 
 def angles(rotation: Array) -> Array:
-    """`(3,)` degrees by which a face that looks at the viewer was turned, as he sees it.
+    """Return the turn of the head `(3,)` in degrees, as a viewer whom it faces sees it.
 
     First about the axis towards the viewer (clockwise), then about the horizontal one (down), at last about
     the vertical one (to the viewer's left), each counted positive.
@@ -51,7 +51,7 @@ def angles(rotation: Array) -> Array:
 
 
 class FaceRecord(FrameRecord):
-    """What summary and page need of a run, a few numbers a frame.
+    """Figures a frame that summary and page need.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class FaceRecord(FrameRecord):
         }
 
     def error_measures(self, size: float) -> dict[str, Any] | None:
-        """Distances from given landmarks that are `size` px large; `None` where there are none."""
+        """Return statistics of distances from given landmarks of `size` px; `None` without any."""
         values = np.array(self.errors)
         known = np.isfinite(values)
         if not known.any():
@@ -149,7 +149,7 @@ MORPH_INKS = (
 
 
 class FaceDrawing:
-    """What the page shows of a person's own model."""
+    """Drawing of a person's model on the page."""
 
     def __init__(self, model: MorphableModel) -> None:
         self._model = model
@@ -162,7 +162,7 @@ class FaceDrawing:
         self._mesh = triangles.astype(np.int32)
 
     def view_row(self, row: Mapping[str, Any], error: float) -> Row:
-        """What is drawn of a frame, from its row of `poses.npz`, and the error against landmarks, px."""
+        """Return what is drawn of a frame: its row of `poses.npz`, and the error against landmarks, px."""
         x, y = row["vertices_2d"][self._shown].T
         covariances = row["covariance"][self._shown]
         rotation = row["mean_rotation"]
@@ -178,7 +178,7 @@ class FaceDrawing:
         }
 
     def layer(self, film: Film, textures: Mapping[str, Image], on_texture: Array) -> dict[str, Any]:
-        """What is drawn over a film with what `drawn` gives, and beside it.
+        """Return the page's layer of a film with rows of `view_row`.
 
         `textures` are pictures by their captions; `on_texture` `(n_vertices, 2)` px says where on them
         vertices are.
@@ -210,7 +210,7 @@ def face_page(
     layer: Mapping[str, Any],
     names: Sequence[str],
 ) -> Page:
-    """Fill the page of a run of one frame at least.
+    """Return the page of a run of one frame or more.
 
     The film has columns of `FaceDrawing.drawn`, `layer` is what is drawn over it; `names` are those of the
     morph bases.
@@ -233,7 +233,7 @@ def face_page(
 
 
 def over_the_film(film: Film, layer: Mapping[str, Any]) -> tuple[dict[str, Any], list[TimelineRow]]:
-    """What is drawn over a film with columns of `FaceDrawing.drawn`, and the row of the face."""
+    """Return the layer over the film, from columns of `FaceDrawing.view_row`, and the face's row."""
     lost, missing, _ = film.columns["states"].T
     return {"face": layer}, [TimelineRow(0, "face", INK, spans_of(np.asarray(~(lost | missing))))]
 

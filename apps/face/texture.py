@@ -24,7 +24,7 @@ SUREST = 0.01
 
 
 def spread_vertices(shape: Array, most: int) -> NDArray[np.int64]:
-    """At most so many of the vertices `(n_vertices, 3)`, each as far as can be from those before it."""
+    """Return up to so many of the vertices `(n_vertices, 3)`, each farthest from those before it."""
     if len(shape) <= most:
         return np.arange(len(shape), dtype=np.int64)
     chosen = [int(np.argmin(shape[:, 2]))]
@@ -43,7 +43,7 @@ def _places(texels: SurfaceTexels, vertices: Array) -> Array:
 
 
 def texture_picture(model: MorphableModel, morphs: Array, texels: SurfaceTexels, values: Array) -> Array:
-    """A texture with `values (n_texels,)` on a model's shape of `morphs (n_bases,)` px, seen from the front.
+    """Render a texture `values (n_texels,)` on a shape of `morphs (n_bases,)` px, seen from the front.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def texture_picture(model: MorphableModel, morphs: Array, texels: SurfaceTexels,
 
 
 def vertices_on_texture(model: MorphableModel, morphs: Array, texels: SurfaceTexels) -> Array:
-    """`(n_vertices, 2)` px: where vertices are on a picture of `texture_picture`."""
+    """Return where vertices are on a picture of `texture_picture`, `(n_vertices, 2)` px."""
     positions, _, places = _from_the_front(model, morphs, texels)
     low, _, px = _picture_of(places)
     on_texture: Array = (positions[:, :2] - low) / px
@@ -89,7 +89,7 @@ def _picture_of(places: Array) -> tuple[Array, Array, float]:
 
 
 def write_textures(folder: Path, chain: GFlow, state: GFlowState) -> tuple[float, dict[str, Image]]:
-    """Write texture and variance of the most credible expert as pictures, on the mean shape from the front.
+    """Write texture and variance of the most probable expert as pictures, on the mean shape from the front.
 
     Returns
     -------

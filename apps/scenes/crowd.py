@@ -21,7 +21,7 @@ NOISE = 3.0  # grey levels, standard deviation of a pixel's
 
 
 def crowd(n_walkers: int, n_frames: int, size: tuple[int, int], seed: int = 0) -> Iterator[Frame]:
-    """Frames of `n_walkers` who cross a picture of `size` `(height, width)`; nobody is in the first frame.
+    """Yield frames of `n_walkers` who cross a picture of `size` `(height, width)`, the first one empty.
 
     Raises
     ------

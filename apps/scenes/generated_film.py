@@ -1,4 +1,4 @@
-"""What generated films have in common: each frame is worked out on its own, when it is asked for."""
+"""Base of generated films: each frame is made on its own, on request."""
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
@@ -13,11 +13,11 @@ T = TypeVar("T")
 
 
 class Lazy(Sequence[T]):
-    """Things that are worked out when they are asked for."""
+    """Sequence whose items are made on request."""
 
     @abstractmethod
     def made(self, index: int) -> T:
-        """Thing `index`, from 0."""
+        """Make item `index`, from 0."""
 
     @overload
     def __getitem__(self, index: int) -> T: ...
@@ -44,20 +44,20 @@ class GeneratedFilm(Lazy[Frame]):
 
     @abstractmethod
     def made(self, index: int) -> Frame:
-        """Frame `index` with its time."""
+        """Make frame `index` with its time."""
 
     def frame(self, index: int) -> Frame:
-        """The same as `self[index]`."""
+        """Return `self[index]`."""
         return self[index]
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        """What the camera gives for frame `index`: `(height, width[, 3])` uint8, BGR."""
+        """Return the picture of frame `index`: `(height, width[, 3])` uint8, BGR."""
         image = self[index].image
         assert image is not None
         return image
 
     def images(self) -> Iterator[NDArray[np.uint8]]:
-        """All pictures in turn."""
+        """Yield all pictures."""
         return (self.image(index) for index in range(len(self)))
 
     def _seen(self, picture: NDArray[np.float32], noise: float, stream: int, index: int) -> Frame:

@@ -8,7 +8,7 @@ Pixels = NDArray[np.float32]
 
 
 def mottle(shape: tuple[int, int], coarsest: float, finest: float, generator: np.random.Generator) -> Pixels:
-    """Noise of unit variance with as much in every octave, from spots of `coarsest` px down to `finest`."""
+    """Return noise of unit variance with as much in every octave, from spots of `coarsest` px to `finest`."""
     down, across = np.fft.fftfreq(shape[0]), np.fft.rfftfreq(shape[1])
     # spots as large as 0.4 wavelengths
     cycles = np.hypot(down[:, None], across[None, :]) / 0.4
@@ -20,7 +20,7 @@ def mottle(shape: tuple[int, int], coarsest: float, finest: float, generator: np
 
 
 def wander(times: Array, periods: tuple[float, float], generator: np.random.Generator) -> Array:
-    """A smooth random function of unit variance at `times` (s): sines of periods (s) in a range."""
+    """Return a smooth random function of unit variance at `times` (s): sines of periods (s) in a range."""
     n_sines = 8
     lengths = np.exp(generator.uniform(np.log(periods[0]), np.log(periods[1]), n_sines))
     phases = generator.uniform(0, 2 * np.pi, n_sines)
@@ -30,6 +30,6 @@ def wander(times: Array, periods: tuple[float, float], generator: np.random.Gene
 
 
 def inside(distance: Array, soft: float = 0.012) -> Array:
-    """1 where `distance` from an outline is positive, 0 outside, smooth over `soft`."""
+    """Return 1 where `distance` from an outline is positive, 0 outside, smooth over `soft`."""
     share: Array = 0.5 * (1 + np.tanh(distance / soft))
     return share

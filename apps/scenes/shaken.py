@@ -1,4 +1,4 @@
-"""A steady film as a camera that shakes would have taken it, with every frame's map."""
+"""A steady film as seen by a camera that shakes, with every frame's map."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ TURNING = 0.25  # of the shake's px: how far rotation, zoom and shear move the c
 @checked
 @dataclass(frozen=True, eq=False)
 class ShakenFilm(Lazy[Frame]):
-    """Take a steady film with a camera that shakes.
+    """Film of a steady film taken with a camera that shakes.
 
     The first frame is as it was. The map from the scene to a frame (see `AffineMap`) is an
     Ornstein-Uhlenbeck process of 0.15 s: shifts, and a quarter as much of rotation, zoom and shear.
@@ -55,7 +55,7 @@ class ShakenFilm(Lazy[Frame]):
         return len(self.film)
 
     def made(self, index: int) -> Frame:
-        """Frame `index` with its time."""
+        """Make frame `index` with its time."""
         frame = self.film[index]
         if frame.image is None:
             return frame
@@ -73,7 +73,7 @@ class ShakenFilm(Lazy[Frame]):
 
     @cached_property
     def views(self) -> list[AffineMap]:
-        """By which map each frame shows the middle of the steady film's picture."""
+        """Map by which each frame shows the middle of the steady film's picture."""
         random = np.random.default_rng([self.seed, 0])
         shares = self.amount * np.where(np.arange(UNKNOWNS) % 3 == 0, 1.0, TURNING)
         parameters, views, before = np.zeros(UNKNOWNS), [], self.film[0].time
@@ -85,7 +85,7 @@ class ShakenFilm(Lazy[Frame]):
         return views
 
     def mask(self, steady: NDArray[np.bool_], index: int) -> NDArray[np.bool_]:
-        """The foreground `(height, width)` that frame `index` shows of a mask of the steady film."""
+        """Return the foreground `(height, width)` of frame `index`, from a mask of the steady film."""
         return self._seen(steady.astype(np.float32), index, cv2.INTER_LINEAR) > 0.5
 
     def _seen(

@@ -22,7 +22,7 @@ Mask = NDArray[np.bool_]
 
 
 def paint_street(size: tuple[int, int], generator: np.random.Generator) -> Pixels:
-    """`(height, width, 3)` float32: house, fence and hedge, pavement, road, grass."""
+    """Paint the street, `(height, width, 3)` float32: house, fence and hedge, pavement, road, grass."""
     width, height = size
     unit = height / 240
     picture = np.empty((height, width, 3), np.float32)
@@ -93,7 +93,7 @@ def _line(
 
 
 def mottle(size: tuple[int, int], grain: float, generator: np.random.Generator) -> Pixels:
-    """`(height, width)` noise of unit variance in octaves, from spots of `grain` px down to single px."""
+    """Return `(height, width)` noise of unit variance in octaves, from spots of `grain` px to single px."""
     width, height = size
     field = np.zeros((height, width), np.float32)
     spot = max(grain, 1.0)
@@ -117,7 +117,7 @@ STRIDE = 0.85  # body heights that one cycle of both legs covers
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """A patch with premultiplied colour and coverage, and where its top-left corner lies in the picture."""
+    """Patch with premultiplied colour and coverage, and the place of its top-left corner in the picture."""
 
     patch: Pixels  # (height, width, 4): blue, green, red in 0..255 times coverage; coverage in 0..1
     left: int
@@ -147,20 +147,20 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Sprite:
-    """A drawn part, `DETAIL` texels a px, with the texel that its joint lies on."""
+    """Drawn part, `DETAIL` texels a px, with the texel that its joint lies on."""
 
     texels: Pixels  # (height, width, 4), premultiplied as in `Layer`
     joint: tuple[float, float]
 
     def standing(self, x: float, y: float) -> Layer:
-        """The sprite by itself, upright, with its joint at `(x, y)` px."""
+        """Place the sprite upright, with its joint at `(x, y)` px."""
         height, width = self.texels.shape[:2]
         left, top = (np.floor(np.array([x, y]) - np.array(self.joint) / DETAIL).astype(int) - 1).tolist()
         return compose([(self, _shift(x, y))], (left, top, width // DETAIL + 4, height // DETAIL + 4))
 
 
 def compose(parts: Sequence[tuple[Sprite, NDArray[np.float64]]], reach: tuple[int, int, int, int]) -> Layer:
-    """Lay parts over each other, the first at the back; matrices take px about the joint to the picture."""
+    """Lay parts over each other, the first at the back; matrices map px about the joint to the picture."""
     left, top, width, height = reach
     canvas = np.zeros((DETAIL * height, DETAIL * width, 4), np.float32)
     half = (DETAIL - 1) / 2  # from the corner of a px to the centre of its first texel, in texels
@@ -177,7 +177,7 @@ def compose(parts: Sequence[tuple[Sprite, NDArray[np.float64]]], reach: tuple[in
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """The person, cut into parts that turn about joints; lengths in hundredths of the body's height."""
+    """Person, cut into parts that turn about joints; lengths in hundredths of the body's height."""
 
     height: float  # px
     head: Sprite
@@ -189,7 +189,7 @@ class Figure:
 
     @classmethod
     def sewn(cls, height: float, generator: np.random.Generator) -> "Figure":
-        """A person of `height` px with textured clothes."""
+        """Make a person of `height` px with textured clothes."""
         unit = height / 100
         jacket, trousers, skin, shoe = (62, 84, 122), (104, 88, 80), (128, 156, 200), (38, 40, 46)
         limb = [(-4.8, -4.0), (4.8, -4.0), (3.9, 25.0), (-3.9, 25.0)]
@@ -220,7 +220,7 @@ class Figure:
         )
 
     def posed(self, x: float, y: float, walked: float, gait: float, seconds: float) -> Layer:
-        """The person with the feet at `(x, y)` px after `walked` px, legs swinging by `gait` in 0..1."""
+        """Pose the person with the feet at `(x, y)` px after `walked` px, legs swinging by `gait` in 0..1."""
         unit = self.height / 100
         phase = 2 * np.pi * walked / (STRIDE * self.height)
         rest = 1 - gait
@@ -286,7 +286,7 @@ def _draw(
 
 
 def car_sprite(length: float, generator: np.random.Generator) -> Sprite:
-    """A car seen from the side, `length` px long, its joint below the rear bumper on the ground."""
+    """Draw a car from the side, `length` px long, its joint below the rear bumper on the ground."""
     paint, glass, tyre, hub = (128, 92, 62), (92, 84, 74), (30, 30, 32), (150, 150, 152)
     body = [(0.5, -22), (3, -27), (20, -29), (31, -41), (36, -43), (62, -43), (67, -41), (79, -29)]
     body += [(94, -26), (99, -21), (99.5, -10), (97, -7), (2, -7), (0.5, -11)]
@@ -330,7 +330,7 @@ CLOUD_SHADE = 0.35  # how much of the light a cloud takes
 
 @dataclass(frozen=True)
 class TruthBox:
-    """Where an object is seen in a frame.
+    """Box of the visible part of an object in a frame.
 
     Parameters
     ----------
@@ -402,11 +402,11 @@ class Scene(GeneratedFilm):
 
     @property
     def masks(self) -> Sequence[Mask]:
-        """The exact foreground, `(height, width)` bool for every frame, worked out when asked for."""
+        """Exact foreground, `(height, width)` bool for every frame, made on request."""
         return _Masks(self)
 
     def made(self, index: int) -> Frame:
-        """Frame `index` with its time; the picture has colours."""
+        """Make frame `index` with its time; the picture has colours."""
         picture = self._composed(index)
         picture *= np.float32(self._light(index))
         if self.clouds:
@@ -414,7 +414,7 @@ class Scene(GeneratedFilm):
         return self._seen(picture, self.noise, 1, index)
 
     def foreground(self, index: int) -> Mask:
-        """`(height, width)` bool: the person, and the car from its first movement on.
+        """Return `(height, width)` bool: the person, and the car from its first movement on.
 
         A car parked since the first frame is background until it leaves; the ground that it uncovers is
         background from the frame in which it can be seen.
@@ -422,15 +422,17 @@ class Scene(GeneratedFilm):
         return self.person(index) | (self.car(index) if index >= self.car_leaves else False)
 
     def person(self, index: int) -> Mask:
-        """`(height, width)` bool: pixels that the person covers by more than half."""
+        """Return `(height, width)` bool: pixels that the person covers by more than half."""
         return self._visible(index)[1]
 
     def car(self, index: int) -> Mask:
-        """`(height, width)` bool: pixels that the car covers, parked or moving, and the person does not."""
+        """Return `(height, width)` bool: pixels that the car covers, parked or moving, and the person does
+        not.
+        """
         return self._visible(index)[0]
 
     def boxes(self, index: int) -> list[TruthBox]:
-        """Boxes around the visible part of everything that is foreground in frame `index`."""
+        """Return boxes around the visible part of all foreground in frame `index`."""
         car, person = self._visible(index)
         boxes = []
         if index >= self.car_leaves and car.any():

@@ -39,14 +39,16 @@ MARGIN = 1.03  # extent of a skin's picture, in extents of the surface
 
 
 def skin_texels(plane: Array, density: float) -> Array:
-    """Column and row in a skin's picture of points `(n, 2)` of `face_plane`, at `density` texels a unit."""
+    """Return column and row in a skin's picture of points `(n, 2)` of `face_plane`, at `density` texels a
+    unit.
+    """
     corner = MARGIN * RIM * np.array([HALF_WIDTH, HALF_HEIGHT])
     texels: Array = (plane + corner) * density
     return texels
 
 
 def paint_skin(density: float, contrast: float, generator: np.random.Generator) -> Pixels:
-    """Albedo of a face as grey levels under full light, `density` texels a unit of `face_plane`.
+    """Paint a face's albedo as grey levels under full light, `density` texels a unit of `face_plane`.
 
     Blotches of all sizes, freckles, and what everybody has: brows, eyes, nostrils, lips and hair. `contrast`
     scales all differences from `SKIN`.
@@ -89,7 +91,7 @@ def paint_skin(density: float, contrast: float, generator: np.random.Generator) 
 
 
 def paint_room(size: tuple[int, int], contrast: float, generator: np.random.Generator) -> Pixels:
-    """What is behind the face, `(height, width)`: a wall with boxes, some of them striped like books."""
+    """Paint the room behind the face, `(height, width)`: a wall with boxes, some striped like books."""
     width, height = size
     unit = height / 240
     picture = 14.0 * mottle((height, width), 60 * unit, 1.2 * unit, generator)
@@ -138,7 +140,7 @@ AMBIENT = 0.4  # share of the light that has no direction
 
 @dataclass(frozen=True)
 class Manner:
-    """How somebody moves: shortest and longest periods (s) of the sines that are summed, and amplitudes."""
+    """Manner of moving: shortest and longest periods (s) of the sines that are summed, and amplitudes."""
 
     # head, travel, expression: periods of rotations and scale, of translation, and of expressions
     head: tuple[float, float]
@@ -211,18 +213,18 @@ class FaceScene(GeneratedFilm):
     noise: NotNegative = 2.0
 
     def made(self, index: int) -> Frame:
-        """Frame `index` with its time."""
+        """Make frame `index` with its time."""
         return self._seen(self._render(index)[0], self.noise, 5, index)
 
     def foreground(self, index: int) -> Mask:
-        """`(height, width)` bool: pixels that the face covers by more than half."""
+        """Return `(height, width)` bool: pixels that the face covers by more than half."""
         return self._render(range(self.n_frames)[index])[1] > 0.5
 
     # The truth
 
     @cached_property
     def model(self) -> MorphableModel:
-        """What a tracker is given: the coarse mesh of the face."""
+        """Model for trackers: the coarse mesh of the face."""
         return face_model(1, shields=self.shields)
 
     @cached_property
@@ -232,7 +234,7 @@ class FaceScene(GeneratedFilm):
 
     @cached_property
     def vertices(self) -> Array:
-        """Where the vertices of `model` are, `(n_frames, n_vertices, 2)` px."""
+        """Places of the vertices of `model`, `(n_frames, n_vertices, 2)` px."""
         return self.model.project(self.poses)
 
     # What it looks like

@@ -50,7 +50,7 @@ class Cylinder:
     seed: int
 
     def tracks(self) -> NDArray[np.float64]:
-        """What a tracker makes of it, `(n_frames, n_tracks, 2)`, NaN where a track has no observation.
+        """Return the tracks of a poor tracker, `(n_frames, n_tracks, 2)`, NaN without an observation.
 
         Every stretch of frames through which a point is visible without a gap is a track of its own. Their
         order is random, so that it tells nothing of which belong together.
@@ -61,7 +61,7 @@ class Cylinder:
 
     @property
     def point_of_track(self) -> NDArray[np.int64]:
-        """The point that each track shows, `(n_tracks,)`: the truth about `tracks`."""
+        """Point of each track, `(n_tracks,)`: the truth about `tracks`."""
         return self._stretches[:, 0]
 
     @cached_property

@@ -1,4 +1,4 @@
-"""A textured body that turns on black before a perspective camera: pictures far apart, geometry known."""
+"""A textured body that turns on black before a perspective camera: pictures far apart, known geometry."""
 
 from dataclasses import dataclass
 
@@ -66,7 +66,7 @@ def turntable(
     degrees_per_frame: float = 10.0,
     seed: CountFrom0 = 0,
 ) -> Turntable:
-    """Make the film: a bumpy, mottled body under a light that stays where it is.
+    """Make the film: a bumpy, mottled body that turns under a fixed light.
 
     Parameters
     ----------

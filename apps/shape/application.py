@@ -46,7 +46,7 @@ def run_shape(job: ShapeJob) -> Outcome:
 
 
 def _learned(job: ShapeJob, tracks: Numbers, numbers: range) -> Iterator[LearnedShape]:
-    """The only item is what is found: a signal ends it at once, and later leaves complete results."""
+    """Learn the shape, the only item: a signal before it ends the run, one after it keeps all results."""
     with Progress(NAME, None, unit="iterations") as progress:
         try:
             choice = choose_bases(tracks, on_iteration=progress.update) if job.bases == AUTO else None
@@ -92,7 +92,7 @@ def _written(session: Session, result: LearnedShape, truth: Numbers | None) -> d
 
 
 def in_words(summary: Mapping[str, Any]) -> list[str]:
-    """Points, and how well they fit."""
+    """Describe the number of points and how well they fit."""
     return [
         f"{summary['frames']} frames, {summary['points']} points, {summary['bases']} bases",
         f"reprojection error {summary['reprojection_rmse_px_per_point']:.3g} px per point, "
@@ -105,7 +105,7 @@ def in_words(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _read_truth(path: Path, tracks: Numbers, numbers: range) -> Numbers:
-    """The true shapes of the selected frames; ValueError if they are none, or of other frames or points."""
+    """Read the true shapes of the selected frames; ValueError if frames or points differ."""
     truth = read_shapes(path)
     if len(truth) <= numbers[-1] - 1 or truth.shape[1] != tracks.shape[1]:
         raise ValueError(
@@ -116,7 +116,7 @@ def _read_truth(path: Path, tracks: Numbers, numbers: range) -> Numbers:
 
 
 def _notes(result: LearnedShape) -> list[str]:
-    """What is to be said about the result, a sentence each."""
+    """Return the notes on a result, a sentence each."""
     notes, learned = [], result.learned
     unknown = [
         number for number, known in zip(result.numbers, learned.frame_determined, strict=True) if not known

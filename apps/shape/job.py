@@ -1,4 +1,4 @@
-"""What the shape application is asked for."""
+"""Job of the shape application."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ AUTO: Literal["auto"] = "auto"
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeJob(Job):
-    """Of what to learn a shape, and how.
+    """Options of a shape run.
 
     Parameters
     ----------

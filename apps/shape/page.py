@@ -22,7 +22,7 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LearnedShape:
-    """A shape and the tracks `(n_frames, n_points, 2)` px, NaN where not seen, that it was learned from.
+    """Shape and the tracks `(n_frames, n_points, 2)` px, NaN where not seen, that it was learned from.
 
     Frames are numbered from 1. `choice` is how the number of bases was chosen; `None` where it was given.
     """
@@ -34,7 +34,7 @@ class LearnedShape:
 
     @property
     def times(self) -> Numbers:
-        """`(n_frames,)` s: tracks have no rate of their own, and the usual one is taken."""
+        """`(n_frames,)` s, at the default rate: tracks have none of their own."""
         return (np.array(self.numbers, np.float64) - 1) / DEFAULT_RATE
 
     @property
@@ -97,7 +97,7 @@ SWING = 2.0
 
 
 def shape_page(title: str, result: LearnedShape, summary: Mapping[str, Any]) -> Page:
-    """Fill the page of a run."""
+    """Return the page of a run."""
     learned = result.learned
     positions = result.shapes[..., :2]
     followed = FollowedPoints(positions, result.covariances[..., :2, :2], result.residuals, "shape and pose")

@@ -59,7 +59,7 @@ TRACK_FILES = (".npy", ".npz", ".mat")
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """What was read from the source: frames with images, or with the points of a track file.
+    """Frames with images, or with the points of a track file, as they were read from the source.
 
     Of a track file `n_tracks` is the number of its columns. `rate` is in frames per second of those that
     were selected, `notes` are sentences on what is out of the ordinary, `pictures` the files of the frames,
@@ -102,7 +102,7 @@ def run_structure(job: StructureJob) -> Outcome:
 
 
 class _StructureRun:
-    """One run: the film, and how far the ascent has come."""
+    """One run: the film and the state of the ascent."""
 
     def __init__(self, job: StructureJob, session: Session) -> None:
         self.job, self._session = job, session
@@ -110,7 +110,7 @@ class _StructureRun:
         self._begun = False
 
     def run(self) -> Outcome:
-        """Read, ascend, write."""
+        """Read the film, run coordinate ascent, and write the results."""
         job, session = self.job, self._session
         saved = about = None
         if job.resume and self._state.exists():
@@ -148,7 +148,7 @@ class _StructureRun:
         return session.outcome(summary, in_words(summary))
 
     def _ascended(self, after: Solution | None) -> Solution:
-        """The best solution, when the ascent ends or a signal arrives; saved after every round.
+        """Return the solution at which the ascent or a signal ends; it is saved after every round.
 
         A ValueError says why no shape can be found in what is followed.
         """
@@ -316,7 +316,7 @@ def _write_video(path: Path, frames: Sequence[Frame], result: Reconstruction, ra
 
 
 def _notes(result: Reconstruction, diagnosis: Diagnosis | None, given: bool) -> list[str]:
-    """What is to be said about the result, a sentence each; `given` tracks are named."""
+    """Return the notes on a result, a sentence each; rejected tracks are listed if `given`."""
     notes = [] if diagnosis is None else list(diagnosis.sentences)
     if result.geometry == "affine":
         notes.append(f"The shape is known up to an affine map only: {result.reason}.")

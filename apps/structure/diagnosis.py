@@ -1,4 +1,4 @@
-"""Why a run has found no structure: what is missing, the figures that show it, and what to do about it."""
+"""Diagnosis of runs without a structure: what is missing, the figures that show it, and what to do."""
 
 import math
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ CONTRAST = 4.0
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Why there is no structure: what is missing, why, and what to do, a sentence or two each, and figures.
+    """Why there is no structure: what is missing, the cause, the advice, and the figures behind them.
 
     Figures are in px, frames and grey levels; `None` where one could not be measured.
     """
@@ -34,11 +34,11 @@ class Diagnosis:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """All that is to be said."""
+        """What is missing, why, and what to do."""
         return self.missing, self.why, self.advice
 
     def facts(self) -> dict[str, Any]:
-        """What the summary says of it."""
+        """Return the entries of `summary.json`."""
         return {
             "tracks": int(self.figures.get("tracks") or 0),
             "points": 0,
@@ -49,7 +49,7 @@ class Diagnosis:
 
 
 def too_little(frames: Sequence[Frame], n_tracks: int | None) -> Diagnosis | None:
-    """Why frames, or tracks if there are `n_tracks` instead of pictures, are too few to begin with."""
+    """Diagnose too few frames, or too few of `n_tracks` tracks in place of pictures; else return `None`."""
     present = sum(not frame.missing for frame in frames)
     if present < FEWEST_FRAMES:
         what = "frame" if present == 1 else "frames"
@@ -74,7 +74,7 @@ def too_little(frames: Sequence[Frame], n_tracks: int | None) -> Diagnosis | Non
 
 
 def no_points(frames: Sequence[Frame], tracks: Numbers, reason: str) -> Diagnosis:
-    """Why none of the points that were followed became one of a shape.
+    """Diagnose that none of the tracked points became a point of a shape.
 
     `tracks` are `(n_frames, n_tracks, 2)` px, NaN where not seen; `reason` is what else is known of it.
     """
@@ -141,7 +141,7 @@ ADVICE: dict[Kind, str] = {
 
 
 def no_depth(reason: str, tracks: Numbers) -> Diagnosis:
-    """Why a reconstruction has no depth, of tracks `(n_frames, n_tracks, 2)` px, NaN where not seen."""
+    """Diagnose a lack of depth from tracks `(n_frames, n_tracks, 2)` px, NaN where not seen."""
     motion = motion_of(tracks)
     parallax = ""
     if math.isfinite(motion.parallax):

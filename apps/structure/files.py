@@ -1,4 +1,4 @@
-"""Files that a structure-from-motion run leaves: the shape, the cameras, the tracks."""
+"""Files of a structure-from-motion run: the shape, the cameras, the tracks."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -70,7 +70,7 @@ def write_ply(path: Path, result: Reconstruction, colours: NDArray[np.uint8]) ->
 
 
 def write_cameras(path: Path, result: Reconstruction, frames: Sequence[Frame]) -> None:
-    """Write every frame's camera as JSON; what is not known is `null`."""
+    """Write every frame's camera as JSON; unknown values are `null`."""
     entries = []
     scales, rotations = orthographic_parts(result.cameras)
     for frame, camera, scale, rotation in zip(frames, result.cameras, scales, rotations, strict=True):
@@ -106,7 +106,7 @@ def _perspective(structure: PerspectiveStructure, entries: list[dict[str, Any]])
 
 
 def orthographic_parts(cameras: Numbers) -> tuple[Numbers, Numbers]:
-    """Scales `(n_frames,)` and rotations `(n_frames, 3, 3)` nearest to cameras; NaN for unknown ones."""
+    """Return scales `(n_frames,)`, rotations `(n_frames, 3, 3)` nearest to cameras; NaN for unknown ones."""
     known = np.isfinite(cameras).all(axis=(1, 2))
     scales, rotations = np.full(len(cameras), np.nan), np.full((len(cameras), 3, 3), np.nan)
     scales[known], rotations[known] = scaled_rotations(cameras[known, :, :3])
@@ -133,7 +133,7 @@ def write_tracks(path: Path, result: Reconstruction, frames: Sequence[Frame]) ->
 
 
 def recorded_predictions(solution: Solution) -> tuple[PairRecord, ...]:
-    """Record the final predictions of both chains of a structure run, for `rsmcm validity`.
+    """Record the final predictions of both chains for `rsmcm validity`.
 
     The tracker's messages come from the other frames' observations of the same point, the shape's from all
     but that of the point in the frame.
@@ -154,7 +154,7 @@ def recorded_predictions(solution: Solution) -> tuple[PairRecord, ...]:
 
 
 def point_colours(frames: Sequence[Frame], result: Reconstruction) -> NDArray[np.uint8]:
-    """The median colour of every point where it was seen, `(n_points, 3)` BGR; grey where there is none."""
+    """Return each point's median colour where it was seen, `(n_points, 3)` BGR; grey where there is none."""
     samples = np.full((len(frames), result.n_points, 3), np.nan, np.float32)
     for frame, places, seen, colours in zip(frames, result.places, result.observed, samples, strict=True):
         if frame.image is not None:
@@ -168,7 +168,7 @@ def point_colours(frames: Sequence[Frame], result: Reconstruction) -> NDArray[np
 
 
 def colours_at(frame: Frame, places: Numbers) -> NDArray[np.uint8]:
-    """`(n, 3)` BGR of the picture at places `(n, 2)` px; grey where there is no picture."""
+    """Return the picture's colours `(n, 3)` BGR at places `(n, 2)` px; grey without a picture."""
     colours = np.full((len(places), 3), GREY, np.uint8)
     if frame.image is not None and len(places):
         height, width = frame.image.shape[:2]

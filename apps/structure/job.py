@@ -1,4 +1,4 @@
-"""What the structure application is asked for."""
+"""Job of the structure application."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ Camera = Literal["auto", "affine", "perspective"]
 
 @dataclass(frozen=True, kw_only=True)
 class StructureJob(FilmJob):
-    """Of what to find the structure, and how.
+    """Options of a structure run.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class StructureJob(FilmJob):
     )
 
     def settings(self) -> dict[str, Any]:
-        """What the results depend on, beside the source."""
+        """Return what the results depend on, beside the source."""
         if self.engine == "recursive-bp":
             return {"engine": self.engine, **super().settings()}
         return self.plain(("coherence", "association", "camera", "focal", *Job.OF_RUNS))

@@ -1,4 +1,4 @@
-"""`rsmcm structure --engine recursive-bp`: shape and camera while frames come in, also of live sources."""
+"""`rsmcm structure --engine recursive-bp`: shape and camera frame by frame, also of live sources."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -31,18 +31,18 @@ PER_PIXEL, BESIDE = 60.0, 4e8
 
 
 class RecursiveRun(Application[StructureJob]):
-    """A tracker of points, and `RecursiveStructure`, which knows them as one rigid shape."""
+    """Run of a point tracker and `RecursiveStructure`."""
 
     name = "structure"
     files = ("structure.ply", "cameras.json", "tracks.npz")
     blank_is_missing = False
 
     def bytes_needed(self, source: Source) -> tuple[float, float]:
-        """Of the tracker's pictures and the points."""
+        """Return bytes a pixel and bytes beside them."""
         return PER_PIXEL, BESIDE
 
     def build(self, start: Start) -> Engine:
-        """Both chains at one feature node."""
+        """Connect both chains at one feature node."""
         points = PointTracks()
         self._tracker, self._shape = PointTracker(), RecursiveStructure()
         model = MultiChain().connect(self._tracker, points).connect(self._shape, points)
@@ -50,7 +50,7 @@ class RecursiveRun(Application[StructureJob]):
         return self._engine
 
     def columns(self, belief: Belief) -> Columns:
-        """The camera, and where the frame shows which points; NaN as long as there is no shape."""
+        """Return the camera and the points seen in the frame; NaN while there is no shape."""
         frame, structure, seen = belief.frame, self._structure(belief.states), NO_POINTS
         if belief.states:
             view = belief[self._tracker].view
@@ -67,13 +67,13 @@ class RecursiveRun(Application[StructureJob]):
         )
 
     def drawing(self) -> Draw:
-        """Dots where points are seen, and rings where they should be; without their way, as they change."""
+        """Draw dots where points are seen, and rings where they are expected."""
         return lambda image, row, number, time, *, missing: PointsOverlay()(
             image, row, number, time, missing=missing
         )
 
     def finish(self, log: RowLog) -> dict[str, Any]:
-        """Write shape, cameras and tracks of the points that are known at the end."""
+        """Write shape, cameras and tracks of the points of the last shape."""
         structure, out = self._structure(self._engine.state.states), self.job.out
         self._frames = [
             Frame(None, time, number)
@@ -103,14 +103,14 @@ class RecursiveRun(Application[StructureJob]):
         }
 
     def page(self, log: RowLog, film: Film | None, summary: Mapping[str, Any]) -> Page:
-        """Points over the film and in space."""
+        """Return the page: points over the film and in space."""
         title = f"{summary['source']}: structure from motion"
         if self._found is None or film is None:
             return nothing_page(title, self._frames, {}, summary, film)
         return structure_page(title, self._frames, self._found, self._colours, summary, film)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
-        """Points, and how well they fit."""
+        """Describe the number of points and how well they fit."""
         return in_words(summary)
 
     def _structure(self, states: Mapping[str, Any]) -> Structure | None:

@@ -72,7 +72,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def folder_of(name: str) -> Path:
-    """Where a part leaves its record."""
+    """Return the folder of a part's record."""
     return Path("results") / name if name == CURVES else FOLDER / name
 
 
@@ -104,7 +104,7 @@ def _measured(chosen: Sequence[str]) -> int:
 
 
 def joined(parts: Sequence[Record]) -> Record:
-    """One record of several; figures of a part that other processes disturbed are marked.
+    """Join several records; figures of a part that other processes disturbed are marked.
 
     It is as old as the oldest part.
     """
@@ -130,7 +130,7 @@ def joined(parts: Sequence[Record]) -> Record:
 
 
 def regressions(new: Record, old: Record) -> list[str]:
-    """What got worse: a line for each ratio that did, and for each that is no longer measured.
+    """Return a line for each ratio that is worse than before, and for each that is no longer measured.
 
     Only ratios of times that were measured together are compared, which do not depend on how fast a machine
     is, and only those of which something is wanted. Worse is what is beyond the worse quartile of before by

@@ -60,7 +60,7 @@ Image = NDArray[np.uint8]
 
 
 def preloaded(n_frames: int = N_FRAMES, step: int = 1, **generated: Any) -> Sequence[Frame]:
-    """Every `step`-th frame of PETS2009 S2.L1 where it can be found, else of a generated scene."""
+    """Return every `step`-th frame of PETS2009 S2.L1 where it can be found, else of a generated scene."""
     try:
         film = str(data_folder("pets2009-s2l1") / "vtest.avi")
     except OSError:
@@ -70,7 +70,7 @@ def preloaded(n_frames: int = N_FRAMES, step: int = 1, **generated: Any) -> Sequ
 
 
 def write_film(path: Path, images: Iterable[Image], rate: float) -> Path:
-    """Pictures as a video file, `rate` a second."""
+    """Write pictures as a video file, `rate` a second."""
     film = SegmentedVideo(path, rate, PLAYABLE)
     for number, image in enumerate(images, start=1):
         film.write(image, number, (number - 1) / rate)
@@ -79,7 +79,7 @@ def write_film(path: Path, images: Iterable[Image], rate: float) -> Path:
 
 
 def in_steps(model: MultiChain) -> Callable[[Frame], object]:
-    """A model of the background application: mask and tracks of frame after frame.
+    """Return a function that takes frame after frame and gives mask and tracks by a model.
 
     OpenCV has one thread meanwhile, as in the command.
     """
@@ -97,7 +97,7 @@ def in_steps(model: MultiChain) -> Callable[[Frame], object]:
 
 
 def subtracting(subtractor: cv2.BackgroundSubtractor, threads: int) -> Callable[[Frame], object]:
-    """OpenCV's masks of frame after frame."""
+    """Return a function that takes frame after frame and gives OpenCV's masks."""
 
     def step(frame: Frame) -> object:
         cv2.setNumThreads(threads)  # which takes no time where it has as many
@@ -107,7 +107,7 @@ def subtracting(subtractor: cv2.BackgroundSubtractor, threads: int) -> Callable[
 
 
 def image_of(frame: Frame) -> Image:
-    """The picture of a frame that has one."""
+    """Return the picture of a frame that has one."""
     assert frame.image is not None
     return frame.image
 
@@ -120,7 +120,7 @@ def _on(threads: int) -> str:
 
 
 def speeds() -> Findings:
-    """At the size of PETS, on one thread and on two."""
+    """Measure at the size of PETS, on one thread and on two."""
     frames, expectations = preloaded(), list[Expectation]()
     for threads, wanted in WANTED.items():
         set_threads(threads)
@@ -155,7 +155,7 @@ def _of_speeds(at: str, wanted: Sequence[float], seconds: Mapping[str, float]) -
 
 
 def large() -> Findings:
-    """In a large picture with a crowd, on one thread and on two."""
+    """Measure in a large picture with a crowd, on one thread and on two."""
     frames = list(crowd(N_OBJECTS, CROWD_WARM_UP + ROUNDS * CROWD_TURN, LARGE[::-1]))
     expectations: list[Expectation] = []
     for threads, wanted in WANTED_LARGE.items():
@@ -178,7 +178,7 @@ def _of_large(at: str, wanted: float, seconds: Mapping[str, float]) -> list[Expe
 
 
 def objects() -> Findings:
-    """What the tracker takes for many objects, beside what it takes for few."""
+    """Measure the blob tracker with many objects, beside few."""
     set_threads(1)
     spent = {}
     for count in (FEW, MANY):
@@ -200,7 +200,7 @@ def _of_objects(seconds: Mapping[int, float]) -> list[Expectation]:
 
 
 def whole_command() -> Findings:
-    """Frames a second of the command, and what it needs beyond its engine, with two threads."""
+    """Measure frames a second of the command, and its time beyond its engine, with two threads."""
     set_threads(COMMAND_THREADS)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -230,7 +230,7 @@ def whole_command() -> Findings:
 
 
 def of_commands(seconds: Mapping[str, float]) -> Sequence[Expectation]:
-    """What seconds of short and long parts mean."""
+    """Return figures from the seconds of short and long parts."""
     whole, alone = seconds["long"] - seconds["short"], seconds["engine"] - seconds["begun"]
     what = "whole command, two threads"
     return [
@@ -250,7 +250,9 @@ def _film_in(folder: Path) -> Path:
 
 
 def start() -> Findings:
-    """Seconds to the first frame and the 40th, with compiled loops on disk and without, and to the help."""
+    """Measure seconds to the first frame and the 40th, with compiled loops on disk and without, and to the
+    help.
+    """
     found: list[Expectation] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -274,7 +276,7 @@ def start() -> Findings:
 
 
 def main() -> None:
-    """The command, which says when (s since 1970) its engine answered its first frame and its last one."""
+    """Run the command, and print when (s since 1970) its engine had done its first and its last frame."""
     moments: list[float] = []
     step = RecursiveBP.step
 

@@ -48,7 +48,7 @@ class Run:
 
 
 def capacity() -> Findings:
-    """What processes and threads on all cores carry, of a film in two sizes."""
+    """Measure what processes and threads on all cores carry, of a film in two sizes."""
     cores = cpu_count()
     alone, together = Workers(1, 1), Workers(cores, 1)
     with tempfile.TemporaryDirectory() as name:
@@ -76,7 +76,7 @@ def capacity() -> Findings:
 
 
 def carried(film: Path, workers: Workers, runs: int = RUNS) -> list[Run]:
-    """Work off the film several times in every process; of each, the mean rate of all runs but the first."""
+    """Run over the film several times in every process; of each, the mean rate of all runs but the first."""
     with tempfile.TemporaryDirectory() as folder, working(workers):
         job = BackgroundJob(str(film), out=Path(), masks="video")
         jobs = [replace(job, out=Path(folder) / str(number)) for number in range(runs * workers.jobs)]
@@ -91,7 +91,7 @@ def carried(film: Path, workers: Workers, runs: int = RUNS) -> list[Run]:
 
 
 def measured(job: BackgroundJob) -> Run:
-    """Run a job in this process."""
+    """Measure a job in this process."""
     rate = run_background(job).summary["frames_per_second"]
     kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024 if sys.platform == "darwin" else 1)
     sizes = {path.name: path.stat().st_size for path in job.out.rglob("*") if path.is_file()}
@@ -100,7 +100,7 @@ def measured(job: BackgroundJob) -> Run:
 
 
 def row(film: Path, size: tuple[int, int], workers: Workers, limits: list[Run]) -> tuple[object, ...]:
-    """A line of the table."""
+    """Return a line of the table."""
     rate = sum(each.rate for each in limits)
     return (
         f"{size[0]}x{size[1]}", f"{workers.jobs} x {workers.threads}", rate, int(rate / RATE),

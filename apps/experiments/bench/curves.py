@@ -65,7 +65,7 @@ PIECES, PIECE = 4, 15  # tracks of a point, and frames of each
 
 @dataclass(frozen=True)
 class Curve:
-    """Cost over size: what is done, what there is more of, and sizes and seconds, from few to many."""
+    """Cost over size: what is done, the unit of size, and sizes with seconds, from few to many."""
 
     name: str
     unit: str
@@ -73,13 +73,12 @@ class Curve:
 
     @classmethod
     def of(cls, name: str, unit: str, rounds: Mapping[float, Sequence[float]]) -> "Curve":
-        """Of seconds of several rounds, by size: their medians."""
+        """Return the curve of medians of several rounds' seconds, by size."""
         return cls(name, unit, [(size, float(np.median(seconds))) for size, seconds in rounds.items()])
 
     @property
     def power(self) -> tuple[float, float]:
-        """The power of the size that fits the time best (least squares of logarithms), and its standard
-        error."""
+        """Power of the size that fits the time best (least squares of logarithms), and its standard error."""
         size, seconds = np.log(self.points).T
         size -= size.mean()
         power = float(size @ seconds / (size @ size))
@@ -88,14 +87,14 @@ class Curve:
         return power, float(np.sqrt(left @ left / degrees / (size @ size))) if degrees > 0 else math.nan
 
     def expectation(self, bound: float | None) -> Expectation:
-        """The power, and what it should be at most."""
+        """Return the power, with its upper bound."""
         power, error = self.power
         what = f"{self.name}: power of time in {self.unit}"
         return Expectation(what, power, "<=", bound, error, len(self.points), ratio=True)
 
 
 def curves() -> Findings:
-    """Measure all of them: on one thread, but of bodies and faces on two, as they run."""
+    """Measure all curves: on one thread, but of bodies and faces on two, as they run."""
     set_threads(1)
     over_time, grown = over_frames_of_a_film(N_WATCHED)
     found = [
@@ -111,7 +110,7 @@ def curves() -> Findings:
 
 
 def plot(curves: Sequence[Curve]) -> Plot:
-    """A panel for each kind of size."""
+    """Plot a panel for each kind of size."""
     panels: dict[str, list[Curve]] = {}
     for each in curves:
         panels.setdefault(each.unit, []).append(each)
@@ -144,7 +143,7 @@ def _draw(panels: Mapping[str, Sequence[Curve]], canvas: "Figure") -> None:
 
 
 def over_pixels() -> list[Curve]:
-    """The background alone, all chains, and MOG2, with four objects in pictures of any size."""
+    """Measure the background alone, all chains, and MOG2, with four objects in pictures of any size."""
     rounds: dict[str, dict[float, list[float]]] = {"background alone": {}, "all chains": {}, PEER: {}}
     for width, height in SIZES:
         frames = list(crowd(4, WARM_UP + ROUNDS * TURN, (height, width)))
@@ -157,7 +156,7 @@ def over_pixels() -> list[Curve]:
 
 
 def over_objects() -> list[Curve]:
-    """The tracker of blobs by itself, and all chains."""
+    """Measure the blob tracker alone, and all chains."""
     width, height = OF_CROWD
     rounds: dict[str, dict[float, list[float]]] = {"blobs": {}, "whole": {}}
     for count in OBJECTS:
@@ -171,7 +170,7 @@ def over_objects() -> list[Curve]:
 
 
 def over_frames_of_a_film(count: int) -> tuple[Curve, float]:
-    """All chains from frame to frame of a film that runs to and fro, and MB by which memory has grown.
+    """Measure all chains over a film that runs to and fro, and the MB by which memory has grown.
 
     The growth is that after the first fifth, in which libraries and buffers are still taking theirs.
     """
@@ -196,7 +195,7 @@ def over_frames_of_a_film(count: int) -> tuple[Curve, float]:
 
 
 def over_points() -> Curve:
-    """The tracker of points, with its search there and back."""
+    """Measure the point tracker, with its search there and back."""
     noise = np.random.default_rng(0).standard_normal((SIDE + 64, SIDE + 64), np.float32)
     picture = sum(scale * cv2.GaussianBlur(noise, (0, 0), scale) for scale in (1.0, 3.0))
     texture = np.asarray(np.clip(128 + 60 * np.asarray(picture), 0, 255), np.uint8)
@@ -217,7 +216,7 @@ def _moved(texture: NDArray[np.uint8], number: int) -> NDArray[np.uint8]:
 
 
 def over_observations() -> Curve:
-    """An iteration of EM, of tracks of 30 frames each: the difference of few and more."""
+    """Measure an iteration of EM, of tracks of 30 frames each: the difference of few and more."""
     rounds: dict[float, list[float]] = {}
     for count in OBSERVATIONS:
         observations, start = turning(count)
@@ -231,7 +230,7 @@ def over_observations() -> Curve:
 
 
 def turning(count: int) -> tuple[Observations, Posterior]:
-    """So many observations of points before a turning camera, and where EM begins, near the truth.
+    """Return so many observations of points before a turning camera, and a start of EM near the truth.
 
     Positions are in units of their spread already; they are made as lists, without a table of all frames and
     points.
@@ -258,7 +257,7 @@ def turning(count: int) -> tuple[Observations, Posterior]:
 
 
 def over_tracks() -> Curve:
-    """Which tracks show one point: robust factor analysis, association, and what is read of both."""
+    """Measure which tracks show one point: robust factor analysis, association, and the reading of both."""
     steps = {count: partial(associate_tracks, broken_tracks(count)) for count in TRACKS}
     turns = {count: 2 if count > TRACKS[1] else ROUNDS for count in TRACKS}
     rounds: dict[float, list[float]] = {
@@ -268,7 +267,7 @@ def over_tracks() -> Curve:
 
 
 def broken_tracks(count: int) -> Numbers:
-    """Positions `(n_frames, count, 2)` px of points that are each followed in four pieces, NaN between."""
+    """Return positions `(n_frames, count, 2)` px of points tracked in four pieces, NaN between."""
     n_frames, n_points = PIECES * PIECE, count // PIECES
     positions = turning_points(n_frames, n_points, n_frames)
     begun = np.random.default_rng(0).integers(0, PIECE, n_points)
@@ -283,7 +282,7 @@ def broken_tracks(count: int) -> Numbers:
 
 
 def over_samples() -> Curve:
-    """The chain of poses of a body: drawing, prior, likelihood."""
+    """Measure the chain of poses of a body: sampling, prior, likelihood."""
     set_threads(2)
     film, rounds = BodyFilm.load(), dict[float, list[float]]()
     for count in SAMPLES:
@@ -294,7 +293,7 @@ def over_samples() -> Curve:
 
 
 def of_face(unit: str, sizes: Sequence[int]) -> Curve:
-    """G-flow over experts or texels, of which the one is kept while the other grows."""
+    """Measure G-flow over experts or texels, with the other number fixed."""
     set_threads(2)
     scene, rounds = face(FACE_FRAMES, seed=0, size=SIZE), dict[float, list[float]]()
     for size in sizes:

@@ -47,7 +47,7 @@ WANTED = {EXPERTS: 6.0, 1: 13.0}  # times real time, by experts
 
 
 def faces() -> Findings:
-    """All of them; on two threads where the tracker runs, on one where a peer runs beside it."""
+    """Measure all of G-flow; on two threads where the tracker runs, on one where a peer runs beside it."""
     scene = face(FACE_FRAMES, seed=0, size=SIZE)
     set_threads(2)
     rates = rate_expectations(scene)
@@ -62,7 +62,7 @@ def _frames(scene: FaceScene) -> Sequence[Frame]:
 
 
 def seconds_a_frame(scene: FaceScene, experts: int, texels: int) -> Numbers:
-    """Of every frame after the first few."""
+    """Return seconds of every frame after the first few."""
     chain = GFlow(
         scene.model, scene.poses[0], experts=experts, texels=texels, covariance_scale=float(experts > 1)
     )
@@ -81,7 +81,7 @@ def _followed(chain: GFlow, state: GFlowState | None, frame: Frame) -> GFlowStat
 
 
 def rate_expectations(scene: FaceScene) -> list[Expectation]:
-    """How often faster than the film: over continuation and resampling frames, in several runs."""
+    """Return how much faster than the film it is: over continuation and resampling frames, in several runs."""
     spent: Spent = {experts: [] for experts in WANTED}
     for _ in range(ROUNDS):
         for experts in WANTED:
@@ -102,7 +102,7 @@ def _over(what: str, peer: str, ours: str, bound: float, seconds: Mapping[Any, f
 
 
 def flow_expectations(scene: FaceScene) -> list[Expectation]:
-    """One expert, dense, beside optic flow of as many points, forwards only and without a model."""
+    """Compare one dense expert with optic flow of as many points, forwards only and without a model."""
     after = _frames(scene)[FACE_WARM_UP + 1]
     here, there = scene.image(FACE_WARM_UP), scene.image(FACE_WARM_UP + 1)
     chain = GFlow(scene.model, scene.poses[0], experts=1, texels=TEXELS, covariance_scale=0.0)
@@ -122,7 +122,7 @@ def flow_expectations(scene: FaceScene) -> list[Expectation]:
 
 
 def fused_expectations(scene: FaceScene) -> list[Expectation]:
-    """Normal equations of one expert, beside three remaps and numpy."""
+    """Compare the normal equations of one expert with three remaps and numpy."""
     surface, poses = TexturedObject(scene.model, SurfaceTexels.dense(scene.model, TEXELS)), scene.poses[0]
     level = image_pyramid(scene.image(1), float(poses.sizes[0]), n_levels=1, local_mean=True)
     texture = Texture.unknown(1, 1, len(surface.texels), learn=False)
@@ -171,7 +171,7 @@ SAMPLES = 1000
 
 @dataclass(frozen=True, eq=False)
 class BodyFilm:
-    """Preloaded frames, who is to be tracked in them, and a word on where they come from."""
+    """Preloaded frames, the person in them, and a word on their origin."""
 
     label: str
     frames: Sequence[Frame]
@@ -180,7 +180,7 @@ class BodyFilm:
 
     @classmethod
     def load(cls) -> Self:
-        """A real signer with OpenCV's cascades where there are both, else a generated one with its list."""
+        """Load a real signer with OpenCV's cascades where there are both, else a generated one."""
         try:
             path = data_folder("signer") / "signseg_demo_video.mp4"
             with open_source(str(path), stop=N_FRAMES) as source:
@@ -193,7 +193,7 @@ class BodyFilm:
 
 
 def tracker(film: BodyFilm, threads: int) -> Callable[[Frame], object]:
-    """What takes in a frame as `rsmcm body` does, without decoding and files: both chains, and hindsight."""
+    """Return a function that takes frames as `rsmcm body` does, without decoding and files."""
     flesh, pose = FleshTracker(film.body), ArticulatedPose(film.body, SAMPLES)
     engine = RecursiveBP(MultiChain().connect(flesh, film.parts).connect(pose, film.parts))
     hindsight, state = FixedLag(BodyDynamics(film.body), LAG), RunState()
@@ -209,7 +209,7 @@ def tracker(film: BodyFilm, threads: int) -> Callable[[Frame], object]:
 
 
 def bodies() -> Findings:
-    """Frames a second on one thread and on two, which take turns; OpenCV has one, as in all commands."""
+    """Measure frames a second on one thread and on two, in turns; OpenCV has one, as in all commands."""
     film = BodyFilm.load()
     height, width = image_of(film.frames[0]).shape[:2]
     what = f"body tracker, {film.label}, {width}x{height}, {SAMPLES} samples, lag {LAG}"

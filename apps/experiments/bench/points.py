@@ -54,7 +54,7 @@ LEVELS = {3: 1, 10: 2}
 
 
 def points() -> Findings:
-    """All of them, on one thread."""
+    """Measure all of them, on one thread."""
     cv2.setNumThreads(1)
     return Findings("Points", [], [*kalman_expectations(), *search_expectations()])
 
@@ -63,7 +63,7 @@ def points() -> Findings:
 
 
 def kalman_expectations() -> list[Expectation]:
-    """Filter and smoother, per point and step, for points that are seen in all frames."""
+    """Measure filter and smoother, per point and step, for points that are seen in all frames."""
     random = np.random.default_rng(0)
     places = random.normal(0, 2, (STEPS, FOLLOWED, 2)).cumsum(axis=0)
     times = FRAME * np.arange(STEPS)
@@ -155,7 +155,7 @@ def _simdkalman(places: Numbers) -> object:
 
 
 def search_expectations() -> list[Expectation]:
-    """Patches of corners, found in a picture that has moved a little, and found again in the one before.
+    """Measure the search of corners' patches in a picture that has moved a little, and back.
 
     The search is the tracker's, there and back: once for points that it has followed for a while, and once
     for new ones, which may be anywhere in a wide window. OpenCV has the same window, and a pyramid that
@@ -246,13 +246,13 @@ SAME = 5e-6  # relative difference of errors that agree to five digits
 
 
 def structure() -> Findings:
-    """All of them, on one thread."""
+    """Measure all of them, on one thread."""
     expectations = [*iteration_expectations(), *solve_expectations(), *feedback_expectations()]
     return Findings("Structure", [], [*expectations, *start_expectations()])
 
 
 def turning_points(n_frames: int, n_points: int, length: int, seed: int = 0) -> Numbers:
-    """Positions `(n_frames, n_points, 2)` px of points before a turning camera; NaN where not seen.
+    """Return positions `(n_frames, n_points, 2)` px of points before a turning camera; NaN where not seen.
 
     Noise is 1 px. Each point is seen through `length` frames in a row, fewer at both ends.
     """
@@ -275,7 +275,8 @@ def turning_points(n_frames: int, n_points: int, length: int, seed: int = 0) -> 
 def turntable(
     n_frames: int = 36, n_points: int = 319, seen: float = 0.231, noise: float = 1.0, seed: int = 0
 ) -> Numbers:
-    """Positions `(n_frames, n_points, 2)` px like those of the public dinosaur: short tracks on a turntable.
+    """Return positions `(n_frames, n_points, 2)` px like those of the public dinosaur: short tracks on a
+    turntable.
 
     Ten degrees a frame, a little perspective (which no affine camera explains), tracks of 2 frames and more
     with a geometric distribution, noise with heavy tails (Student, three degrees of freedom).
@@ -304,7 +305,7 @@ def turntable(
 
 
 def iteration_expectations() -> list[Expectation]:
-    """An iteration of EM beside the first three singular vectors of the same matrix."""
+    """Compare an iteration of EM with the first three singular vectors of the same matrix."""
     positions = turning_points(N_FRAMES, N_POINTS, N_FRAMES)
     table = positions.transpose(0, 2, 1).reshape(2 * N_FRAMES, N_POINTS)
     table = table - table.mean(axis=1, keepdims=True)
@@ -334,7 +335,7 @@ def _of_iterations(seconds: Mapping[str, float]) -> list[Expectation]:
 
 
 def solve_expectations() -> list[Expectation]:
-    """Start and polish beside bundle adjustment, which is given a start."""
+    """Compare start and polish with bundle adjustment, which is given a start."""
     expectations = []
     for length, bound in ((N_FRAMES, 10.0), (60, None)):
         positions = turning_points(N_FRAMES, N_POINTS, length)
@@ -356,7 +357,7 @@ def solve_expectations() -> list[Expectation]:
 
 
 def bundle_adjustment(positions: Numbers, cameras: Numbers, shape: Numbers, most_steps: int = 60) -> float:
-    """Root mean square error (px) that joint least squares over all cameras and points reaches.
+    """Return the root mean square error (px) of joint least squares over all cameras and points.
 
     Sparse analytic Jacobian, trust region with LSMR (`scipy.optimize.least_squares`).
     """
@@ -400,7 +401,7 @@ def bundle_adjustment(positions: Numbers, cameras: Numbers, shape: Numbers, most
 
 
 def feedback_expectations() -> list[Expectation]:
-    """A round of coordinate ascent in which the tracker hears the shape, beside one in which it does not."""
+    """Compare a round of coordinate ascent with feedback from the shape with one without."""
     frames = frames_of_tracks(PX * cylinder(p_loose=0.1, p_drift=0.1, seed=0).tracks())
     spent: Spent = {"without": [], "with": []}
     for _ in range(STRUCTURE_ROUNDS):
@@ -417,7 +418,7 @@ def feedback_expectations() -> list[Expectation]:
 
 
 def start_expectations() -> list[Expectation]:
-    """Share of random cameras from which the best known optimum is reached, to five digits."""
+    """Return the share of random cameras from which the best known optimum is reached, to five digits."""
     expectations = []
     for what, positions, bound in (
         ("turntable, 77 % missing", turntable(), 0.9),

@@ -39,7 +39,7 @@ def in_turns(methods: Mapping[Any, Callable[[], object]], rounds: int = ROUNDS, 
 def over_frames(
     steps: Mapping[Any, Callable[[Frame], object]], frames: Sequence[Frame], turn: int, warm_up: int
 ) -> Spent:
-    """Mean seconds a frame in each turn of several methods, each of which takes in all frames in order.
+    """Return mean seconds a frame in each turn of several methods, each of which takes all frames in order.
 
     They take turns of `turn` frames; the first `warm_up` frames do not count.
     """
@@ -55,7 +55,7 @@ def over_frames(
 
 
 def over_rounds(judge: Judge, spent: Spent) -> list[Expectation]:
-    """What is judged of the seconds of every round by itself: medians, with their quartiles.
+    """Return the medians, with quartiles, of what is judged of each round's seconds by itself.
 
     A ratio is one of times that were taken right after each other, so that it does not suffer where the
     machine slows down for both. `judge` always gives its expectations in the same order.
@@ -101,7 +101,7 @@ class _Timed:
 
 
 def of_chains(model: MultiChain, frames: Iterable[Frame]) -> tuple[list[dict[str, float]], RunState]:
-    """Seconds of each chain and feature in every frame, by name, `whole` all of it; and the last state."""
+    """Return seconds of chains and features in every frame, by name, `whole` the sum; and the last state."""
     spent: dict[str, float] = {}
     nodes = {name: _Timed(node, spent) for name, node in {**model.chains, **model.features}.items()}
     same = MultiChain()

@@ -1,6 +1,7 @@
 """Trials of face trackers: measures on made-up errors, honest covariances, and a short clip in earnest."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,9 @@ from rsmcm.apps.experiments.faces import (
     normalised_square,
     vertex_errors,
 )
+from rsmcm.apps.io.files import write_image
+from rsmcm.apps.scenes import face
+from rsmcm.chains.face.start import start_from_landmarks
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.morphable_model import Poses
 
@@ -80,9 +84,10 @@ def test_oracle_is_a_floor(clip: Clip) -> None:
     assert not own.lost
 
 
+@pytest.mark.slow
 def test_a_known_texture_brings_scattered_experts_back(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(faces, "RECOVERY_SCENE", {"n_frames": faces.SOON + 1})
-    for seed in range(2):
+    for seed in range(4):
         assert faces.recover(faces.N_EXPERTS, seed)[faces.KNOWN].errors[faces.SOON] < faces.NEAR
 
 
@@ -159,3 +164,26 @@ def test_a_run_with_a_background(method: str, monkeypatch: pytest.MonkeyPatch) -
     assert one.error < 2
     assert one.time > 0
     assert not one.lost
+
+
+def test_landmarks_are_followed_through_a_film(tmp_path: Path) -> None:
+    scene = face(4, 3, (160, 120))
+    for number, image in enumerate(scene.images()):
+        write_image(tmp_path / f"{number}.png", image)
+    start = faces.Start(start_from_landmarks(scene.model, scene.vertices[1]), 1)
+    (trial,) = faces.follow_landmarks(tmp_path, scene.vertices, {"a": start}, "a", 0).values()
+    unit = np.linalg.norm(np.diff(scene.vertices[0, list(faces.PUPILS)], axis=0))
+    assert trial.errors.shape == (3,)
+    assert trial.errors[0] < 1
+    assert trial.errors.max() < 100 * 2 / unit, "2 px"
+    assert trial.lost == 0
+
+
+def test_claims_of_landmarks_are_means_over_seeds() -> None:
+    def trials(*errors: float) -> dict[str, list[faces.FilmTrial]]:
+        return {"": [faces.FilmTrial(np.array([0.0, error]), 3) for error in errors]}
+
+    measured = {faces.SURREY: trials(8.0, 12.0), faces.OWN: trials(9.0)}
+    expectations = faces.expected_of_landmarks(measured)
+    assert [each.measured for each in expectations] == [5.0, 10.0, 3.0, 4.5]
+    assert [each.verdict for each in expectations] == ["pass", "pass", "short", "pass"]
