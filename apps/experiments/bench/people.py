@@ -81,7 +81,7 @@ def _followed(chain: GFlow, state: GFlowState | None, frame: Frame) -> GFlowStat
 
 
 def rate_expectations(scene: FaceScene) -> list[Expectation]:
-    """Return how much faster than the film it is: over continuation and resampling frames, in several runs."""
+    """Return how much faster than the film it is: over continuation and resampling frames, several runs."""
     spent: Spent = {experts: [] for experts in WANTED}
     for _ in range(ROUNDS):
         for experts in WANTED:
