@@ -107,15 +107,6 @@ def test_samples_of_a_time_lie_on_a_line() -> None:
     assert body.samples_in(0.035, counts, (0.030, 0.07)) == 3000, "two digits"
 
 
-def test_cells_of_what_is_not_known() -> None:
-    assert body.errors_of([trial(np.nan)])[0] == "–"
-    row = body.behaviour_of([trial(4.0, 0.1)], [trial(4.0)])
-    assert row[3] == pytest.approx(2.0)
-    assert row[-3:] == [0.0, "–", 0.0]
-    errors = body.errors_of([trial(4.0)])
-    assert errors == pytest.approx([4, 0.05, 4, 4, 4, 5, 5])
-
-
 def test_every_result_stands_at_its_tracker_and_seed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -53,6 +53,7 @@ def test_one_bad_seed_is_found() -> None:
     assert [each.verdict for each in found] == ["pass", "pass", "short"]
 
 
+@pytest.mark.slow
 def test_the_command_on_a_generated_signer(tmp_path: Path) -> None:
     scene = signer(4, seed=3, clutter=0)
     (tmp_path / "film").mkdir()

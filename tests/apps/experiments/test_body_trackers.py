@@ -1,6 +1,7 @@
 """Trials of body trackers: measures on made-up errors, and short films in earnest."""
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,7 +11,6 @@ from rsmcm.apps.body.measures import (
     HANDS,
     PLACES,
     BodyTrial,
-    MisTrack,
     coverage,
     mis_tracks,
     pooled,
@@ -55,34 +55,22 @@ def trial(text: str, *hidden: int) -> BodyTrial:
     )
 
 
-def test_a_mis_track_lasts_until_the_error_is_small() -> None:
-    (one,) = mis_tracks(1, errors_of("..xx-x--.."), hidden_in(11, 3, 4))
-    assert one == MisTrack(hand=1, start=3, seen=5, end=9, left=5)
-    assert one.recovered
-
-
-def test_one_after_the_other() -> None:
-    first, second = mis_tracks(0, errors_of("xx.xxx"), hidden_in(7))
-    assert (first.start, first.end) == (1, 3)
-    assert (second.start, second.end) == (4, None)
-
-
-def test_recovery_counts_from_when_the_hand_is_seen() -> None:
-    late = errors_of("." + "x" * 14 + "...")
-    assert mis_tracks(0, late, hidden_in(19))[0].recovered is False, "14 frames, all seen"
-    hidden = hidden_in(19, 2, 3, 4, 5)
-    assert mis_tracks(0, late, hidden)[0].recovered is True, "10 frames after it was seen"
-    blind = hidden_in(19, *range(2, 19))
-    assert mis_tracks(0, late, blind)[0].recovered is True, "before it was ever seen"
-
-
-def test_nothing_is_known_of_the_last_frames() -> None:
-    (one,) = mis_tracks(0, errors_of("..xxxx"), hidden_in(7))
-    assert one.recovered is None
-    (one,) = mis_tracks(0, errors_of("xxxx"), hidden_in(5, 1, 2, 3, 4))
-    assert one.recovered is None
-    (one,) = mis_tracks(0, errors_of("." + "x" * 12), hidden_in(14))
-    assert one.recovered is False
+@pytest.mark.parametrize(
+    ("text", "hidden", "expected"),
+    [
+        ("..x..x-x..", (), []),  # one bad frame is none
+        ("..xx-x--..", (3, 4), [(3, 5, 9, True)]),  # until the error is small; it is seen from frame 5 on
+        ("xx.xxx", (), [(1, 1, 3, True), (4, 4, None, None)]),  # nothing is known of the last frames
+        ("." + "x" * 14 + "...", (), [(2, 2, 16, False)]),  # 14 frames, all seen
+        ("." + "x" * 14 + "...", (2, 3, 4, 5), [(2, 6, 16, True)]),  # 10 frames after it was seen
+        ("." + "x" * 12, (), [(2, 2, None, False)]),
+    ],
+)
+def test_mis_tracks(text: str, hidden: tuple[int, ...], expected: list[tuple[Any, ...]]) -> None:
+    heads = errors_of(text)
+    tracks = mis_tracks(1, heads, hidden_in(len(heads), *hidden))
+    assert [(each.start, each.seen, each.end, each.recovered) for each in tracks] == expected
+    assert all(each.hand == 1 for each in tracks)
 
 
 def test_measures_leave_the_first_frame_out() -> None:

@@ -27,20 +27,6 @@ def made_up(dual_error: float = 0.004) -> dict[Cell, experiment.Measured]:
     return everything
 
 
-def test_cells_cover_the_panels_and_both_ways_of_regaining() -> None:
-    cells = experiment.cells()
-    assert len(set(cells)) == len(cells)
-    for loose in (0.0, 0.12):
-        for drift in experiment.DRIFT:
-            assert Cell(loose, drift, 0.5) in cells
-    for loose in experiment.LOOSE:
-        for drift in (0.0, 0.2):
-            assert Cell(loose, drift, 0.5) in cells
-            assert (Cell(loose, drift, None) in cells) == (loose > 0)
-    assert max(cell.loose for cell in cells) == 0.12
-    assert max(cell.drift for cell in cells) == 0.3
-
-
 def test_claims_hold_where_they_should() -> None:
     verdicts = [expectation.verdict for expectation in experiment.expectations_of(made_up())]
     assert verdicts.count("pass") == len(verdicts) - 1

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.face import application
-from rsmcm.apps.face.page import ANGLES, FaceRecord, angles
+from rsmcm.apps.face.page import FaceRecord, angles
 from rsmcm.apps.io import film as films
 from rsmcm.apps.scenes import face
 from rsmcm.chains.face.recovery import WIDTH_OF_FACE
@@ -21,9 +21,7 @@ from rsmcm.models.face.morphable_model import MorphableModel, Poses
 from rsmcm.models.numerics.rotations import exponential
 
 from ...conftest import Command, names, summary_of
-from ...support.browser import browsing
 from ...support.records import log_of
-from ...support.view_page import shown_page
 
 run = Command("face")
 complaint = run.complaint
@@ -160,44 +158,6 @@ def test_poses_say_where_vertices_are(finished: Path) -> None:
         assert (left_open[:, -1] > 1e-3).all() == (frame > 0)
 
 
-def test_pictures(finished: Path, tmp_path: Path) -> None:
-    assert Command("export")(finished, "--to", "video", "--out", tmp_path / "video.mp4") == 0
-    video = cv2.VideoCapture(str(tmp_path / "video.mp4"))
-    size = [video.get(each) for each in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)]
-    assert size == [600, 480], "three times as large"
-    assert sum(iter(lambda: video.read()[0], False)) == N_FRAMES
-    texture, variance = (
-        cv2.imread(str(finished / name), cv2.IMREAD_UNCHANGED)
-        for name in ("texture.png", "texture_variance.png")
-    )
-    assert texture is not None
-    assert variance is not None
-    assert texture.shape == variance.shape
-    assert texture.std() > 10
-    assert variance.max() == 255
-
-
-def test_the_page_shows_what_the_run_found(finished: Path) -> None:
-    poses = poses_of(finished)
-    with browsing() as browser, shown_page(browser, finished, SIZE) as shown:
-        for index in (0, 4, 5, N_FRAMES - 1):
-            shown.show(index)
-            assert shown.frame == poses["frame_numbers"][index]
-            places = poses["vertices_2d"][index]
-            for vertex in (0, 40, 80):
-                shown.click(places[vertex])
-                assert (shown.selected or "").startswith("point ")
-                nearest = int((shown.selected or "").split()[1])
-                np.testing.assert_allclose(places[nearest], places[vertex], atol=1.0)
-                np.testing.assert_allclose(shown.numbers("place"), places[nearest], atol=0.06)
-                spread = np.sqrt(np.trace(poses["covariance"][index, nearest, :2, :2]))
-                assert shown.numbers("unsure by")[0] == pytest.approx(spread, abs=0.006)
-            shown.page.locator("#row-0 .label").click()
-            shown.show(index)
-            turned = [shown.numbers(name)[0] for name in ANGLES]
-            np.testing.assert_allclose(turned, angles(poses["mean_rotation"][index]), atol=0.06)
-
-
 def test_learned_gains(film: Path, truth: Path, tmp_path: Path) -> None:
     assert run(film, "--landmarks", truth, "--out", tmp_path, "--gain", "learned", "--stop", 6, *FEW) == 0
     summary = summary_of(tmp_path)
@@ -208,58 +168,28 @@ def test_learned_gains(film: Path, truth: Path, tmp_path: Path) -> None:
 # --- landmarks ----------------------------------------------------------------------------------------------
 
 
-def test_landmarks_in_another_order(film: Path, scene: Any, tmp_path: Path) -> None:
-    """Some of the vertices, shuffled, and a point that the model does not know."""
+def test_landmarks_in_another_order_of_which_some_are_missing(film: Path, scene: Any, tmp_path: Path) -> None:
+    """Some of the vertices, shuffled, a point that the model does not know, and a frame without any.
+
+    As many rows as the source has frames count from its beginning.
+    """
     chosen = np.random.default_rng(0).permutation(scene.model.n_vertices)[:30]
     unknown = scene.vertices[:, chosen[:1]] + (3.0, 2.0)
-    truth = saved(tmp_path / "l.npy", np.concatenate([unknown, scene.vertices[:, chosen]], axis=1))
+    landmarks = np.concatenate([unknown, scene.vertices[:, chosen]], axis=1)
+    landmarks[4, 3:6] = np.nan
+    landmarks[6] = np.nan
     pairs = tmp_path / "pairs.txt"
     lines = [f"{index} = {vertex + 1}  # a comment" for index, vertex in enumerate(chosen, start=1)]
     pairs.write_text("\n".join(["# landmarks", *lines]))
-    out = tmp_path / "out"
-    assert run(film, "--landmarks", truth, "--correspondences", pairs, "--out", out, "--stop", 6, *FEW) == 0
-    assert poses_of(out)["landmarks"].shape == (6, 31, 2)
+    given, out = saved(tmp_path / "l.npy", landmarks), tmp_path / "out"
+    options = ("--landmarks", given, "--correspondences", pairs, "--start", 5, "--stop", 11, "--step", 2)
+    assert run(film, *options, "--out", out, *FEW) == 0
+    found = poses_of(out)["landmarks"]
+    assert found.shape == (4, 31, 2)
+    assert np.flatnonzero(np.isnan(found[:, :, 0]).all(axis=0)).tolist() == [3, 4, 5]
+    np.testing.assert_allclose(found[0, 6:], landmarks[4, 6:], atol=1e-3)
+    assert summary_of(out)["error"]["frames"] == 3
     assert summary_of(out)["error"]["mean_px"] < 1
-
-
-def test_missing_landmarks(film: Path, scene: Any, tmp_path: Path) -> None:
-    landmarks = scene.vertices.copy()
-    landmarks[0, 5:40] = np.nan
-    landmarks[4] = np.nan
-    out = tmp_path / "out"
-    given = saved(tmp_path / "l.npy", landmarks)
-    assert run(film, "--landmarks", given, "--out", out, "--stop", 6, *FEW) == 0
-    missing = np.isnan(poses_of(out)["landmarks"][..., 0])
-    assert missing[:, 5:40].all()
-    assert np.count_nonzero(missing) == 35 * 6
-    assert summary_of(out)["error"]["frames"] == 5
-    assert summary_of(out)["error"]["mean_px"] < 1
-
-
-def test_which_frame_landmarks_belong_to(film: Path, scene: Any, truth: Path, tmp_path: Path) -> None:
-    """As many rows as the source has frames count from its beginning, others from the first frame chosen."""
-    out = tmp_path / "out"
-    assert run(film, "--landmarks", truth, "--out", out, "--start", 5, "--step", 2, *FEW) == 0
-    assert summary_of(out)["error"]["mean_px"] < 1
-    np.testing.assert_allclose(poses_of(out)["landmarks"][0], scene.vertices[4], atol=1e-3)
-    cut = saved(tmp_path / "cut.npy", scene.vertices[4:9])
-    assert run(film, "--landmarks", cut, "--out", out, "--start", 5, "--overwrite", *FEW) == 0
-    summary = summary_of(out)
-    assert summary["error"]["frames"] == 5
-    assert summary["error"]["mean_px"] < 1
-
-
-def test_a_model_of_the_users_own(film: Path, truth: Path, scene: Any, tmp_path: Path) -> None:
-    """With one basis only it is a rigid mask, which follows all the same."""
-    model = scene.model
-    own = MorphableModel(model.bases[:1], model.triangles)
-    path = tmp_path / "own.npz"
-    write_model(own, path)
-    out = tmp_path / "out"
-    assert run(film, "--landmarks", truth, "--model", path, "--out", out, "--stop", 6, *FEW) == 0
-    assert poses_of(out)["morphs"].shape == (6, 4, 1)
-    assert summary_of(out)["error"]["mean_px"] < 2.5
-    assert '"name":"expression"' not in (out / "view.html").read_text()
 
 
 # --- hard input ---------------------------------------------------------------------------------------------

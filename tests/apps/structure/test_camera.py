@@ -59,15 +59,6 @@ def test_cameras_file_is_that_of_pinholes(finished: Path, film: PerspectiveFilm)
         np.testing.assert_allclose(stands, 0, atol=1e-6 * focal)
 
 
-def test_what_is_said(finished: Path) -> None:
-    summary = summary_of(finished)
-    assert summary["camera"] == "perspective"
-    assert summary["focal_length_px"] > 0
-    assert "focal length" in summary["camera_in_words"]
-    assert "perspective, focal length" in (finished / "view.html").read_text()
-    assert any("The picture is taken to be" in note for note in summary["notes"])
-
-
 def test_colmap_reads_back_as_the_format_says(finished: Path) -> None:
     """Fields in the order of COLMAP's documentation; points reproject to within the error that is stated."""
 
@@ -96,16 +87,6 @@ def test_colmap_reads_back_as_the_format_says(finished: Path) -> None:
             space = rotation @ np.array([x, y, z], float) + translation
             distances.append(np.hypot(*(focal * space[:2] / space[2] + middle - seen[place, :2])))
         assert np.mean(distances) == pytest.approx(float(error), abs=2e-3)
-
-
-def test_an_affine_camera_on_demand(source: Path, tmp_path: Path) -> None:
-    assert run(source, "--out", tmp_path / "out", *ALONE, "--camera", "affine") == 0
-    summary = summary_of(tmp_path / "out")
-    assert (summary["camera"], summary["focal_length_px"]) == ("affine", None)
-    assert not (tmp_path / "out" / "colmap").exists()
-    cameras = json.loads((tmp_path / "out" / "cameras.json").read_text())
-    assert cameras["camera"] == "affine"
-    assert np.shape(cameras["frames"][0]["matrix"]) == (2, 4)
 
 
 def test_a_given_focal_length(source: Path, tmp_path: Path, film: PerspectiveFilm) -> None:

@@ -19,7 +19,7 @@ from rsmcm.chains.reconstruction import Reconstruction
 
 from ...support.browser import PHONE, Browser, landmarks, overflow
 from ...support.reconstructions import SIZE, pictures, reconstruction, small_cylinder, without_images
-from ...support.view_page import Turned, ViewPage, shown_page
+from ...support.view_page import ViewPage, shown_page
 
 N_FRAMES = 20
 SUMMARY = {"frames": N_FRAMES, "notes": ["Something <odd>."], "parameters": {"a": {"b": 1}}}
@@ -137,12 +137,6 @@ def test_a_page_with_everything(truth: Cylinder, found: Reconstruction, tmp_path
     assert surface["triangles"].max() < len(corners)
 
 
-def test_without_images_tracks_are_plotted(truth: Cylinder, found: Reconstruction, tmp_path: Path) -> None:
-    page, _ = written(truth, found, tmp_path, images=False)
-    assert headings(page) == ["Shape", "Tracks", "Rounds"]
-    assert page.layers["structure"]["surface"] is None
-
-
 def test_a_shape_that_is_affine_or_undetermined(
     truth: Cylinder, found: Reconstruction, tmp_path: Path
 ) -> None:
@@ -202,27 +196,6 @@ def test_a_click_on_a_point_selects_it(shown: ViewPage, found: Reconstruction) -
     assert said == {True, False}
     shown.click((0, 0))
     assert shown.selected is None
-
-
-def turning(shown: ViewPage, found: Reconstruction) -> Turned:
-    centre = np.median(found.shape, axis=0)
-    reach = np.quantile(np.linalg.norm(found.shape - centre, axis=1), 0.9)
-    return shown.in_space(centre, 1.25 * float(reach))
-
-
-def test_as_the_camera_sees_it(shown: ViewPage, found: Reconstruction) -> None:
-    """Then the view in space is the film's picture, but for shift and size."""
-    shown.page.get_by_label("as the frame's camera sees it").check()
-    space = turning(shown, found)
-    centre = np.median(found.shape, axis=0)
-    _, rotations = orthographic_parts(found.cameras)
-    for index in (0, N_FRAMES - 1):
-        shown.show(index)
-        shown.page.locator(".space").scroll_into_view_if_needed()
-        seen = centre + (found.shape - centre) @ rotations[index].T
-        for point in alone(np.array([space.place(place)[:2] for place in seen]), 17.0):
-            space.click(seen[point])
-            assert shown.selected == f"point {point}", index
 
 
 def test_without_a_film(browser: Browser, tracks_only: Path, truth: Cylinder, found: Reconstruction) -> None:

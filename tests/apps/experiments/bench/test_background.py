@@ -23,6 +23,7 @@ def test_what_is_done_once_counts_for_the_whole_film_only() -> None:
         assert (over.measured, over.verdict) == (pytest.approx(1.25), "pass")
 
 
+@pytest.mark.slow
 def test_the_moments_are_those_of_frames_that_are_answered(tmp_path: Path) -> None:
     for frame in sleeping_man(3, size=(64, 48)):
         assert frame.image is not None

@@ -5,14 +5,11 @@ import math
 import numpy as np
 import pytest
 from rsmcm.apps.experiments.bench.curves import (
-    LENGTH,
     PIECE,
     PIECES,
     Curve,
     broken_tracks,
-    turning,
 )
-from rsmcm.inference.sfm.factor_analysis.em import expectation_maximisation
 
 SIZES = (10.0, 100.0, 1000.0, 10_000.0)
 
@@ -33,18 +30,6 @@ def test_a_power_is_found_and_its_error_is_that_of_a_regression() -> None:
     assert error == pytest.approx(math.sqrt(covariance[0, 0] * (left @ left) / 2))
     expectation = curve(noisy).expectation(1.1)
     assert (expectation.measured, expectation.spread, expectation.ratio) == (power, error, True)
-
-
-def test_lists_without_a_table_are_observations_like_all_others() -> None:
-    observations, start = turning(3000)
-    assert observations.count == 3000
-    assert (np.diff(observations.by_point.edges) == LENGTH).all()
-    pairs = {(f, p) for p, f in zip(observations.by_point.own, observations.by_point.other, strict=True)}
-    assert pairs == set(zip(observations.by_frame.own, observations.by_frame.other, strict=True))
-    assert (np.diff(observations.by_frame.own) >= 0).all()
-    found, history = expectation_maximisation(observations, start, iterations=200, tolerance=1e-9)
-    assert (np.diff(history) > -1e-6 * np.abs(history[:-1])).all()
-    assert np.sqrt(found.noise) < 0.02  # the noise is 0.01
 
 
 def test_broken_tracks_are_pieces_of_points() -> None:

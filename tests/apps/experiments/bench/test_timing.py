@@ -35,12 +35,6 @@ def test_a_machine_that_slows_down_for_both_leaves_their_ratio_sure() -> None:
     assert (ratio.ratio, alone.ratio) == (True, False)
 
 
-def test_the_ratio_is_of_pairs_and_not_of_medians() -> None:
-    spent = {"ours": [1.0, 2.0, 9.0], "theirs": [4.0, 2.0, 3.0]}
-    (ratio,) = over_rounds(lambda of: [Expectation("ratio", of["ours"] / of["theirs"])], spent)
-    assert ratio.measured == 1.0  # of 1/4, 1, 3; the medians' is 2/3
-
-
 def test_times_of_chains_are_parts_of_the_whole() -> None:
     found, _ = of_chains(build_model(), sleeping_man(6, size=(96, 72)))
     assert len(found) == 6
