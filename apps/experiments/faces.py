@@ -252,14 +252,14 @@ class _GroundTruthTexture:
         return self.texture
 
     def covariance(self, before: GFlowState, after: GFlowState, mean: Poses) -> Numbers:
-        """Of the pose: spread of the experts, and Laplace's about each, taken at their mean."""
+        """Of the pose: covariance of the experts, and Laplace's about each, taken at their mean."""
         chain, index = self.chain, self.learned + 1
         changes = after.poses.changes_from(mean[np.zeros(len(after.poses), np.int64)])
-        spread: Numbers = np.einsum("n,ni,nj->ij", after.weights, changes, changes)
+        between: Numbers = np.einsum("n,ni,nj->ij", after.weights, changes, changes)
         equations = self.likelihood(index, self.texture, mean).equations(0, mean, np.zeros(1, np.int64))
         prior = PosePrior.after(before.poses, chain.dynamics, before.size, before.elapsed)
         precision = chain.effective_pixels / equations.sums[0, 2] * equations.matrices[0]
-        return spread + np.linalg.inv(precision + np.diag(prior.precision))
+        return between + np.linalg.inv(precision + np.diag(prior.precision))
 
 
 def on_one_scene(

@@ -1,7 +1,7 @@
 """Figs. 8 and 11 of the RSMCM paper on PETS2009 S2.L1: errors of extracted components, and tracks.
 
 Tracks are chaotic: one grey level in one of a thousand pixels moves their scores by some hundredths. So each
-method is tried over seeds of noise, and a score is a mean, with its spread.
+method is tried over seeds of noise, and a score is a mean, with its standard deviation.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -132,8 +132,8 @@ def cells(scores: Sequence[TrackScores]) -> list[str]:
     found = []
     for measure in TRACKS.values():
         digits, values = 1 if measure == "switches" else 3, [getattr(each, measure) for each in scores]
-        spread = f" ± {np.std(values, ddof=1):.{digits}f}" if len(values) > 1 else ""
-        found.append(f"{np.mean(values):.{digits}f}{spread}")
+        deviation = f" ± {np.std(values, ddof=1):.{digits}f}" if len(values) > 1 else ""
+        found.append(f"{np.mean(values):.{digits}f}{deviation}")
     return found
 
 
@@ -562,12 +562,12 @@ def _idf1_of_rates(tracks: Mapping[str, Sequence[Tracks]], truth: BoxTruth) -> d
 def _expectations_of_rates(idf1_of: Mapping[str, Sequence[float]]) -> list[Expectation]:
     """What is wanted of half the frames: the same IDF1 but for what noise changes."""
     whole, half = np.array(idf1_of["RSMCM"]), np.array(idf1_of[HALF])
-    spread = float(max(whole.std(ddof=1), half.std(ddof=1)))
-    lost = ratio(whole.mean() - half.mean(), spread)
+    deviation = float(max(whole.std(ddof=1), half.std(ddof=1)))
+    lost = ratio(whole.mean() - half.mean(), deviation)
     return [
         Expectation("IDF1 at 10 frames a second, in every second", float(whole.mean())),
         Expectation("the same at 5 frames a second", float(half.mean())),
-        Expectation("standard deviation over seeds, the larger of both", spread),
+        Expectation("standard deviation over seeds, the larger of both", deviation),
         Expectation("IDF1 lost at 5 frames a second, in these", lost, "<=", 1.0),
     ]
 

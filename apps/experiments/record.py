@@ -41,9 +41,8 @@ class Expectation:
     # relation, bound: what is wanted of it; `None` where nothing is, and the value only informs
     relation: Literal["<=", ">="] = "<="
     bound: float | None = None
-    # spread, seeds: standard error of the value, and the number of seeds that it comes from; NaN where there
-    # is but one. Of speeds, the seeds are rounds
-    spread: float = math.nan
+    # NaN where there is but one seed. Of speeds, the seeds are rounds
+    standard_error: float = math.nan
     seeds: int = 1
     # of speeds, between which half of the rounds lie; the value is their median
     quartiles: tuple[float, float] | None = None
@@ -62,7 +61,7 @@ class Expectation:
     def cells(self) -> tuple[str, str, str, str, str]:
         """What, wanted, measured, its standard error or quartiles, verdict."""
         wanted = "" if self.bound is None else f"{self.relation} {self.bound:g}"
-        error = "" if math.isnan(self.spread) else rounded(self.spread, 2)
+        error = "" if math.isnan(self.standard_error) else rounded(self.standard_error, 2)
         if self.quartiles is not None:
             error = "–".join(map(rounded, self.quartiles))
         return self.what, wanted, rounded(self.measured), error, self.verdict
@@ -87,7 +86,9 @@ def over_seeds(
     found_values = [[draw[place].measured for draw in draws] for place in range(len(judged))]
     finite = [[value for value in values if math.isfinite(value)] for values in found_values]
     return [
-        replace(each, spread=float(np.std(values, ddof=1)) if len(values) > 1 else math.nan, seeds=n_seeds)
+        replace(
+            each, standard_error=float(np.std(values, ddof=1)) if len(values) > 1 else math.nan, seeds=n_seeds
+        )
         for each, values in zip(judged, finite, strict=True)
     ]
 
@@ -251,11 +252,11 @@ class Record:
 
 
 def _expectation(content: Mapping[str, Any]) -> Expectation:
-    known = {"spread": None, **content}
+    known = {"standard_error": None, **content}
     known.pop("verdict", None)
     if known.get("quartiles") is not None:
         known["quartiles"] = tuple(known["quartiles"])
-    return Expectation(**{**known, **{name: _number(known[name]) for name in ("measured", "spread")}})
+    return Expectation(**{**known, **{name: _number(known[name]) for name in ("measured", "standard_error")}})
 
 
 def _number(value: float | None) -> float:

@@ -16,7 +16,7 @@ from .finished_run import FinishedRun, read_tracks_table
 if TYPE_CHECKING:
     import xarray
 
-Array = NDArray[np.float64]
+Numbers = NDArray[np.float64]
 
 SPACE = ["x", "y"]
 
@@ -107,7 +107,7 @@ def _boxes(run: FinishedRun) -> "xarray.Dataset":
     return _dataset(run, "bboxes", variables, coordinates)
 
 
-def _times(numbers: range, measured: NDArray[np.int64], times: Array, rate: float) -> Array:
+def _times(numbers: range, measured: NDArray[np.int64], times: Numbers, rate: float) -> Numbers:
     """`(n,)` s of all frames: between those that are known, with objects, even; beyond them at the rate."""
     frames = np.arange(len(numbers), dtype=np.float64)
     if not len(measured):
@@ -150,7 +150,7 @@ def _read_poses(run: FinishedRun, names: Sequence[str]) -> dict[str, NDArray[Any
 
 
 def _poses(
-    run: FinishedRun, times: Array, points: NDArray[np.floating], confidence: Array, names: Sequence[str]
+    run: FinishedRun, times: Numbers, points: NDArray[np.floating], confidence: Numbers, names: Sequence[str]
 ) -> "xarray.Dataset":
     """Poses of one individual: `points (n_frames, n_points, 2)` px, `confidence (n_frames, n_points)`."""
     variables = {

@@ -33,7 +33,7 @@ from .job import FaceJob
 from .page import FaceDrawing, FaceRecord, face_page
 from .texture import vertices_on_texture, write_textures
 
-Array = NDArray[np.float64]
+Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,17 +51,17 @@ class GivenLandmarks:
         which frames of the source the rows belong to: `start`, `start + step`, ...
     """
 
-    rows: Array
+    rows: Numbers
     pairs: NDArray[np.int64] | None = None
     start: int = 1
     step: int = 1
 
-    def of_frame(self, number: int) -> Array | None:
+    def of_frame(self, number: int) -> Numbers | None:
         """Return the landmarks `(n_landmarks, 2)` px of the frame with this number; `None` without any."""
         row = (number - self.start) // self.step
         return self.rows[row] if 0 <= row < len(self.rows) else None
 
-    def error(self, number: int, landmarks: Array) -> float:
+    def error(self, number: int, landmarks: Numbers) -> float:
         """Return the mean distance of a frame's landmarks `(n_landmarks, 2)` from the given ones, px.
 
         NaN where none is given for this frame, or only those of one frame are: they are where the track
@@ -316,7 +316,7 @@ class Face(Application[FaceJob]):
             raise ValueError(f"{self.job.landmarks}: {error}") from None
 
 
-def _check_inside(landmarks: Array, image: Image) -> None:
+def _check_inside(landmarks: Numbers, image: Image) -> None:
     """Refuse landmarks of a picture of another size, most of which lie outside of this one."""
     height, width = image.shape[:2]
     present = landmarks[~np.isnan(landmarks[:, 0])]

@@ -30,9 +30,9 @@ from ..view.page import (
     spans_of,
     table,
 )
-from .texture import spread_vertices
+from .texture import distant_vertices
 
-Array = NDArray[np.float64]
+Numbers = NDArray[np.float64]
 Image = NDArray[np.uint8]
 ANGLES = ("turned to the left", "tilted down", "leaned clockwise")
 START_SECONDS, START_FIT = 1.0, 0.9
@@ -40,7 +40,7 @@ START_SECONDS, START_FIT = 1.0, 0.9
 of a talking face all had more, and errors below 6.2 % of the pupils' distance; one with bent head less."""
 
 
-def angles(rotation: Array) -> Array:
+def angles(rotation: Numbers) -> Numbers:
     """Return the turn of the head `(3,)` in degrees, as a viewer whom it faces sees it.
 
     First about the axis towards the viewer (clockwise), then about the horizontal one (down), at last about
@@ -153,7 +153,7 @@ class FaceDrawing:
 
     def __init__(self, model: MorphableModel) -> None:
         self._model = model
-        self._shown = spread_vertices(model.bases[0], MOST_POINTS)
+        self._shown = distant_vertices(model.bases[0], MOST_POINTS)
         triangles: NDArray[Any]
         if len(self._shown) == model.n_vertices:
             triangles = np.argsort(self._shown)[model.triangles]
@@ -177,7 +177,7 @@ class FaceDrawing:
             "states": np.array([[row["lost"], row["missing"], row["reinitialised"]]]),
         }
 
-    def layer(self, film: Film, textures: Mapping[str, Image], on_texture: Array) -> dict[str, Any]:
+    def layer(self, film: Film, textures: Mapping[str, Image], on_texture: Numbers) -> dict[str, Any]:
         """Return the page's layer of a film with rows of `view_row`.
 
         `textures` are pictures by their captions; `on_texture` `(n_vertices, 2)` px says where on them

@@ -12,7 +12,7 @@ from ...models.face.surface import SurfaceTexels, visible
 from ...models.numerics.rotations import exponential
 from ..io.files import write_image
 
-Array = NDArray[np.float64]
+Numbers = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 TEXTURE_HEIGHT = 480
@@ -23,7 +23,7 @@ SUREST = 0.01
 """Squared grey levels below which variances of texels are not told apart (of a template it is 0)."""
 
 
-def spread_vertices(shape: Array, most: int) -> NDArray[np.int64]:
+def distant_vertices(shape: Numbers, most: int) -> NDArray[np.int64]:
     """Return up to so many of the vertices `(n_vertices, 3)`, each farthest from those before it."""
     if len(shape) <= most:
         return np.arange(len(shape), dtype=np.int64)
@@ -35,14 +35,16 @@ def spread_vertices(shape: Array, most: int) -> NDArray[np.int64]:
     return np.array(chosen, np.int64)
 
 
-def _places(texels: SurfaceTexels, vertices: Array) -> Array:
+def _places(texels: SurfaceTexels, vertices: Numbers) -> Numbers:
     """`(n_texels, n)`: texels as weighted means of `vertices` `(n_vertices, n)`."""
     corners = vertices[texels.groups[texels.group_of_texel]]
-    places: Array = np.einsum("ta,tac->tc", texels.weights, corners)
+    places: Numbers = np.einsum("ta,tac->tc", texels.weights, corners)
     return places
 
 
-def texture_picture(model: MorphableModel, morphs: Array, texels: SurfaceTexels, values: Array) -> Array:
+def texture_picture(
+    model: MorphableModel, morphs: Numbers, texels: SurfaceTexels, values: Numbers
+) -> Numbers:
     """Render a texture `values (n_texels,)` on a shape of `morphs (n_bases,)` px, seen from the front.
 
     Returns
@@ -64,17 +66,17 @@ def texture_picture(model: MorphableModel, morphs: Array, texels: SurfaceTexels,
     return np.where(total > 0, (weights * known[nearest]).sum(axis=2) / np.maximum(total, 1e-300), np.nan)
 
 
-def vertices_on_texture(model: MorphableModel, morphs: Array, texels: SurfaceTexels) -> Array:
+def vertices_on_texture(model: MorphableModel, morphs: Numbers, texels: SurfaceTexels) -> Numbers:
     """Return where vertices are on a picture of `texture_picture`, `(n_vertices, 2)` px."""
     positions, _, places = _from_the_front(model, morphs, texels)
     low, _, px = _picture_of(places)
-    on_texture: Array = (positions[:, :2] - low) / px
+    on_texture: Numbers = (positions[:, :2] - low) / px
     return on_texture
 
 
 def _from_the_front(
-    model: MorphableModel, morphs: Array, texels: SurfaceTexels
-) -> tuple[Array, NDArray[np.bool_], Array]:
+    model: MorphableModel, morphs: Numbers, texels: SurfaceTexels
+) -> tuple[Numbers, NDArray[np.bool_], Numbers]:
     """Vertices `(n_vertices, 3)`, which texels are seen, and the places `(n_seen, 2)` of these, px."""
     frontal = Poses(exponential(FRONT), np.zeros((1, 2)), morphs[None])
     positions = model.positions(frontal)
@@ -82,7 +84,7 @@ def _from_the_front(
     return positions[0], shown, (_places(texels, positions[0, :, :2]) + texels.offsets)[shown]
 
 
-def _picture_of(places: Array) -> tuple[Array, Array, float]:
+def _picture_of(places: Numbers) -> tuple[Numbers, Numbers, float]:
     """Corners of the picture of texels at `places` `(n, 2)`, and the side of its pixels."""
     low, high = places.min(axis=0), places.max(axis=0)
     return low, high, float((high - low)[1]) / TEXTURE_HEIGHT
@@ -112,7 +114,7 @@ def write_textures(folder: Path, chain: GFlow, state: GFlowState) -> tuple[float
     return white, dict(zip(captions, pictures, strict=True))
 
 
-def _grey(values: Array, highest: float) -> Image:
+def _grey(values: Numbers, highest: float) -> Image:
     """A picture of values from 0 (black) to `highest` (white); black where there is none."""
     shades = np.clip(255 * values / max(highest, 1e-12), 0, 255)
     return np.rint(np.nan_to_num(shades)).astype(np.uint8)

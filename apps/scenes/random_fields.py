@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Numbers = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
 
@@ -19,17 +19,17 @@ def mottle(shape: tuple[int, int], coarsest: float, finest: float, generator: np
     return unit
 
 
-def wander(times: Array, periods: tuple[float, float], generator: np.random.Generator) -> Array:
+def wander(times: Numbers, periods: tuple[float, float], generator: np.random.Generator) -> Numbers:
     """Return a smooth random function of unit variance at `times` (s): sines of periods (s) in a range."""
     n_sines = 8
     lengths = np.exp(generator.uniform(np.log(periods[0]), np.log(periods[1]), n_sines))
     phases = generator.uniform(0, 2 * np.pi, n_sines)
     sines = np.sin(2 * np.pi * times[:, None] / lengths + phases)
-    wandered: Array = sines.sum(axis=1) * np.sqrt(2 / n_sines)
+    wandered: Numbers = sines.sum(axis=1) * np.sqrt(2 / n_sines)
     return wandered
 
 
-def inside(distance: Array, soft: float = 0.012) -> Array:
+def inside(distance: Numbers, soft: float = 0.012) -> Numbers:
     """Return 1 where `distance` from an outline is positive, 0 outside, smooth over `soft`."""
-    share: Array = 0.5 * (1 + np.tanh(distance / soft))
+    share: Numbers = 0.5 * (1 + np.tanh(distance / soft))
     return share

@@ -30,7 +30,7 @@ from .generated_film import GeneratedFilm
 from .random_fields import inside, mottle, wander
 from .rendering_kernels import MAX_COORDINATE, average_samples, draw_mesh
 
-Array = NDArray[np.float64]
+Numbers = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
 SKIN = 140.0  # mean grey level of the skin under full light
@@ -38,12 +38,12 @@ WALL = 115.0  # mean grey level of the room
 MARGIN = 1.03  # extent of a skin's picture, in extents of the surface
 
 
-def skin_texels(plane: Array, density: float) -> Array:
+def skin_texels(plane: Numbers, density: float) -> Numbers:
     """Return column and row in a skin's picture of points `(n, 2)` of `face_plane`, at `density` texels a
     unit.
     """
     corner = MARGIN * RIM * np.array([HALF_WIDTH, HALF_HEIGHT])
-    texels: Array = (plane + corner) * density
+    texels: Numbers = (plane + corner) * density
     return texels
 
 
@@ -64,7 +64,7 @@ def paint_skin(density: float, contrast: float, generator: np.random.Generator) 
     picture = (11.0 * blotches + _freckles(shape, density, generator)).astype(np.float64)
     right = np.abs(x)
 
-    def cover(amount: Array, grey: Array | Pixels | float) -> None:
+    def cover(amount: Numbers, grey: Numbers | Pixels | float) -> None:
         picture[...] += amount * (grey - SKIN - picture)
 
     arch = -0.35 - 0.35 * (right - 0.10) * (0.42 - right)
@@ -233,14 +233,14 @@ class FaceScene(GeneratedFilm):
         return _poses(self)
 
     @cached_property
-    def vertices(self) -> Array:
+    def vertices(self) -> Numbers:
         """Places of the vertices of `model`, `(n_frames, n_vertices, 2)` px."""
         return self.model.project(self.poses)
 
     # What it looks like
 
     @property
-    def _times(self) -> Array:
+    def _times(self) -> Numbers:
         return self.dt * np.arange(self.n_frames, dtype=np.float64)
 
     @cached_property
@@ -261,7 +261,7 @@ class FaceScene(GeneratedFilm):
         return paint_room(self.size, self.background, np.random.default_rng([self.seed, 1]))
 
     @cached_property
-    def _changes(self) -> tuple[Pixels, Array, Array]:
+    def _changes(self) -> tuple[Pixels, Numbers, Numbers]:
         """Blotches that come and go: `(8, rows, columns)` of unit variance, their periods (s) and phases."""
         generator = np.random.default_rng([self.seed, 3])
         fields = [
@@ -270,7 +270,7 @@ class FaceScene(GeneratedFilm):
         return np.stack(fields), generator.uniform(1.5, 5.0, 8), generator.uniform(0, 2 * np.pi, 8)
 
     @cached_property
-    def _lights(self) -> tuple[Array, Array]:
+    def _lights(self) -> tuple[Numbers, Numbers]:
         """Directions to the light, `(n_frames, 3)` of unit length, and its gains, `(n_frames,)`."""
         generator = np.random.default_rng([self.seed, 4])
         azimuth, elevation, gain = (wander(self._times, (3.0, 9.0), generator) for _ in range(3))
@@ -287,7 +287,7 @@ class FaceScene(GeneratedFilm):
         changed = self._skin + np.tensordot(amounts.astype(np.float32), fields, 1)
         return np.clip(changed, 8, 245, out=changed)
 
-    def _shading(self, index: int, places: Array) -> Array:
+    def _shading(self, index: int, places: Numbers) -> Numbers:
         """Light at every vertex of the mesh at `places` `(n, 3)`, as a share of full light (Lambert)."""
         normals = np.zeros_like(places)
         first, second, third = (places[self._mesh.triangles[:, corner]] for corner in range(3))
@@ -297,7 +297,7 @@ class FaceScene(GeneratedFilm):
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         directions, gains = self._lights
         lambertian = np.maximum(normals @ directions[index], 0)
-        shade: Array = gains[index] * (AMBIENT + (1.15 - AMBIENT) * lambertian)
+        shade: Numbers = gains[index] * (AMBIENT + (1.15 - AMBIENT) * lambertian)
         return 1 + self.light * (shade - 1)
 
     def _render(self, index: int) -> tuple[Pixels, Pixels]:
@@ -334,8 +334,8 @@ def _poses(scene: FaceScene) -> Poses:
     own_times = np.concatenate([[0.0], np.cumsum(pace[:-1]) * scene.dt])
     beginning = np.tanh(own_times) ** 2  # the first second
 
-    def from_start(periods: tuple[float, float]) -> Array:
-        wandered: Array = beginning * wander(own_times, periods, generator)
+    def from_start(periods: tuple[float, float]) -> Numbers:
+        wandered: Numbers = beginning * wander(own_times, periods, generator)
         return wandered
 
     yaw, pitch, roll = (

@@ -11,7 +11,7 @@ from ...models.core.short_repr import short_repr
 from .random_fields import mottle
 from .rendering_kernels import MAX_COORDINATE, average_samples, draw_mesh
 
-Array = NDArray[np.float64]
+Numbers = NDArray[np.float64]
 
 TILT = 25.0  # degrees by which the camera looks down on the upright axis
 
@@ -50,8 +50,8 @@ class Turntable:
 
     images: NDArray[np.uint8]
     depth: NDArray[np.float32]
-    rotations: Array
-    translation: Array
+    rotations: Numbers
+    translation: Numbers
     focal: float
 
     def frames(self) -> list[Frame]:
@@ -116,7 +116,7 @@ def turntable(
     return film
 
 
-def _body(generator: np.random.Generator) -> tuple[Array, Array, Array]:
+def _body(generator: np.random.Generator) -> tuple[Numbers, Numbers, Numbers]:
     """Vertices `(n, 3)`, their normals, and their places `(n, 2)` in the texture."""
     around = np.linspace(0, 2 * np.pi, AROUND + 1)
     down = np.linspace(0, np.pi, DOWN)
@@ -142,6 +142,6 @@ def _triangles() -> NDArray[np.int64]:
     )
 
 
-def _about_y(angle: float) -> Array:
+def _about_y(angle: float) -> Numbers:
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])

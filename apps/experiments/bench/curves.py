@@ -232,8 +232,7 @@ def over_observations() -> Curve:
 def turning(count: int) -> tuple[Observations, Posterior]:
     """Return so many observations of points before a turning camera, and a start of EM near the truth.
 
-    Positions are in units of their spread already; they are made as lists, without a table of all frames and
-    points.
+    Positions are in units of their standard deviation; they are lists, without a table of frames and points.
     """
     generator, errors = np.random.default_rng(0), np.random.default_rng(1)
     n_frames, n_points = max(40, round(np.sqrt(count) / 2)), count // LENGTH

@@ -29,7 +29,7 @@ def test_a_power_is_found_and_its_error_is_that_of_a_regression() -> None:
     assert power == pytest.approx(coefficients[0])
     assert error == pytest.approx(math.sqrt(covariance[0, 0] * (left @ left) / 2))
     expectation = curve(noisy).expectation(1.1)
-    assert (expectation.measured, expectation.spread, expectation.ratio) == (power, error, True)
+    assert (expectation.measured, expectation.standard_error, expectation.ratio) == (power, error, True)
 
 
 def test_broken_tracks_are_pieces_of_points() -> None:
