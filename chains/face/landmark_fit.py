@@ -11,10 +11,9 @@ LANDMARK_NOISE = 0.03  # standard deviation of a landmark in units of c_1: about
 MIN_LANDMARKS = 4  # of a frame: three determine a rigid object, but leave its depth ambiguous
 _BATCH = 256  # frames fitted at once, which bounds the memory of their Jacobians
 
-_MOST_STEPS = 60
-
-_SMALL_STEP = 1e-6  # step (rad, and share of the object's size) at which a fit is finished
-_DEPTH_DOUBT = 0.05  # how far a point may be off the typical shape at the start, in units of c_1
+_MOST_STEPS = 60  # Levenberg-Marquardt steps
+_SMALL_STEP = 1e-6  # step (rad, and share of the object's size) that ends a fit
+_DEPTH_DOUBT = 0.05  # standard deviation of points from the typical shape at the start, in units of c_1
 
 
 def fit_landmarks(
@@ -95,7 +94,7 @@ def fit_landmarks(
 
 
 def own_points(model: MorphableModel, n_given: int) -> tuple[NDArray[np.int64], SurfacePoints]:
-    """Which of so many landmarks, its own or its vertices, the model has, and its points there.
+    """Return which of `n_given` landmarks, its own or its vertices, the model has, and its points there.
 
     Raises `ValueError` if it has neither in that number.
     """
@@ -112,7 +111,7 @@ def own_points(model: MorphableModel, n_given: int) -> tuple[NDArray[np.int64], 
 
 
 def _validate(landmarks: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Landmarks with zeros where they are missing, and which ones are there."""
+    """Return landmarks with zeros for missing ones, and which are present."""
     if np.isinf(landmarks).any():
         frame, point = np.argwhere(np.isinf(landmarks))[0, :2]
         raise ValueError(f"landmark {point} of frame {frame}: got infinity, expected px, NaN where missing")
@@ -130,25 +129,25 @@ def _validate(landmarks: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _rigid_poses(points: MorphableModel, landmarks: Array, seen: NDArray[np.bool_], noise: float) -> Poses:
-    """Poses of the typical shape: the best that Gauss-Newton finds from three closed forms.
+    """Return poses of the typical shape: the best of Gauss-Newton from three closed forms.
 
-    They are the rotation nearest to the best affine camera, its mirror image in depth, and an unturned one.
+    These are the rotation nearest to the best affine camera, its mirror image in depth, and a rotation in the
+    picture's plane.
     """
     typical = type(points)(points.bases[:1], points.triangles)
     shape = np.append(typical.bases[0], np.ones((points.n_vertices, 1)), axis=1)
     normal = np.einsum("fp,pi,pj->fij", seen.astype(np.float64), shape, shape)
     counts = seen.sum(axis=1)
-    # Where an object is nearly flat, errors of the typical shape would decide how far it is turned: depth
-    # counts as far as it is above them.
+    # regularised, for errors of the typical shape would determine the rotation of a nearly flat object
     normal[:, [0, 1, 2], [0, 1, 2]] += _DEPTH_DOUBT**2 * counts[:, None]
     cameras = np.linalg.solve(normal, np.einsum("fp,pi,fpc->fic", seen, shape, landmarks))
     rows = np.swapaxes(cameras[:, :3], 1, 2)
     left, scales, right = np.linalg.svd(rows, full_matrices=False)
     pair = left @ right
     turned = np.concatenate([pair, np.cross(pair[:, 0], pair[:, 1])[:, None]], axis=1)
-    # the mirror image in depth: what is seen of a flat object would be the same
+    # the mirror image in depth: the same for a flat object
     mirror = np.diag([1.0, 1.0, -1.0])
-    # in the picture's plane only: the part of the camera that neither looks at depth nor reflects
+    # in the picture's plane only: the part of the camera without depth and reflection
     angle = np.arctan2(rows[:, 1, 0] - rows[:, 0, 1], rows[:, 0, 0] + rows[:, 1, 1])
     flat = np.tile(np.eye(3), (len(rows), 1, 1))
     flat[:, 0, 0] = flat[:, 1, 1] = np.cos(angle)
@@ -168,7 +167,7 @@ def _rigid_poses(points: MorphableModel, landmarks: Array, seen: NDArray[np.bool
 def _maximise(
     points: MorphableModel, landmarks: Array, seen: NDArray[np.bool_], poses: Poses, noise: float
 ) -> tuple[Poses, Array]:
-    """The likeliest poses nearby, by Levenberg and Marquardt's steps, and their costs, -2 log p."""
+    """Maximise the posterior of poses by Levenberg-Marquardt; return them and their costs, -2 log p."""
     units = np.ones((len(poses), poses.dimension))
     units[:, 3:] = poses.sizes[:, None]
     sigma = noise * poses.sizes  # px; held, or it would reward large objects
@@ -199,7 +198,7 @@ def _maximise(
 def _cost(
     points: MorphableModel, landmarks: Array, seen: NDArray[np.bool_], poses: Poses, sigma: Array
 ) -> Array:
-    """Squared residuals of landmarks and of c_j / c_1, in their standard deviations; `(n_frames,)`."""
+    """Return squared residuals of landmarks and c_j / c_1 in their standard deviations, `(n_frames,)`."""
     away = ((landmarks - points.project(poses)) ** 2).sum(axis=2)
     shares = poses.morphs[:, 1:] / poses.sizes[:, None]
     total = (away * seen).sum(axis=1) / sigma**2 + (shares**2).sum(axis=1)
@@ -210,14 +209,14 @@ def _cost(
 def _normal_equations(
     points: MorphableModel, landmarks: Array, seen: NDArray[np.bool_], poses: Poses, sigma: Array
 ) -> tuple[Array, Array]:
-    """J^T e `(n_frames, dimension)` and J^T J of the residuals of `_cost`."""
+    """Return J^T e `(n_frames, dimension)` and J^T J of the residuals of `_cost`."""
     n = len(poses)
     rows = points.jacobian(poses) * (seen / sigma[:, None])[..., None, None]
     rows = rows.reshape(n, -1, poses.dimension)
     errors = (landmarks - points.project(poses)) / sigma[:, None, None]
     across = np.swapaxes(rows, 1, 2)
     gradient, normal = (across @ errors.reshape(n, -1, 1))[..., 0], across @ rows
-    # the prior's residuals c_j / c_1, of which only the one's own c_j and c_1 move each
+    # the prior's residuals c_j / c_1, each a function of c_j and c_1
     size = poses.sizes[:, None]
     shares = poses.morphs[:, 1:] / size
     gradient[:, RIGID] += (shares**2).sum(axis=1) / poses.sizes

@@ -1,4 +1,4 @@
-"""Where the face is in the first frame: from landmarks, or from a face detector and a generic shape."""
+"""Pose and shape of a face in the first frame: from landmarks, or from a face detector."""
 
 from dataclasses import dataclass, replace
 
@@ -16,31 +16,30 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 USUAL_MISFIT = 2 * LANDMARK_NOISE
-"""Distance of landmarks from a model that fits them, in its sizes: on a talking face at most 0.035."""
+"""Largest usual distance of landmarks from a fitted model, in its sizes: on a talking face at most 0.035."""
 
 LARGE_FACE, SMALLEST, OCTAVE = 0.16, 30.0, 2.0
-"""Heights of the faces that are looked for where none is found at first: below this share of the picture's
-shorter side, and down to a half of so many px, in steps; a cascade covers the factor between two of them."""
+"""Heights of small faces to search for: below this share of the picture's shorter side, down to a half of so
+many px, in steps of this factor, which a cascade covers."""
 
 SURELY = 6
-"""Neighbouring detections of a second cascade that confirm a small face. In 60 pictures without a face, none
-of what the first one saw was confirmed, and most faces of 23 px in others were."""
+"""`min_neighbors` of a second cascade that confirms a small face. In 60 pictures without a face, no detection
+of the first one was confirmed, and most faces of 23 px in others were."""
 
 
 @dataclass(frozen=True, eq=False)
 class FaceStart:
     """A face in one frame."""
 
-    model: MorphableModel  # that person's own
+    model: MorphableModel  # of this person
     pose: Poses  # one, of that model
-    # on its surface at the landmarks that are there, which are met exactly in this pose
-    points: SurfacePoints
-    present: NDArray[np.bool_]  # `(n_landmarks,)` bool: which of the given landmarks these are
+    points: SurfacePoints  # at the present landmarks, which they meet exactly in this pose
+    present: NDArray[np.bool_]  # `(n_landmarks,)`: given landmarks that are not NaN
     fit_error: float | None  # px: root mean square distance of landmarks from the model's points, if any
 
     @property
     def misfit(self) -> str | None:
-        """What to say of landmarks that the model does not meet; `None` if it does."""
+        """Warning if the model does not meet the landmarks; `None` if it does."""
         size = float(self.pose.sizes[0])
         if self.fit_error is None or self.fit_error <= USUAL_MISFIT * size:
             return None
@@ -92,7 +91,7 @@ def start_from_landmarks(
 def _points_of(
     model: MorphableModel, landmarks: Array, pairs: NDArray[np.int64] | None
 ) -> tuple[NDArray[np.int64], SurfacePoints]:
-    """Indices of the landmarks that the model knows, and its points there."""
+    """Return the indices of the landmarks that the model has, and its points there."""
     n_given = len(landmarks)
     own = model.landmarks
     if pairs is not None:
@@ -126,10 +125,10 @@ def start_from_box(model: MorphableModel, box: BoundingBox) -> FaceStart:
 
 
 def find_face(frame: Frame, faces: PartDetector, *, small: bool = True) -> BoundingBox | None:
-    """The largest face that a detector finds, `(x, y, width, height)` px; `None` if there is none.
+    """Return the largest detected face, `(x, y, width, height)` px; `None` if there is none.
 
-    Where it finds none, it is shown the picture larger, so that `small` faces have the size of those that
-    detectors know; this takes longer.
+    If none is detected, the picture is enlarged, so that `small` faces have the size for which detectors are
+    trained; this takes longer.
     """
     boxes = faces(frame)
     if len(boxes) or frame.image is None or not small:
@@ -150,7 +149,7 @@ def find_face(frame: Frame, faces: PartDetector, *, small: bool = True) -> Bound
 
 
 def _about(image: Image, box: Array) -> Image:
-    """The picture about a face, which has the size that detectors know."""
+    """Return the picture about a face, scaled to the size for which detectors are trained."""
     view = UprightView.of(box[:2] + box[2:] / 2, 0.0, FACE / box[2], (round(AROUND * FACE),) * 2)
     return view.warp(image)
 

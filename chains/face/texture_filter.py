@@ -1,6 +1,6 @@
-"""Kalman filter of each texel of each expert, G-flow paper eq. (10)-(12), with gains fixed or learned.
+"""Kalman filter of each texel of each expert, G-flow paper eq. (10)-(12), with fixed or learned gains.
 
-The noises of a texel and the gain and temperature of its filter in the steady state follow from each other.
+The noises of a texel determine the steady-state gain and temperature of its filter, and vice versa.
 """
 
 from dataclasses import dataclass, replace
@@ -17,15 +17,15 @@ from .texture_likelihood import MIDDLE_GREY, WORTH
 
 Map = NDArray[np.float32]
 
-USUAL_RATE = 25.0  # frames a second at which gains and temperatures are those of the steady state
+USUAL_RATE = 25.0  # frames a second to which steady-state gains and temperatures refer
 
 
 @dataclass(frozen=True)
 class TexelNoise:
     """Noises of the texture (G-flow paper eq. 1, 4)."""
 
-    rendering: float  # sigma_w^2, squared grey levels: of a texel as the picture shows it
-    process: float  # psi_v, squared grey levels per second: by which a texel changes
+    rendering: float  # sigma_w^2, squared grey levels: observation noise of a texel
+    process: float  # psi_v, squared grey levels per second: process noise of a texel
 
     def __post_init__(self) -> None:
         if not (self.rendering >= 0 and self.process >= 0 and self.rendering + self.process > 0):
@@ -36,7 +36,7 @@ class TexelNoise:
 
     @classmethod
     def of_steady_state(cls, gain: float, temperature: float) -> Self:
-        """The noises for which gain and temperature settle at the given values, eq. (33) solved for them.
+        """Return the noises of which gain and temperature are the steady state: eq. (33) solved for them.
 
         sigma_w^2 = (1 - K) tau, and Psi = K^2 tau from one frame to the next of `USUAL_RATE`.
 
@@ -51,13 +51,13 @@ class TexelNoise:
 
     @property
     def steady_variance(self) -> float:
-        """V_inf, squared grey levels, eq. (34): of predictions from frame to frame of `USUAL_RATE`."""
+        """V_inf, squared grey levels, eq. (34), at `USUAL_RATE`."""
         change = self.process / USUAL_RATE
         return 0.5 * (change + float(np.sqrt(change**2 + 4 * self.rendering * change)))
 
     @property
     def steady_gain(self) -> float:
-        """K_inf, from 0 to 1: of pictures of `USUAL_RATE`."""
+        """K_inf, from 0 to 1, at `USUAL_RATE`."""
         return self.steady_variance / self.temperature
 
     @property
@@ -68,50 +68,48 @@ class TexelNoise:
 
 AnyTuple = TypeVar("AnyTuple", kernels.Noises, kernels.Memory)
 
-UNKNOWN_VARIANCE = 60.0**2  # squared grey levels: of a texel that has never been seen
-MEMORY = 1.0  # s over which the square of innovations is averaged, where gains are learned
+UNKNOWN_VARIANCE = 60.0**2  # squared grey levels: of a texel that was never seen
+# Learned gains, chosen on generated textures of all ratios of process and observation noise:
+MEMORY = 1.0  # s: time constant of the mean squared innovation
 PACE = 15.0  # change of a gain's log odds in that time, at full correlation of large innovations
-SMALL = 36.0  # squared grey levels: innovations whose square is well below it say little of the gain
-MISPLACED = 3.0  # squared grey levels: product of successive innovations of texels seen a little off
-GAIN_LIMITS = (-6.0, 6.0)  # log odds between which a learned gain stays
-
+SMALL = 36.0  # squared grey levels: innovations well below it change the gain slowly
+MISPLACED = 3.0  # squared grey levels: product of successive innovations from errors of the shape
+GAIN_LIMITS = (-6.0, 6.0)  # range of a learned gain's log odds
 FIRST_GAIN = 0.05
-
-RETURN = 0.3  # s in which what sets a texel apart from its lasting texture decays to 1/e
-LEAST_INSIDE = 0.4  # share of the visible texels that must lie in the picture for a texture to explain it
+RETURN = 0.3  # s: time constant of the return to the lasting texture
+LEAST_INSIDE = 0.4  # share of the visible texels that must lie in the picture for a fit
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class LearnedGain(Rows):
-    """What is remembered of each texel's innovations, to learn its gain (§7.2.1).
+    """Gain of each texel, learned from its innovations (§7.2.1).
 
-    Under the right gain innovations are white. A texel that changes faster than its gain follows has
-    innovations of the same sign one after the other, one that follows noise has alternating ones. So the log
-    odds of a gain climb or fall with the correlation of successive innovations: fast where innovations are
-    large beside what noise makes of a prediction, slowly where they are small. A texel of a shape that is
-    only nearly right is seen next to its place for many frames; what this leaves in the correlation is taken
-    off, or else every texel would end at flow, whose drift no texel can see.
+    Under the right gain innovations are white. If the gain is too low, successive innovations have the same
+    sign; if it is too high, they alternate. So the log odds of a gain rise or fall with the correlation of
+    successive innovations: fast if innovations are large against the noise of a prediction, slowly if they
+    are small. Errors of the shape add a positive correlation, which is subtracted; else every gain would
+    become 1, optic flow, whose drift does not show in innovations.
     """
 
-    log_odds: Map  # `(n_experts, n_texels)` float32 of the gain
-    last: Map  # `(n_experts, n_texels)` float32 grey levels: the last innovation, 0 if the texel was hidden
-    power: Map  # `(n_experts, n_texels)` float32: running mean of innovations' square
+    log_odds: Map  # `(n_experts, n_texels)` float32: of the gain
+    last: Map  # `(n_experts, n_texels)` float32 grey levels: last innovation, 0 if the texel was hidden
+    power: Map  # `(n_experts, n_texels)` float32: running mean of squared innovations
 
     @classmethod
     def first(cls, n_experts: int, n_texels: int) -> Self:
-        """Before anything was seen."""
+        """Return the first gains."""
         start = np.full((n_experts, n_texels), np.log(FIRST_GAIN / (1 - FIRST_GAIN)), np.float32)
         return cls(start, np.zeros_like(start), np.zeros_like(start))
 
     @property
     def gain(self) -> Map:
-        """`(n_experts, n_texels)` from 0 to 1."""
+        """Gains `(n_experts, n_texels)` from 0 to 1."""
         gain = 1 / (1 + np.exp(-self.log_odds))
         return gain.astype(np.float32)
 
     def updated(self, innovation: Map, seen: NDArray[np.bool_], elapsed: float) -> Self:
-        """With a picture `elapsed` s after the last one; `innovation` counts where `seen`."""
+        """Update gains with the innovations of a picture where `seen`, `elapsed` s after the last one."""
         share = -np.expm1(-elapsed / MEMORY)
         both = seen & (self.last != 0)
         square = innovation**2
@@ -129,21 +127,19 @@ class LearnedGain(Rows):
 @short_repr
 @dataclass(frozen=True, eq=False)
 class LastingTexture(Rows):
-    """What texels look like in the long run, to which they return.
+    """Long-term mean of the texels, to which they return.
 
-    A departure from the paper, whose texels walk at random. There, errors of the pose add up: the texture is
-    seen a little off, is learned so, and holds the next poses there. Here it is a mean over all that was
-    seen, which forgets with the square of the gain, so that flow (gain 1) remains flow. The first picture
-    counts for as many as the filter remembers, 1 / gain: where texels lie on the object was given there, and
-    in each later one the texture so far has said so, errors included.
+    A departure from the paper, whose texels walk at random. There, errors of the pose accumulate: the texture
+    is learned at a wrong pose, and holds the next poses there. Here it returns to a mean over all pictures,
+    which forgets with the square of the gain, so that gain 1 remains optic flow. The first picture counts as
+    1 / gain pictures, the filter's memory, since its pose is given and those of later ones are estimated.
     """
 
     mean: Map  # `(n_experts, n_texels)` float32 grey levels
-    # `(n_experts, n_texels)` float32: pictures of the usual rate that it rests on; 0 if never seen
-    looks: Map
+    looks: Map  # `(n_experts, n_texels)` float32: number of pictures, at the usual rate, in the mean
 
     def updated(self, observed: Map, seen: NDArray[np.bool_], gain: Map, elapsed: float) -> Self:
-        """With a picture `elapsed` s after the last one, under a filter of steady `gain` above 0.
+        """Update the mean with a picture, `elapsed` s after the last one, for a steady `gain` above 0.
 
         `observed` `(n_experts, n_levels, n_texels)`, and `gain` of every texel, or `(1, n_texels)`.
         """
@@ -169,12 +165,12 @@ class Texture:
 
     mean: Map  # `(n_experts, n_levels, n_texels)` float32 grey levels, on each level of the picture
     variance: Map  # `(n_experts, n_texels)` float32, squared grey levels, common to the levels
-    learned: LearnedGain | None = None  # where gains are learned
-    lasting: LastingTexture | None = None  # what the finest level returns to; `None` for a walk at random
+    learned: LearnedGain | None = None  # if gains are learned
+    lasting: LastingTexture | None = None  # to which the finest level returns; `None` for a random walk
 
     @classmethod
     def unknown(cls, n_experts: int, n_levels: int, n_texels: int, *, learn: bool) -> Self:
-        """Texture of which nothing has been seen."""
+        """Return unseen textures."""
         return cls(
             np.full((n_experts, n_levels, n_texels), MIDDLE_GREY, np.float32),
             np.full((n_experts, n_texels), UNKNOWN_VARIANCE, np.float32),
@@ -183,12 +179,12 @@ class Texture:
         )
 
     def reset(self) -> Self:
-        """As before anything was seen."""
+        """Return unseen textures of the same shape."""
         n_experts, n_levels, n_texels = self.mean.shape
         return self.unknown(n_experts, n_levels, n_texels, learn=self.learned is not None)
 
     def of(self, parents: NDArray[np.int64]) -> Self:
-        """Textures of the children of `parents`."""
+        """Return the textures of the children of `parents`."""
         if np.array_equal(parents, np.arange(len(self.mean))):
             return self
         return replace(
@@ -200,12 +196,12 @@ class Texture:
         )
 
     def temperature(self, noise: TexelNoise) -> Map:
-        """tau = V + sigma_w^2 `(n_experts, n_texels)` of a predicted texture, squared grey levels (§4.1)."""
+        """Return tau = V + sigma_w^2 `(n_experts, n_texels)` of a prediction, squared grey levels (§4.1)."""
         temperature: Map = self.variance + self._noises(noise, 0.0).rendering
         return temperature
 
     def predicted(self, noise: TexelNoise, elapsed: float) -> Self:
-        """The texture `elapsed` s later, eq. (12), on its way to the lasting one if anything changes."""
+        """Predict the texture `elapsed` s ahead, eq. (12), with its return to the lasting texture."""
         elapsed = max(elapsed, SHORTEST)
         noises, returned = self._noises(noise, elapsed), np.float32(-np.expm1(-elapsed / RETURN))
         lasting = kernels.Lasting(*np.zeros((2, 0, 0), np.float32))
@@ -219,12 +215,12 @@ class Texture:
         return replace(self, mean=mean, variance=variance)
 
     def updated(self, observed: Map, seen: NDArray[np.bool_], noise: TexelNoise, elapsed: float) -> Self:
-        """This prediction, made `elapsed` s after the last picture, with a picture: eq. (10), (11).
+        """Update this prediction with a picture, `elapsed` s after the last one: eq. (10), (11).
 
-        `observed` `(n_experts, n_levels, n_texels)` are the texels as this frame shows them; where they are
-        not `seen` `(n_experts, n_texels)` both stay. Departures: only the finest level is filtered. Coarse
-        ones, where the search begins, hold the texel as last seen: blurred texture is blurred light as well,
-        which changes. And where nothing is said to change (gain 0) the first picture is the template.
+        `observed` `(n_experts, n_levels, n_texels)` are the texels in this picture; those not `seen`
+        `(n_experts, n_texels)` keep mean and variance. Departures: only the finest level is filtered. Coarse
+        levels, where the search begins, hold the last observation, since blurred texture contains blurred
+        light, which changes. With a gain of 0 the first picture is the template.
         """
         noises, unknown = self._noises(noise, elapsed), np.float32(0.5 * UNKNOWN_VARIANCE)
         mean, variance = np.empty_like(self.mean), np.empty_like(self.variance)
@@ -246,7 +242,7 @@ class Texture:
         return replace(self, mean=mean, variance=variance, learned=learned, lasting=lasting)
 
     def _noises(self, noise: TexelNoise, elapsed: float) -> kernels.Noises:
-        """Noises of texels `elapsed` s after the last picture; with a learned gain its steady state's."""
+        """Return the noises of texels `elapsed` s after the last picture, by their learned gains if any."""
         if self.learned is None:
             rendering = self._everywhere(noise.rendering)
             process = self._everywhere(noise.process * elapsed)
@@ -261,11 +257,11 @@ class Texture:
 
 
 def explained_variance(observed: Map, mean: Map, visible: NDArray[np.bool_], seen: NDArray[np.bool_]) -> Map:
-    """Share of the picture's variance that a predicted texture explains, `(n,)` from -1 to 1.
+    """Return the share of the picture's variance that a predicted texture explains, `(n,)` from -1 to 1.
 
-    `observed`, `mean` `(n, n_levels, n_texels)` grey levels: as the picture shows the texels, and as they
-    were predicted, on the finest level, which counts, and others; `visible`, `seen` `(n, n_texels)`: texels
-    that face the viewer, and those of them in the picture; 0 where these are few.
+    `observed`, `mean` `(n, n_levels, n_texels)` grey levels: texels in the picture and their predictions, of
+    which the finest level counts; `visible`, `seen` `(n, n_texels)`: texels that face the viewer, and those
+    of them in the picture. It is 0 if these are few.
     """
     share = np.empty(len(seen), np.float32)
     kernels.explain(observed, mean, visible, seen, np.float32(LEAST_INSIDE), share)
@@ -273,5 +269,5 @@ def explained_variance(observed: Map, mean: Map, visible: NDArray[np.bool_], see
 
 
 def _rows(arrays: AnyTuple, a: int, b: int) -> AnyTuple:
-    """Arrays of experts a to b; those that are the same for all as they are."""
+    """Return the arrays of experts a to b; those common to all unchanged."""
     return type(arrays)(*(part[a:b] if len(part) > 1 else part for part in arrays))

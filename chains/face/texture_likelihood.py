@@ -1,4 +1,4 @@
-"""What a picture, with the light taken out, says of poses, given the textures that experts remember."""
+"""Likelihood of poses given a picture, with the light removed, and the experts' textures."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -21,9 +21,10 @@ Map = NDArray[np.float32]
 
 
 MIDDLE_GREY = 128.0
-DARKEST = 5.0  # grey levels added to the local mean, so that black regions do not blow up sensor noise
+# Smoothing by which generated faces under moving light were tracked best:
+DARKEST = 5.0  # grey levels added to the local mean, so that noise of black regions is not amplified
 FINE_LIGHT_REACH = 0.1  # standard deviation of the local mean on the finest level, in sizes of the object
-COARSE_LIGHT_REACH = 0.25  # the same on the others, whose textures are wider than the finest one's reach
+COARSE_LIGHT_REACH = 0.25  # the same on the other levels, whose textures are wider
 SMOOTHING = (0.0175, 0.05, 0.125)  # standard deviations by level, fine to coarse, in sizes of the object
 
 
@@ -36,11 +37,11 @@ class Level(NamedTuple):
 
 
 def image_pyramid(image: NDArray[np.uint8], size: float, *, n_levels: int, local_mean: bool) -> list[Level]:
-    """Levels of a picture, fine to coarse; each is half as large as the one before.
+    """Return the levels of a picture, fine to coarse; each is half as large as the one before.
 
-    With `local_mean` grey values are divided by their mean about them, y <- 128 y / (mean + 5), which takes
-    out light that changes slowly over the object; `size` px is that of the object, by which the mean's reach
-    and the smoothing are set. `image` is uint8, grey or BGR.
+    With `local_mean` grey values are divided by their local mean, y <- 128 y / (mean + 5), which removes
+    light that changes slowly over the object; `size` px, that of the object, scales the mean's reach and the
+    smoothing. `image` is uint8, grey or BGR.
 
     Raises `ValueError` if the coarsest level would have less than two px either way.
     """
@@ -76,17 +77,17 @@ def _coarse_levels(picture: Map, size: float, *, n_levels: int, local_mean: bool
 
 
 def divide_by_local_mean(picture: Map, reach: float) -> Map:
-    """The picture divided by its mean about every pixel, of standard deviation `reach` px."""
+    """Divide a picture by its Gaussian local mean of standard deviation `reach` px."""
     return picture * (np.float32(MIDDLE_GREY) / (blurred(picture, reach) + np.float32(DARKEST)))
 
 
 def smoothed(picture: Map, deviation: float) -> Map:
-    """Gaussian blur of a few px."""
+    """Blur by a narrow Gaussian."""
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), float(deviation)), np.float32)
 
 
 def blurred(picture: Map, deviation: float) -> Map:
-    """Gaussian mean about every pixel, worked out on a smaller picture where it is wide."""
+    """Blur by a wide Gaussian, on a smaller picture."""
     factor = max(int(deviation / 3), 1)
     height, width = picture.shape
     small = cv2.resize(
@@ -98,24 +99,24 @@ def blurred(picture: Map, deviation: float) -> Map:
 
 NO_MAP: Map = np.zeros((0, 0), np.float32)
 
-WORTH = 50_000  # texels from which on another thread is woken for them
+WORTH = 50_000  # texels from which on several threads are faster
 
 
 @dataclass(frozen=True, eq=False)
 class TexturedObject:
-    """A morphable model and where the texels of its surface are."""
+    """A morphable model with texels on its surface."""
 
-    model: MorphableModel  # shape
-    texels: SurfaceTexels  # their places on the surface
+    model: MorphableModel
+    texels: SurfaceTexels
 
     @cached_property
     def _used(self) -> NDArray[np.int64]:
-        """Vertices that carry texels."""
+        """Vertices of groups with texels."""
         return np.unique(self.texels.groups).astype(np.int64)
 
     @cached_property
     def _bases(self) -> Map:
-        """`(n_used, 3, width)`: the bases of the vertices used, in the columns of a pose's change."""
+        """Bases of the used vertices `(n_used, 3, width)`, in the columns of a pose's change."""
         dimension = RIGID + self.model.n_bases
         bases = np.zeros((len(self._used), 3, -(-dimension // LANES) * LANES), np.float32)
         bases[:, :, RIGID:dimension] = np.moveaxis(self.model.bases[:, self._used], 0, 2)
@@ -123,7 +124,7 @@ class TexturedObject:
 
     @cached_property
     def used_texels(self) -> kernels.Texels:
-        """The texels as loops take them, with numbers of vertices among those used."""
+        """Texels for compiled loops, with numbers among the used vertices."""
         groups = np.searchsorted(self._used, self.texels.groups).astype(np.uint32)
         texels = self.texels
         start = texels.first[:-1]
@@ -138,7 +139,7 @@ class TexturedObject:
 
     @cached_property
     def _pairs(self) -> kernels.Pairs:
-        """Pairs of the vertices used that have texels in common."""
+        """Pairs of used vertices with common texels."""
         n = len(self._used)
         ends = self.used_texels.groups[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
         edges, number = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
@@ -148,11 +149,10 @@ class TexturedObject:
         return kernels.Pairs(all_ends.astype(np.uint32), of_group.astype(np.uint32))
 
     def rows(self, poses: Poses) -> tuple[Map, Map, Callable[[int, int], None]]:
-        """Places `(n, n_used, 2)` px and rows `(n, n_used, 2, width)` of the vertices, and what writes them.
+        """Return empty positions `(n, n_used, 2)` px and rows `(n, n_used, 2, width)`, and their writer.
 
-        It writes those of poses from one number to another.
-
-        The width is the poses' dimension rounded up to whole vectors, filled with zeros.
+        The writer fills those of poses from one number to another. The width is the poses' dimension rounded
+        up to whole vectors, filled with zeros.
         """
         n, width = len(poses), self._bases.shape[2]
         positions = np.empty((n, len(self._used), 2), np.float32)
@@ -165,7 +165,7 @@ class TexturedObject:
         return positions, rows, write
 
     def positions(self, poses: Poses) -> Map:
-        """`(n, n_used, 2)` px: of the vertices used."""
+        """Return image positions of the used vertices, `(n, n_used, 2)` px."""
         shapes = (poses.morphs @ self._flat_bases).reshape(len(poses), -1, 3)
         seen = shapes @ np.swapaxes(poses.rotations[:, :2], -1, -2) + poses.translations[:, None]
         return seen.astype(np.float32)
@@ -175,7 +175,7 @@ class TexturedObject:
         return self.model.bases[:, self._used].reshape(self.model.n_bases, -1)
 
     def visible(self, poses: Poses) -> NDArray[np.bool_]:
-        """`(n, n_texels)`: whether texels face the viewer with nothing before them."""
+        """Return whether texels face the viewer and are not occluded, `(n, n_texels)`."""
         if not len(self.model.triangles):
             return np.ones((len(poses), len(self.texels)), np.bool_)
         return visible(self.model.positions(poses), self.model.triangles, self.texels)
@@ -183,9 +183,9 @@ class TexturedObject:
     def observe(
         self, levels: Sequence[Level], poses: Poses, visible: NDArray[np.bool_]
     ) -> tuple[Map, NDArray[np.bool_]]:
-        """What texels look like on each level `(n, n_levels, n_texels)`, and which are in the picture.
+        """Sample texels on each level, `(n, n_levels, n_texels)`, and return which are in the picture.
 
-        On coarse levels only those that are used there are sure to be looked at; others may have 0.
+        On coarse levels only the texels in use there are sampled for certain; others may be 0.
         """
         positions = self.positions(poses)
         margin = np.abs(self.texels.offsets).max(initial=0) + 2 ** len(levels)
@@ -211,13 +211,13 @@ class TexturedObject:
 
 @dataclass(frozen=True, eq=False)
 class TextureLikelihood:
-    """A frame seen with the textures of experts."""
+    """Likelihood of a picture, given the experts' predicted textures."""
 
-    surface: TexturedObject  # shape and texels
+    surface: TexturedObject
     levels: Sequence[Level]  # of the picture, fine to coarse
     mean: Map  # `(n_experts, n_levels, n_texels)` float32: predicted texture on each level
     temperature: Map  # `(n_experts, n_texels)` float32: V + sigma_w^2
-    visible: NDArray[np.bool_]  # `(n_experts, n_texels)` bool, held while poses change
+    visible: NDArray[np.bool_]  # `(n_experts, n_texels)`, constant while poses change
 
     @cached_property
     def _textures(self) -> kernels.Textures:
@@ -225,7 +225,7 @@ class TextureLikelihood:
         return kernels.Textures(mean, np.reciprocal(self.temperature), np.log(self.temperature), self.visible)
 
     def equations(self, level: int, poses: Poses, owner: NDArray[np.int64]) -> "Equations":
-        """Normal equations at `poses`, of which number m belongs to expert `owner[m]`."""
+        """Return the normal equations at `poses`, of which number m belongs to expert `owner[m]`."""
         positions, rows, write_rows = self.surface.rows(poses)
         n, width, dimension = len(poses), rows.shape[3], poses.dimension
         matrices, vectors = np.empty((n, width, width), np.float32), np.empty((n, width), np.float32)
@@ -248,9 +248,9 @@ class TextureLikelihood:
         )
 
     def sums(self, poses: Poses, owner: NDArray[np.int64], background: Map = NO_MAP, level: int = 0) -> Array:
-        """`(n, 4)`: sums over visible texels of a e^2 / tau, a log tau, a, and a times the map `background`.
+        """Return sums over visible texels of a e^2 / tau, a log tau, a, and a times `background`, `(n, 4)`.
 
-        `background` is of the size of the picture on `level`.
+        `background` is a map of the size of the picture on `level`.
         """
         positions = self.surface.positions(poses)
         sums = np.empty((len(poses), 4))
@@ -265,7 +265,7 @@ class TextureLikelihood:
         return sums
 
     def misfit(self, poses: Poses, level: int) -> Array:
-        """`(n,)`: mean of e^2 / tau of the first expert's texture; infinite where nothing of it is seen."""
+        """Return the mean of e^2 / tau of the first expert's texture, `(n,)`; infinite if none is visible."""
         squares, _, areas, _ = self.sums(poses, np.zeros(len(poses), np.int64), level=level).T
         return np.where(areas > 0, squares / np.maximum(areas, 1e-9), np.inf)
 

@@ -1,8 +1,8 @@
-"""A small face-like model that needs no file: one smooth surface with five expressions, sampled at will.
+"""Built-in face model: one smooth surface with five expressions, sampled at any fineness.
 
-The surface is the front of an ellipsoid with brow ridge, eye sockets, nose, lips and chin laid on it as
-Gaussian bumps, a height field over the frontal plane, so that it never cuts itself. Lengths in this file are
-in half heights of the head; `face_model` scales them. All numbers are by eye, after proportions of adults.
+The surface is the front of an ellipsoid with brow ridge, eye sockets, nose, lips and chin as Gaussian bumps,
+a height field over the frontal plane, so that it never intersects itself. Lengths in this file are in half
+heights of the head; `face_model` scales them. All numbers are by eye, after proportions of adults.
 """
 
 from functools import cache
@@ -87,19 +87,19 @@ EXPRESSIONS = ("jaw opens", "smile", "brows rise", "pucker", "mouth aside")
 
 
 def face_model(fineness: int = 1, *, shields: bool = False) -> MorphableModel:
-    """The built-in model: 102 vertices, 180 triangles, a typical shape and five expressions.
+    """Return the built-in model: 102 vertices, 180 triangles, a typical shape and five expressions.
 
     Its origin is the centroid of the typical shape.
 
     Parameters
     ----------
     fineness
-        parts into which every edge is divided, 1 or more. The surface stays the same: vertices of the
-        coarse mesh come first, in their order and place, and the new ones lie on the smooth surface, not on
-        the coarse triangles. The scale is that of the coarse mesh.
+        number of parts of every edge, 1 or more. The surface stays the same: vertices of the coarse mesh come
+        first, unchanged, and the new ones lie on the smooth surface, not on the coarse triangles. The scale
+        is that of the coarse mesh.
     shields
-        whether two round flat shields, which move with the head, stand off from the cheeks and hide what is
-        behind them, which is another part from every side: 18 vertices and 16 triangles more.
+        whether to add two round flat shields in front of the cheeks, which move with the head and occlude
+        another part from every side: 18 vertices and 16 triangles more.
 
     Raises
     ------
@@ -115,10 +115,10 @@ def face_model(fineness: int = 1, *, shields: bool = False) -> MorphableModel:
 
 
 def face_plane(fineness: int = 1, *, shields: bool = False) -> Array:
-    """Where the vertices of `face_model(...)` lie when the surface is unrolled, `(n_vertices, 2)`.
+    """Return texture coordinates of the vertices of `face_model(...)`, `(n_vertices, 2)`.
 
-    Directions from the middle are kept and arcs of the ellipsoid become lengths, in half heights of the
-    head, x right and y down: coordinates for a texture.
+    The unrolled surface: directions from the middle are kept and arcs of the ellipsoid become lengths, in
+    half heights of the head, x right and y down.
     """
     weights, _ = _refined(fineness, shields)
     plane: Array = weights @ _coarse_mesh(shields)[0]
@@ -126,12 +126,12 @@ def face_plane(fineness: int = 1, *, shields: bool = False) -> Array:
 
 
 def unit_length() -> float:
-    """A half height of the head, the unit of `face_plane`, in px for c_1 = 1 px."""
+    """Return the unit of `face_plane`, a half height of the head, in px for c_1 = 1 px."""
     return 1 / _frame()[1]
 
 
 def front_view(plane: Array) -> Array:
-    """Where points of the plane `(n, 2)` are seen from the front, before relief: `(n, 2)`."""
+    """Return the front view, before relief, of points of the plane `(n, 2)`."""
     across = plane / (HALF_WIDTH, HALF_HEIGHT)
     angle = np.linalg.norm(across, axis=-1, keepdims=True)
     seen: Array = plane * np.sinc(angle / np.pi)
@@ -147,7 +147,7 @@ def _from_front(seen: Array) -> Array:
 
 @cache
 def _coarse_mesh(shields: bool) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices in the plane `(n, 2)` and triangles `(n, 3)` as a `MorphableModel` wants them."""
+    """Return vertices in the plane `(n, 2)` and triangles `(n, 3)` in the order of `MorphableModel`."""
     from scipy.spatial import Delaunay
 
     mirror = np.array([-1.0, 1.0])
@@ -178,12 +178,12 @@ def _coarse_mesh(shields: bool) -> tuple[Array, NDArray[np.int64]]:
 
 @cache
 def _refined(fineness: int, shields: bool) -> tuple[Array, NDArray[np.int64]]:
-    """Coarse vertices' shares in each vertex `(n, n_coarse)`, and triangles; edges in `fineness` parts."""
+    """Return coarse vertices' weights in each vertex `(n, n_coarse)`, and triangles."""
     plane, coarse = _coarse_mesh(shields)
     steps = fineness + 1
     corners = np.array([(a, b, fineness - a - b) for a in range(steps) for b in range(steps - a)])
-    # a vertex is known by the coarse vertices that share in it and by how much, whichever triangle asks;
-    # a missing share counts as -1, so that sorting puts the coarse vertices themselves first
+    # a vertex is identified by its coarse vertices and their shares; a missing share counts as -1, so that
+    # sorting puts the coarse vertices themselves first
     keys = np.where(corners > 0, coarse[:, None, :] * steps + corners, -1)
     unique, numbers = np.unique(np.sort(keys.reshape(-1, 3), axis=1), axis=0, return_inverse=True)
     numbers = numbers.reshape(len(coarse), len(corners))
@@ -201,14 +201,14 @@ def _refined(fineness: int, shields: bool) -> tuple[Array, NDArray[np.int64]]:
 
 @cache
 def _frame() -> tuple[Array, float]:
-    """Centroid, and root mean square distance from it in front view, of the coarse mesh without shields."""
+    """Return centroid and root mean square distance from it in front view, of the coarse mesh."""
     typical = _typical(face_plane())
     origin = typical.mean(axis=0)
     return origin, float(np.sqrt(((typical - origin)[:, :2] ** 2).sum(axis=1).mean()))
 
 
 def _bumps(seen: Array, bumps: Array) -> Array:
-    """Height of the bumps at points `(n, 2)` of the front view, those beside the middle on both sides."""
+    """Return the height of the bumps at points `(n, 2)` of the front view, mirrored unless in the middle."""
     height = np.zeros(len(seen))
     for x, y, width, length, top in bumps:
         for side in (x, -x) if x > 0 else (x,):
@@ -218,25 +218,25 @@ def _bumps(seen: Array, bumps: Array) -> Array:
 
 
 def _step(x: Array) -> Array:
-    """From 0 to 1, smoothly, over a few units around 0."""
+    """Return a smooth step from 0 to 1 over a few units around 0."""
     step: Array = 0.5 * (1 + np.tanh(x))
     return step
 
 
 def _on_right_side(plane: Array) -> Array:
-    """Points `(n, 2)`, those of the left half mirrored."""
+    """Mirror the points `(n, 2)` of the left half."""
     return np.stack([np.abs(plane[:, 0]), plane[:, 1]], axis=1)
 
 
 def on_shield(plane: Array) -> NDArray[np.bool_]:
-    """Which points `(n, 2)` of the plane belong to a shield."""
+    """Return which points `(n, 2)` of the plane belong to a shield."""
     away = np.linalg.norm(_on_right_side(plane) - SHIELD_IN_PLANE, axis=1)
     on: NDArray[np.bool_] = away < 1.01 * SHIELD_RADIUS_IN_PLANE
     return on
 
 
 def _typical(plane: Array) -> Array:
-    """The face at rest `(n, 3)`."""
+    """Return the face at rest `(n, 3)`."""
     seen = front_view(plane)
     angle = np.linalg.norm(plane / (HALF_WIDTH, HALF_HEIGHT), axis=1)
     z = -DEPTH * np.cos(angle) - _bumps(seen, RELIEF)
@@ -251,7 +251,7 @@ def _typical(plane: Array) -> Array:
 
 
 def _expressions(plane: Array) -> Array:
-    """How much the surface moves for one standard deviation of each expression, `(5, n, 3)`."""
+    """Return the motion of the surface for one standard deviation of each expression, `(5, n, 3)`."""
     x, y = front_view(plane).T
 
     def near(middle: float, height: float, width: float, length: float) -> Array:

@@ -1,8 +1,8 @@
-"""Files of morphable models: our own `.npz`, Candide-3, the Surrey face model, OBJ; and lists of landmarks.
+"""Files of morphable models: `.npz`, Candide-3, the Surrey face model, OBJ; and lists of landmarks.
 
-Our own is a numpy `.npz` archive of the fields of `MorphableModel`: `bases (n_bases, n_vertices, 3)`,
-`triangles (n_triangles, 3)`, and, if wanted, `identity` (a number), `names (n_bases,)` and
-`landmarks (n_landmarks,)`. In the other formats y points up and z to the viewer; they are turned round.
+An `.npz` file has the fields of `MorphableModel`: `bases (n_bases, n_vertices, 3)`, `triangles (n_triangles,
+3)`, and optionally `identity` (a number), `names (n_bases,)` and `landmarks (n_landmarks,)`. In the other
+formats y points up and z to the viewer; they are converted.
 """
 
 import re
@@ -35,13 +35,13 @@ IBUG = 68  # landmarks in the list that `SURREY_LANDMARKS` refers to
 
 
 def read_model(path: str | Path) -> MorphableModel:
-    """Read a morphable model; the name of the file says which kind.
+    """Read a morphable model; the suffix of the file is its format.
 
-    - `.npz`: ours, as `write_model` leaves it. Bases of any scale are brought to that of `MorphableModel`.
-    - `.wfm`: Candide-3; the shape units are the identity, then come the animation units.
-    - `.obj`: vertices and faces, one basis, so a rigid object. Polygons are cut into triangles.
-    - `.bin` or a folder with `sfm_shape_3448.bin`: the Surrey model. Where they lie beside it, expressions
-      are appended from `expression_blendshapes_3448.bin`, the coarse mesh of `sfm_reference.obj` is taken
+    - `.npz`: as `write_model` writes it. Bases of any scale are scaled to that of `MorphableModel`.
+    - `.wfm`: Candide-3; the shape units are the identity, the animation units the expressions.
+    - `.obj`: vertices and faces, one basis: a rigid object. Polygons are cut into triangles.
+    - `.bin` or a folder with `sfm_shape_3448.bin`: the Surrey model. If these files are beside it,
+      expressions are read from `expression_blendshapes_3448.bin`, the coarse mesh from `sfm_reference.obj`
       (with its vertices and those of landmarks only, about a quarter) and landmarks from `ibug_to_sfm.txt`.
       All 63 modes of identity are kept, each scaled by its standard deviation.
 
@@ -68,7 +68,7 @@ def read_model(path: str | Path) -> MorphableModel:
 
 
 def write_model(model: MorphableModel, path: str | Path) -> None:
-    """Write a model as `.npz`, whole or not at all; `read_model` gives the same back.
+    """Write a model as `.npz`, whole or not at all; `read_model` returns the same model.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def read_correspondences(path: str | Path) -> NDArray[np.int64]:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Put the name of the file before what is wrong with it, numbers beyond all sizes included."""
+    """Prefix errors with the name of the file, and ignore numerical warnings of damaged numbers."""
     try:
         with np.errstate(all="ignore"):
             yield
@@ -169,7 +169,7 @@ def _read_npz(path: Path) -> MorphableModel:
 
 
 def _vertex_numbers(numbers: NDArray[Any]) -> NDArray[np.int64]:
-    """As int64; what is not whole is left as it is, for the model to refuse."""
+    """Return whole numbers as int64; others unchanged, for the model to refuse."""
     return numbers.astype(np.int64) if numbers.dtype.kind in "iu" else numbers
 
 
@@ -180,7 +180,7 @@ def _read_obj(path: Path) -> MorphableModel:
 
 
 def _obj_mesh(path: Path) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices `(n, 3)` as they stand in the file, and triangles."""
+    """Return the vertices `(n, 3)` of the file, and triangles."""
     vertices, triangles = [], []
     for line_number, line in enumerate(read_text(path, "expected an .obj file").splitlines(), start=1):
         kind, *words = line.split() or [""]
@@ -260,7 +260,7 @@ def _read_candide(path: Path) -> MorphableModel:
 
 
 def _candide_names(text: str) -> dict[str, list[str]]:
-    """What comments call the units; the format has no other place for names."""
+    """Return the names of the units, which the format has in comments only."""
     names: dict[str, list[str]] = {"animation": [], "shape": []}
     group = ""
     for line in text.splitlines():
@@ -369,7 +369,7 @@ def _model(
     identity: int = 0,
     landmarks: NDArray[np.int64] | None = None,
 ) -> MorphableModel:
-    """A model from bases with y up and z to the viewer, of any scale and origin."""
+    """Return a model from bases with y up and z to the viewer, of any scale and origin."""
     MorphableModel(bases, triangles, identity, names, landmarks)  # checks the numbers before they are used
     bases = bases * [1.0, -1.0, -1.0]
     bases[0] -= bases[0].mean(axis=0)
@@ -385,7 +385,7 @@ def _model(
 
 
 def _positive_radius(bases: Array) -> float:
-    """That of the typical shape, to which all bases have to be in some proportion."""
+    """Return the radius of the typical shape; `ValueError` if it is tiny against the bases."""
     size = rms_radius(bases[0])
     if not 1e-9 * max(1e-30, float(np.abs(bases).max())) < size < np.inf:
         raise ValueError("got a typical shape of no size, or bases beyond all numbers")

@@ -1,4 +1,4 @@
-"""Texels of an object's surface, which of them are seen, and the outline of the projected mesh."""
+"""Texels of an object's surface, their visibility, and the outline of the projected mesh."""
 
 from dataclasses import dataclass
 from typing import NamedTuple, Self
@@ -16,39 +16,39 @@ Map = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class SurfaceTexels:
-    """Texels in groups, each moving with the same three vertices (a triangle) or with one (a patch).
+    """Texels in groups, each attached to three vertices (a triangle) or to one (a patch).
 
     Texel i of group (a, b, c) is seen at w_a x_a + w_b x_b + w_c x_c + offset.
 
-    Texels lie in rows: row k holds the k-th texel of every group that has so many, in the order of groups, of
-    which those with more texels come first. All texels of a row have the same weights and offset.
+    Texels lie in rows: row k holds the k-th texel of every group with more than k texels, in the order of
+    groups, the largest first. All texels of a row have the same weights and offset.
     """
 
     # `(n_groups, 3)` int32, vertex numbers, of groups that have texels; a patch names one vertex three times
     groups: NDArray[np.int32]
-    # `(n_rows + 1,)` int32: texels `first[k]:first[k + 1]` make row k, those of groups 0, 1, ... The first
-    # part of a group is spread evenly, so that coarse levels use a prefix of the rows and of each row.
+    # `(n_rows + 1,)` int32: texels `first[k]:first[k + 1]` are row k, of groups 0, 1, ... Any first part of a
+    # group is spread evenly, so that coarse levels use the first rows
     first: NDArray[np.int32]
     weights: NDArray[np.float32]  # `(n_texels, 3)` float32, barycentric; (1, 0, 0) in a patch
     offsets: NDArray[np.float32]  # `(n_texels, 2)` float32 px in the picture; zero in a mesh
-    areas: NDArray[np.float32]  # `(n_groups,)` px squared of each texel; 0 in a mesh: by the triangle's area
+    areas: NDArray[np.float32]  # `(n_groups,)` px squared of each texel; 0 in a mesh: from the triangle
 
     def __len__(self) -> int:
         return len(self.weights)
 
     @property
     def group_of_texel(self) -> NDArray[np.int64]:
-        """`(n_texels,)`: number of the group that each texel belongs to."""
+        """Group of each texel, `(n_texels,)`."""
         return np.arange(len(self)) - np.repeat(self.first[:-1], np.diff(self.first)).astype(np.int64)
 
     @property
     def counts(self) -> NDArray[np.int64]:
-        """`(n_groups,)`: how many texels each group has, falling."""
+        """Number of texels of each group, `(n_groups,)`, not increasing."""
         return np.bincount(self.group_of_texel, minlength=len(self.groups)).astype(np.int64)
 
     @classmethod
     def dense(cls, model: MorphableModel, n_texels: int) -> Self:
-        """About `n_texels` texels over all triangles, in proportion to their area on the typical shape.
+        """Return `n_texels` texels over all triangles, in proportion to their area on the typical shape.
 
         Raises `ValueError` if the model has no triangles or `n_texels` is below 1.
         """
@@ -77,7 +77,7 @@ class SurfaceTexels:
 
     @classmethod
     def patches(cls, model: MorphableModel, radius: float) -> Self:
-        """Discs of `radius` px about every vertex, a texel a pixel (the paper's small circular patches).
+        """Return discs of `radius` px about every vertex, a texel a pixel (the paper's circular patches).
 
         Raises `ValueError` if the radius is below 1 px.
         """
@@ -99,7 +99,7 @@ class SurfaceTexels:
 
 
 def _spread_in_triangle(number: NDArray[np.int64]) -> NDArray[np.float64]:
-    """`(n, 3)` barycentric weights: the sequence R2 of Roberts, folded into the triangle; 0 is its centre."""
+    """Return barycentric weights `(n, 3)`: Roberts' sequence R2 in the triangle, from its centre on."""
     first = np.modf(0.5 + number * 0.7548776662466927)[0]
     second = np.modf(0.5 + number * 0.5698402909980532)[0]
     over = first + second > 1
@@ -112,25 +112,24 @@ def _spread_in_triangle(number: NDArray[np.int64]) -> NDArray[np.float64]:
 
 FACING = 0.3  # least cosine between a triangle's normal and the direction to the viewer for texels in use
 _CELLS = 128  # most cells of the z-buffer along the longer side of the object's box
-_LEAST_CELL = 1.0  # px, least side of a cell
-_TOLERANCE = 0.02  # share of the object's depth by which what hides a point is nearer
+_LEAST_CELL = 1.0  # px: least side of a cell
+_TOLERANCE = 0.02  # least distance of an occluder in front of a point, as a share of the object's depth
 
 
 def visible(
     positions: Array, triangles: NDArray[np.int64], texels: SurfaceTexels, facing: float = FACING
 ) -> NDArray[np.bool_]:
-    """Find the texels of a triangle mesh that are seen, in many poses at once.
+    """Return which texels of a triangle mesh are visible in each pose, `(n_poses, n_texels)`.
 
-    A texel is seen if its triangle faces the viewer and no other part of the mesh is in front. The latter is
-    looked up in a z-buffer of coarse cells (1 px, or 1/128 of the object's longer side if that is more), so
-    answers are unsure within a cell of an outline, and parts less than 2 % of the object's depth in front
-    hide nothing. Triangles hide from both sides.
+    A texel is visible if its triangle faces the viewer and no other part of the mesh is in front. The latter
+    is looked up in a z-buffer of coarse cells (1 px, or 1/128 of the object's longer side if that is more):
+    results are uncertain within a cell of an outline, and parts less than 2 % of the object's depth in front
+    do not occlude. Triangles occlude from both sides.
 
     `positions` `(n_poses, n_vertices, 3)` px, z away from the viewer; `triangles` `(n_triangles, 3)`, in the
-    order of `MorphableModel`. `texels`: in groups of which the vertices are in the order of a triangle. Where
-    they are none (a patch) texels have no facing and are only hidden by what is in front. Their offsets do
-    not count. `facing`: least cosine between the normal and the direction to the viewer. Returns
-    `(n_poses, n_texels)`.
+    order of `MorphableModel`; `texels`: in groups with vertices in the order of a triangle, or patches, which
+    face everywhere and whose offsets do not count; `facing`: least cosine between the normal and the
+    direction to the viewer.
     """
     seen = np.empty((len(positions), len(texels)), np.bool_)
     positions = np.ascontiguousarray(positions, np.float64)
@@ -148,12 +147,12 @@ def visible(
 
 
 SPACING = 3.0  # px between points of an outline
-DEPTH = 1.5  # px outside an edge at which nothing may be covered, for it to be on the outline
-MOST_POINTS = 512  # points of one outline
+DEPTH = 1.5  # px outside of an edge of the outline that must not be covered
+MOST_POINTS = 512  # points of one outline, at most
 
 
 class Box(NamedTuple):
-    """A rectangle of whole pixels, which may reach over the picture's edge."""
+    """Rectangle of whole pixels, which may reach over the picture's edge."""
 
     # first row and column
     top: int
@@ -164,9 +163,9 @@ class Box(NamedTuple):
 
     @classmethod
     def around(cls, positions: NDArray[np.floating], margin: float, size: tuple[int, int]) -> Self:
-        """The part of a picture of `size` `(height, width)` within `margin` px of `positions` `(..., 2)`.
+        """Return the part of a picture of `size` `(height, width)` within `margin` px of `positions`.
 
-        At least one pixel, even if nothing is near the picture.
+        At least one pixel, even if all positions are far from the picture.
         """
         flat = positions.reshape(-1, 2)
         limit = np.array(size[::-1])
@@ -177,7 +176,7 @@ class Box(NamedTuple):
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """Rows and columns in the picture."""
+        """Slices of rows and columns in the picture."""
         return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
 
@@ -191,7 +190,7 @@ class MeshEdges(NamedTuple):
 
     @classmethod
     def of(cls, triangles: NDArray[np.int64]) -> Self:
-        """Edges of the mesh; of more than two triangles at an edge the first two count."""
+        """Return the edges of a mesh, each with its first two triangles."""
         each = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         ends, numbers = np.unique(each, axis=0, return_inverse=True)
         order = np.argsort(numbers.reshape(-1), kind="stable")
@@ -204,16 +203,16 @@ class MeshEdges(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """Points on the outlines of a mesh in several poses, each on an edge; of pose n the first `count[n]`."""
+    """Points on the outlines of a mesh in several poses, each on an edge."""
 
     vertices: NDArray[np.int64]  # `(n, n_points, 2)` int64: ends of the edge
-    weights: Map  # `(n, n_points, 2)` float32: shares of the ends
-    lengths: Map  # `(n, n_points)` float32 px of outline that the point stands for, 0 after the last one
-    normals: Map  # `(n, n_points, 2)` float32, of unit length, away from the object
+    weights: Map  # `(n, n_points, 2)` float32: of the ends
+    lengths: Map  # `(n, n_points)` float32 px: length of outline at the point, 0 after the last one
+    normals: Map  # `(n, n_points, 2)` float32: outward, of unit length
 
 
 def covered(positions: NDArray[np.floating], triangles: NDArray[np.int64], box: Box) -> NDArray[np.uint8]:
-    """Pixels of the box whose centres a mesh covers, `(n, height, width)`: 1 or 0.
+    """Return the pixels of the box whose centres a mesh covers, `(n, height, width)`: 1 or 0.
 
     `positions` are `(n, n_vertices, 2)` px.
     """
@@ -225,13 +224,13 @@ def covered(positions: NDArray[np.floating], triangles: NDArray[np.int64], box: 
 def outline(
     positions: NDArray[np.floating], edges: MeshEdges, inside: NDArray[np.uint8], box: Box
 ) -> Outline:
-    """Points about every 3 px (farther apart on large objects) where a mesh borders on what is behind it.
+    """Return points about every 3 px (more on large objects) of the outline of a mesh.
 
     `positions` `(n, n_vertices, 2)` px; `edges`: of the mesh; `inside` `(n, height, width)` as `covered`
     gives them; `box`: of `inside`.
     """
     n = len(positions)
-    # a large object's outline, which may be longer than its box's by folds, must not end halfway round
+    # a large object's outline, longer than its box's perimeter by folds, has to fit in `MOST_POINTS`
     spacing = max(SPACING, 3 * (box.height + box.width) / MOST_POINTS)
     vertices = np.zeros((n, MOST_POINTS, 2), np.int64)
     weights = np.zeros((n, MOST_POINTS, 3), np.float32)
