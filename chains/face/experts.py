@@ -56,9 +56,9 @@ def find_modes(
     """Find the mode of each expert's posterior from `start`, on level `coarsest` down to the finest.
 
     Minimises eq. (18) without its background and log terms, E(u) = beta / 2 sum a_i e_i^2 / tau_i - log
-    p(u | u_t-1), with beta = effective_pixels / sum a_i: thousands of correlated pixels count for a few
-    hundred. Steps are Levenberg-damped, capped in the motion of vertices, and taken only when they pay.
-    `more` evidence is added to E, made anew about the poses with which each level begins.
+    p(u | u_t-1), with beta = effective_pixels / sum a_i: thousands of correlated pixels count as a few
+    hundred. Steps are Levenberg-damped, limited in the motion of vertices, and accepted only if E falls.
+    `more` evidence is added to E, linearised at the poses with which each level begins.
 
     With a turn w of the object as the camera sees it and p = r h c, dx/dw = -g [p]x, dx/dl = 1 and
     dx/dc = g r h; with J = (grad y)' dx/du the curvature is beta sum a_i J_i' J_i / tau_i and the prior's.

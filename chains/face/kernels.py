@@ -1,11 +1,11 @@
 """Compiled loops over texels and experts: Kalman updates, densities, Gauss-Newton steps, background maps.
 
 Texels lie in rows, the k-th of each group side by side (see `SurfaceTexels`). Loops run along rows, so that
-whole vectors of texels have the same weights of their corners and no sum crosses a vector.
+vectors of texels have common weights of their corners and no sum crosses a vector.
 
-Places of texels are linear in those of vertices, and these in the change of the pose, x_v = X_v u. So no
-Jacobian of a texel is kept: J'J = sum over pairs (v, w) of X_v' M_vw X_w, where the 2 x 2 blocks M_vw collect
-the slopes of the picture times the weights of both vertices, texel by texel. There are as many of them as
+Positions of texels are linear in those of vertices, and these in the change of the pose, x_v = X_v u. So no
+Jacobian of a texel is stored: J'J = sum over pairs (v, w) of X_v' M_vw X_w, where the 2 x 2 blocks M_vw
+collect the slopes of the picture times the weights of both vertices over texels. There are as many blocks as
 vertices and edges, far fewer than texels.
 """
 
@@ -31,15 +31,14 @@ Array = NDArray[np.float64]
 _f4 = np.float32
 
 OFF_PICTURE = _f4(6)
-"""e^2 / tau that a visible texel off the picture counts for: its density is then about that of any grey value
-(-log 256, where tau is 36), so that leaving the picture does not pay."""
+"""e^2 / tau of a visible texel outside of the picture: about the uniform density (-log 256, at a tau of 36),
+so that leaving the picture is no advantage."""
 
 
 class Texels(NamedTuple):
-    """Where texels lie on a surface; as of `SurfaceTexels`, with the numbers of the vertices in use.
+    """Texels as of `SurfaceTexels`, with numbers among the used vertices.
 
-    `weights` `(n_rows, 3)` and `offsets` `(n_rows, 2)` are those of the rows, `counts` `(n_groups,)` says how
-    many texels a group has.
+    `weights` `(n_rows, 3)` and `offsets` `(n_rows, 2)` of the rows, `counts` `(n_groups,)` of the texels.
     """
 
     groups: NDArray[np.uint32]
@@ -51,7 +50,7 @@ class Texels(NamedTuple):
 
 
 class Textures(NamedTuple):
-    """What experts expect: `mean` `(n_experts, n_levels, n_texels)`, the others `(n_experts, n_texels)`;
+    """Predicted textures: `mean` `(n_experts, n_levels, n_texels)`, the others `(n_experts, n_texels)`;
     `precision` is 1 / tau."""
 
     mean: Map
@@ -62,7 +61,7 @@ class Textures(NamedTuple):
 
 @compiled
 def place_corners(positions, texels, block, share, scale, corners):
-    """Corners of the groups of a block on a level, and the area that each of their texels stands for.
+    """Write the corners of the groups of a block on a level, and the area of each of their texels.
 
     Of every group the first part, one `share`-th, is used. A block begins at group `block` and has at most
     `MOST`. Writes `corners` `(7, MOST)`: x of the three, y of the three, px of the level, and the area, px
@@ -85,23 +84,23 @@ def place_corners(positions, texels, block, share, scale, corners):
 
 @inlined
 def row_length(first, row, share, block):
-    """How many groups of a block have a texel in a row, where one `share`-th of them is used."""
+    """Return the number of groups of a block with a texel in a row, where one `share`-th is used."""
     fine = row * share
     return min(first[fine + 1] - first[fine] - block, MOST)
 
 
 @inlined
 def whole_vectors(n):
-    """The next multiple of a vector's lanes: loops over these have no rest that goes texel by texel."""
+    """Return the next multiple of a vector's lanes, for loops without a scalar remainder."""
     return (n + LANES - 1) // LANES * LANES
 
 
 @inlined
 def place_row(texels, row, n, scale, corners, size, at, inside, rest_x, rest_y):
-    """Find the cells of a picture of `size` (height, width) in which the first `n` texels of a row are.
+    """Find the cells of a picture of `size` (height, width) that contain the first `n` texels of a row.
 
     Writes the number `at` of their upper left pixel (or that of the nearest cell), whether they are `inside`,
-    1 or 0, and where they are in the cell.
+    1 or 0, and their position in the cell.
     """
     ax, bx, cx, ay, by, cy = corners[0], corners[1], corners[2], corners[3], corners[4], corners[5]
     wa, wb, wc = texels.weights[row, 0], texels.weights[row, 1], texels.weights[row, 2]
@@ -122,7 +121,7 @@ def place_row(texels, row, n, scale, corners, size, at, inside, rest_x, rest_y):
 
 @inlined
 def fetch(image, width, at, n, cells):
-    """Copy the four pixels of cells, one after the other: loads one by one are faster than a vector's."""
+    """Copy the four pixels of cells by scalar loads, which are faster than gathers."""
     width = np.uint32(width)
     for g in range(n):
         k = at[g]
@@ -132,11 +131,11 @@ def fetch(image, width, at, n, cells):
 
 @compiled
 def texel_densities(level, number, texels, textures, owner, positions, extra, sums):
-    """Sums of a_i e_i^2 / tau_i, a_i log tau_i, a_i, and a_i times `extra` at x_i, for poses of owners.
+    """Write sums of a_i e_i^2 / tau_i, a_i log tau_i, a_i, and a_i times `extra` at x_i, of each pose.
 
-    Pose m is judged with the texture and the visibility of expert `owner[m]` on level `number`; `extra`,
-    of the shape of the level's image or empty, is a map of which the sum over the covered pixels is wanted (a
-    background's log density). Visible texels off the picture count with `OFF_PICTURE`.
+    Pose m is evaluated with the texture and the visibility of expert `owner[m]` on level `number`; `extra`,
+    of the shape of the level's image or empty, is another map to integrate (a background's log density).
+    Visible texels outside of the picture count with `OFF_PICTURE`.
     """
     height, width = level.image.shape
     image, other, scale = level.image.reshape(-1), extra.reshape(-1), _f4(level.scale)
@@ -186,10 +185,10 @@ def texel_densities(level, number, texels, textures, owner, positions, extra, su
 
 @compiled
 def sample_texels(level, number, share, texels, visible, positions, values, area):
-    """What texels look like in the picture: `values[:, number]`, and `area` `(n, n_texels)` of those seen.
+    """Sample texels in the picture: `values[:, number]`, and the `area` `(n, n_texels)` of visible ones.
 
-    The area is 0 of hidden ones and below 0 of those off the picture. Of every group the first part is
-    sampled, one `share`-th; what belongs to the others is left alone.
+    The area of hidden texels is 0, that of texels outside of the picture negative. Of every group the first
+    `share`-th is sampled; the entries of others are left unchanged.
     """
     height, width = level.image.shape
     image, scale = level.image.reshape(-1), _f4(level.scale)
@@ -220,9 +219,9 @@ def sample_texels(level, number, share, texels, visible, positions, values, area
 
 @compiled
 def map_sums(maps, texels, on, owner, positions, sums):
-    """Sums over texels that are `on` `(n_experts, n_texels)` of their area times a map at their place.
+    """Write sums over texels that are `on` `(n_experts, n_texels)` of their area times a map at them.
 
-    `maps` `(n_maps, height, width)` are one for all or one an expert; they are 0 beyond their edges.
+    `maps` `(n_maps, height, width)` are one for all or one an expert; they are 0 outside.
     """
     height, width = maps.shape[1], maps.shape[2]
     if height < 2 or width < 2:  # there is nothing between its pixels
@@ -258,10 +257,9 @@ def map_sums(maps, texels, on, owner, positions, sums):
 
 
 class Noises(NamedTuple):
-    """Of texels, each `(n_experts, n_texels)` float32 or `(1, n_texels)` where it is the same for all.
+    """Noises of texels, each `(n_experts, n_texels)` float32 or `(1, n_texels)` if common to all.
 
-    Squared grey levels of an observation and of what changed since the last one, and variance after the first
-    look.
+    Squared grey levels of an observation, of the change since the last one, and after the first observation.
     """
 
     rendering: Map
@@ -270,15 +268,15 @@ class Noises(NamedTuple):
 
 
 class Lasting(NamedTuple):
-    """Lasting textures `(n_experts, n_texels)`, or nothing `(0, 0)`; mean and looks."""
+    """Lasting textures `(n_experts, n_texels)`, or none `(0, 0)`; mean and number of pictures."""
 
     mean: Map
     looks: Map
 
 
 class Memory(NamedTuple):
-    """How lasting textures learn, of texels `(n_experts, n_texels)` or `(1, n_texels)`: what their first
-    picture counts for, and the least share of a new one."""
+    """Learning of lasting textures, `(n_experts, n_texels)` or `(1, n_texels)`: weight of the first picture,
+    and least share of a new one."""
 
     first: Map
     share: Map
@@ -286,7 +284,7 @@ class Memory(NamedTuple):
 
 @compiled
 def predict(mean, variance, lasting, returned, noises, most, new_mean, new_variance):
-    """Variances grow, up to `most`, and means return by a share to the lasting texture where there is one."""
+    """Increase variances, up to `most`, and return means by a share to the lasting texture, if any."""
     process = noises.process
     for d in range(len(variance)):
         change = process[d if len(process) > 1 else 0]
@@ -303,9 +301,9 @@ def predict(mean, variance, lasting, returned, noises, most, new_mean, new_varia
 
 @compiled
 def learn(observed, seen, mean, variance, noises, unknown, new_mean, new_variance):
-    """Kalman update of the finest level of every texel that is seen; the coarse ones hold what is seen.
+    """Update the finest level of seen texels by Kalman's equations; coarse ones hold the observation.
 
-    Texels of a variance of `unknown` or more take what they are seen to be.
+    Texels with a variance of `unknown` or more become the observation.
     """
     rendering, first = noises.rendering, noises.first
     for d in range(len(variance)):
@@ -332,8 +330,8 @@ def learn(observed, seen, mean, variance, noises, unknown, new_mean, new_varianc
 
 @compiled
 def learn_lasting(observed, seen, lasting, memory, weight, after):
-    """Means over all that was seen, of texels that are seen; as of `LastingTexture`. A picture counts for
-    `weight` of the usual rate."""
+    """Update the long-term means of seen texels; see `LastingTexture`. A picture counts as `weight` pictures
+    of the usual rate."""
     for d in range(len(seen)):
         own = d if len(memory.first) > 1 else 0
         first, least, look, shown = memory.first[own], memory.share[own], observed[d, 0], seen[d]
@@ -348,8 +346,8 @@ def learn_lasting(observed, seen, lasting, memory, weight, after):
 
 
 @compiled
-def explain(observed, mean, visible, seen, least_inside, share):
-    """Share of the picture's variance that predictions explain, as of `texture_filter.explained_variance`."""
+def write_explained_variance(observed, mean, visible, seen, least_inside, share):
+    """Write the share of the picture's variance that predictions explain; see `explained_variance`."""
     for d in range(len(seen)):
         look, expected, shown = observed[d, 0], mean[d, 0], seen[d]
         count = facing = 0
@@ -374,7 +372,7 @@ _LOG_GREYS = _f4(np.log(256))
 
 
 class MapNoise(NamedTuple):
-    """Squared grey levels: of an observation, of a change since the last one, and of a pixel never seen."""
+    """Squared grey levels of an observation, of the change since the last one, and of an unseen pixel."""
 
     observation: np.float32
     change: np.float32
@@ -383,7 +381,7 @@ class MapNoise(NamedTuple):
 
 @compiled
 def compare_with_maps(grey, mean, variance, box, noise, least, ratio, trust, everywhere):
-    """Log density of a picture under each map over the uniform one, and the trust in it, cut out of a box.
+    """Write the log density of a picture under each map over the uniform one, and its trust, in a box.
 
     `grey` `(height, width)` uint8; `mean` and `variance` `(n, height, width)`; `ratio` (not below `least`
     nats) and `trust` `(n, rows, columns)` of the `box`; `everywhere` `(n,)`: sum of their product over all
@@ -415,7 +413,7 @@ def compare_with_maps(grey, mean, variance, box, noise, least, ratio, trust, eve
 
 @compiled
 def update_maps(grey, mean, variance, parents, hidden, box, noise, new_mean, new_variance):
-    """Kalman filter of every pixel of every map; no gain where `hidden` `(n, rows, columns)` in the box."""
+    """Filter every pixel of every map; no gain where `hidden` `(n, rows, columns)` in the box."""
     height, width = grey.shape
     top, left, rows, columns = box
     shown = np.empty(width, _f4)
@@ -437,7 +435,7 @@ def update_maps(grey, mean, variance, parents, hidden, box, noise, new_mean, new
 
 
 class Pairs(NamedTuple):
-    """Pairs of vertices that texels share, each vertex with itself first.
+    """Pairs of vertices with common texels, each vertex with itself first.
 
     `ends` `(n_pairs, 2)`: the vertices; `of_group` `(6, n_groups)`: pairs of corners aa, bb, cc, ab, bc, ca.
     """
@@ -461,7 +459,7 @@ class NormalSums(NamedTuple):
 
 @compiled
 def vertex_rows(rotations, translations, morphs, bases, positions, rows):
-    """Positions x_i and the rows d x_i / d u of vertices, for every pose.
+    """Write positions x_i and rows d x_i / d u of vertices, for every pose.
 
     `bases` `(n_vertices, 3, width)` float32, in the columns of the coefficients, 0 in the others; `rotations`
     `(n, 3, 3)`, `translations` `(n, 2)`, `morphs` `(n, n_bases)` float32; writes `positions` `(n, n_vertices,
@@ -493,12 +491,11 @@ def vertex_rows(rotations, translations, morphs, bases, positions, rows):
 
 @compiled
 def normal_equations(level, number, texels, pairs, textures, owner, positions, rows, dimension, sums):
-    """Normal equations of the texels' weighted squared differences, for poses of experts.
+    """Write the normal equations of the texels' weighted squared differences to `sums`, for each pose.
 
-    Pose m is that of expert `owner[m]`, whose texture on level `number` is taken; `rows` `(n, n_used, 2,
-    width)` are d x / d u of the vertices, of which the first `dimension` columns are the pose's. Writes
-    `sums` (`NormalSums`).
-    Visible texels off the picture count with `OFF_PICTURE` and have no slope.
+    Pose m has the texture of expert `owner[m]` on level `number`; `rows` `(n, n_used, 2, width)` are d x / d
+    u of the vertices, of which the first `dimension` columns are the pose's. Visible texels outside of the
+    picture count with `OFF_PICTURE` and have no slope.
     """
     height, width = level.image.shape
     image, scale = level.image.reshape(-1), _f4(level.scale)
@@ -630,7 +627,7 @@ def _turn_into_pose(ends, blocks, right, rows, dimension, matrix, vector):
 
 
 NOWHERE = 1e300  # energy of a pose in which nothing faces the viewer
-SLIGHTEST = 1e-12  # least pivot of a scaled curvature, which rounding may have made singular
+SLIGHTEST = 1e-12  # least pivot of a scaled curvature, against rounding
 
 
 class PoseArrays(NamedTuple):
@@ -642,10 +639,10 @@ class PoseArrays(NamedTuple):
 
 
 class Objective(NamedTuple):
-    """Minus the log of beliefs at tried poses, but for the prior.
+    """Energy of poses without the prior, and its derivatives.
 
     `energy` `(m,)`, `gradient` `(m, dimension)`, `curvature` `(m, dimension, dimension)`; `seen` `(m,)`:
-    whether anything faces the viewer; `rows` `(m, n_vertices, 2, width)` float32: how vertices move with it.
+    whether anything faces the viewer; `rows` `(m, n_vertices, 2, width)` float32: d x / d u of vertices.
     """
 
     energy: Array
@@ -656,7 +653,7 @@ class Objective(NamedTuple):
 
 
 class SearchState(NamedTuple):
-    """Where experts are: the best pose of each until now, and its belief there, prior included."""
+    """Best pose of each expert until now, with energy and derivatives there, prior included."""
 
     poses: PoseArrays
     energy: Array
@@ -667,8 +664,8 @@ class SearchState(NamedTuple):
 
 
 class StepLimits(NamedTuple):
-    """px that a vertex may move in a step, and must for a step to be made; whether this is the first look at
-    a level, which is taken as it is."""
+    """Longest and shortest motion of a vertex in a step, px; whether this is the first evaluation of a level,
+    which is always accepted."""
 
     longest: float
     shortest: float
@@ -677,10 +674,10 @@ class StepLimits(NamedTuple):
 
 @compiled
 def advance(active, tried, belief, prior, precision, climb, pace, going, following):
-    """Take the poses that were `tried` for experts `active` if they are better, and step on.
+    """Accept the poses `tried` for experts `active` if their energy is lower, and propose the next ones.
 
-    `prior` are the expected poses of all experts, of `precision` `(dimension,)`. Writes `climb`, the experts
-    that are `going` on and, in the same order, the poses `following`, of which it gives the number.
+    `prior` are the predicted poses of all experts, of `precision` `(dimension,)`. Writes `climb`, the experts
+    `going` on and, in the same order, the poses `following`. Returns their number.
     """
     dimension, width = len(precision), belief.rows.shape[3]
     change, step = np.empty(dimension), np.zeros(width, np.float32)
@@ -764,7 +761,7 @@ def _solve(curvature, gradient, damping, lower, solution):
 
 @compiled
 def _change(poses, m, other, d, change):
-    """The change that leads from pose d of `other` to pose m, as of `Poses.changes_from`."""
+    """Write the change from pose d of `other` to pose m; see `Poses.changes_from`."""
     turn = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
@@ -775,7 +772,7 @@ def _change(poses, m, other, d, change):
     sine = 0.5 * np.sqrt(x * x + y * y + z * z)
     cosine = 0.5 * (turn[0, 0] + turn[1, 1] + turn[2, 2] - 1)
     angle = np.arctan2(sine, cosine)
-    # nearly half round the sine fades, but no search goes there in a step
+    # the sine vanishes at half a turn, which no step of a search reaches
     share = 0.5 * angle / sine if sine > 1e-9 else 0.5
     change[0], change[1], change[2] = share * x, share * y, share * z
     for i in range(2):
@@ -786,7 +783,7 @@ def _change(poses, m, other, d, change):
 
 @compiled
 def _move(poses, d, change, moved, m):
-    """Pose m of `moved` is pose d changed, as of `Poses.moved`."""
+    """Write pose d, changed, to pose m of `moved`; see `Poses.moved`."""
     x, y, z = change[0], change[1], change[2]
     angle = np.sqrt(x * x + y * y + z * z)
     sine, cosine = 1.0, 0.5  # of sin(a) / a and (1 - cos(a)) / a^2
@@ -824,8 +821,8 @@ def _move(poses, d, change, moved, m):
 
 
 class Scans(NamedTuple):
-    """Lines across an outline: through `places` `(n, n_points, 2)` px along unit `normals`, each for a
-    length of outline, px, 0 where there is none; `reach` steps of `step` px to either side."""
+    """Scan lines across an outline: through `places` `(n, n_points, 2)` px along unit `normals`, each for a
+    length of outline, px, 0 if unused; `reach` steps of `step` px to either side."""
 
     places: NDArray[np.float64]
     normals: NDArray[np.float64]
@@ -838,9 +835,9 @@ class Scans(NamedTuple):
 def place_equations(
     rotations, translations, morphs, which, bases, targets, information, energy, gradient, curvature
 ):
-    """Energy, gradient and Gauss-Newton curvature of sum (x - t)' I (x - t) / 2 over points, pose by pose.
+    """Write energy, gradient and Gauss-Newton curvature of sum (x - t)' I (x - t) / 2 over points.
 
-    Pose m goes with row `which[m]` of `bases` `(n, n_points, n_bases, 3)`, `targets` `(n, n_points, 2)` and
+    Pose m uses row `which[m]` of `bases` `(n, n_points, n_bases, 3)`, `targets` `(n, n_points, 2)` and
     `information` `(n, n_points, 3)` (xx, xy, yy).
     """
     n_points, n_bases = bases.shape[1], bases.shape[2]
@@ -882,13 +879,12 @@ def place_equations(
 
 @compiled
 def find_edges(contrast, box, scans, share, noise, targets, information):
-    """Where along their normals the edge of an object is, given what its background looks like.
+    """Find the edge of an object along the normals of its outline, between object and background.
 
     `contrast` `(n_maps, height, width)` float32: log density of the background over that of the object, of
     pixels of the `box`; one map for all, or one each. Writes `targets` `(n, n_points, 2)` and `information`
-    `(n, n_points, 3)`, zero where a scan says nothing. The variance `noise` in steps is added to what it
-    finds; `share` `(n,)` is how much a px of outline counts. Nats are not tempered by it, or the edge would
-    be found too far on the side where the background speaks more softly.
+    `(n, n_points, 3)`, zero if a scan has none. The variance `noise`, in steps, is added to the result;
+    `share` `(n,)` is the weight of a px of outline. Nats are not multiplied by it, which would bias the edge.
     """
     places, normals, lengths, reach, step = scans
     top, left, height, width = box
@@ -932,7 +928,7 @@ def find_edges(contrast, box, scans, share, noise, targets, information):
             gain = 1.0 / variance - (n_steps + 1) / prior
             if gain <= 0.0:
                 continue
-            # the scan's own prior, about its middle, is taken out of the mean as well
+            # the scan's own prior, about its middle, is divided out of the mean as well
             at = min(max(mean / (variance * gain), -reach * step), reach * step)
             gain *= share[m] * lengths[m, i]
             targets[m, i, 0] += at * nx

@@ -86,7 +86,7 @@ def fit_landmarks(
     for begin in range(0, len(given), _BATCH):
         batch = slice(begin, begin + _BATCH)
         poses = _rigid_poses(shape, given[batch], seen[batch], noise) if start is None else start[batch]
-        # twice: noise is relative to a size that only the first fit tells
+        # twice: noise is relative to the size, which the first fit estimates
         for _ in range(2):
             poses, _ = _maximise(shape, given[batch], seen[batch], poses, noise)
         parts.append(poses)

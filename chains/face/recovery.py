@@ -261,12 +261,12 @@ class Trust:
 
     def doubted(self, elapsed: float) -> Self:
         """Update with a picture in which the fit was too low."""
-        return replace(self, doubt=self.doubt + pictures_worth(elapsed), trial=0.0)
+        return replace(self, doubt=self.doubt + doubt_of_picture(elapsed), trial=0.0)
 
     def reacquired(self, elapsed: float) -> Self:
         """Update with a picture in which the texture was found; one more picture has to confirm it."""
         return replace(
-            self, doubt=pictures_worth(elapsed), trial=0.0, searches=0, relocations=self.relocations + 1
+            self, doubt=doubt_of_picture(elapsed), trial=0.0, searches=0, relocations=self.relocations + 1
         )
 
     def start_trial(self, *, matches: bool) -> Self:
@@ -281,6 +281,6 @@ class Trust:
         return Trust(usual_fit=fit, relocations=self.relocations + 1)
 
 
-def pictures_worth(elapsed: float) -> float:
+def doubt_of_picture(elapsed: float) -> float:
     """Return the doubt, s, that one picture adds, `elapsed` s after the last one."""
     return min(max(elapsed, ROUNDING), MAX_DOUBT_TIME / 2)

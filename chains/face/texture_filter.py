@@ -264,7 +264,7 @@ def explained_variance(observed: Map, mean: Map, visible: NDArray[np.bool_], see
     of them in the picture. It is 0 if these are few.
     """
     share = np.empty(len(seen), np.float32)
-    kernels.explain(observed, mean, visible, seen, np.float32(LEAST_INSIDE), share)
+    kernels.write_explained_variance(observed, mean, visible, seen, np.float32(LEAST_INSIDE), share)
     return share
 
 

@@ -180,10 +180,10 @@ class PointTrajectory:
     def messages(self) -> Iterator[GaussianMessage]:
         """Yield for each frame the densities of positions that the other frames predict."""
         for information, vector in zip(self.information, self.vector, strict=True):
-            said = np.flatnonzero(information[:, 0, 0] > 0)
-            covariance = np.linalg.inv(information[said])
-            mean = (covariance @ vector[said][:, :, None])[:, :, 0]
-            yield GaussianMessage.from_moments(self.identities[said], mean, covariance)
+            cavity_information = np.flatnonzero(information[:, 0, 0] > 0)
+            covariance = np.linalg.inv(information[cavity_information])
+            mean = (covariance @ vector[cavity_information][:, :, None])[:, :, 0]
+            yield GaussianMessage.from_moments(self.identities[cavity_information], mean, covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,12 +231,18 @@ def smoothed_trajectory(
         prior = motion.prior(seen.vector.shape[1])
         filtered = filter_tracks(prior, times, seen.information, seen.vector, motion.acceleration)
         alone = smooth(filtered, times, motion.acceleration)
-        said, weighted = cavity(alone, seen.information, seen.vector)
-        unknown = ~_known(said, max_position_std)
-        said[unknown], weighted[unknown] = 0.0, 0.0
-        information[:, some], vector[:, some] = said, weighted
+        cavity_information, cavity_vector = cavity(alone, seen.information, seen.vector)
+        uncertain = ~_is_certain(cavity_information, max_position_std)
+        cavity_information[uncertain], cavity_vector[uncertain] = 0.0, 0.0
+        information[:, some], vector[:, some] = cavity_information, cavity_vector
         log_prior += _log_prior(
-            seen, evidence.log_scale[:, some], filtered, said, weighted, motion, max_position_std
+            seen,
+            evidence.log_scale[:, some],
+            filtered,
+            cavity_information,
+            cavity_vector,
+            motion,
+            max_position_std,
         )
         if expected.information.any():
             together = filter_tracks(
@@ -266,7 +272,7 @@ def smoothed_trajectory(
     )
 
 
-def _known(information: Numbers, max_position_std: float) -> Mask:
+def _is_certain(information: Numbers, max_position_std: float) -> Mask:
     """Return which positions have a standard deviation of at most `max_position_std` px."""
     trace = np.trace(information, axis1=-2, axis2=-1)
     # mean of the two variances, without an inverse of what may be singular
@@ -278,8 +284,8 @@ def _log_prior(
     seen: Measurements,
     log_scale: Numbers,
     filtered: PointStates,
-    said: Numbers,
-    weighted: Numbers,
+    cavity_information: Numbers,
+    cavity_vector: Numbers,
     motion: MotionModel,
     max_position_std: float,
 ) -> float:
@@ -294,9 +300,9 @@ def _log_prior(
         peak[1:][after] + _log_density((position[1:] - expected)[after], (spread + noise[1:])[after])
     ).sum()
     total -= peak[found].sum()
-    both = found & (said[..., 0, 0] > 0)
-    others = np.linalg.inv(said[both])
-    off = position[both] - (others @ weighted[both][:, :, None])[:, :, 0]
+    both = found & (cavity_information[..., 0, 0] > 0)
+    others = np.linalg.inv(cavity_information[both])
+    off = position[both] - (others @ cavity_vector[both][:, :, None])[:, :, 0]
     return float(total - _log_density(off, others + noise[both]).sum())
 
 

@@ -276,8 +276,8 @@ def _search(cascade: Any, grey: Any, height: float, pixels: float, min_neighbors
     return _largest_first(found) / scale
 
 
-def _largest_first(found: Any) -> Array:
+def _largest_first(detections: Any) -> Array:
     """Return the boxes in a fixed order: OpenCV's depends on its threads."""
-    boxes = np.asarray(found, np.float64).reshape(-1, 4)
+    boxes = np.asarray(detections, np.float64).reshape(-1, 4)
     left, top, width, height = boxes.T
     return boxes[np.lexsort((left, top, -width * height))]

@@ -1,4 +1,4 @@
-"""Compiled loops over projected meshes: a coarse z-buffer of triangles with queries, and outlines."""
+"""Compiled loops over projected meshes: coarse z-buffer of triangles with queries, coverage, outlines."""
 
 from typing import NamedTuple
 
@@ -9,20 +9,20 @@ from ..numerics.compiled import LANES, MOST, compiled, float_as_bits, own_array
 
 _f4 = np.float32
 _FAR = _f4(1e30)
-_NOBODY = np.int64(0x7F800000) << np.int64(32)
+_EMPTY = np.int64(0x7F800000) << np.int64(32)
 
 
 @compiled
-def draw(corners, triangles, per_px, columns, planes, buffer):
-    """Fill the z-buffer: which triangle is front-most at the middle of each cell, and how deep it is.
+def fill_z_buffer(corners, triangles, per_px, columns, planes, buffer):
+    """Fill the z-buffer with the front-most triangle at the middle of each cell, and its depth.
 
     `corners` `(n_vertices, 3)` are px from the upper left of the buffer, at depths above 0. A cell has the
-    bits of the depth, which rise with it, before the triangle's number, from 1; 0 is nobody. The buffer has
-    `LANES` columns more than are used. The `planes` of
-    triangles say where z is: at that corner, per px along x, per px along y, and its least.
+    bits of the depth, which rise with it, before the triangle's number, from 1; 0 is none. The buffer has
+    `LANES` more columns than are used. The `planes` of triangles are z at that corner, its slopes along x and
+    y per px, and its least value.
     """
     rows = len(buffer)
-    buffer[:] = _NOBODY
+    buffer[:] = _EMPTY
     planes[0, 0], planes[0, 1], planes[0, 2], planes[0, 3] = _FAR, _f4(0), _f4(0), _FAR
     for number in range(len(triangles)):
         a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
@@ -56,12 +56,12 @@ def draw(corners, triangles, per_px, columns, planes, buffer):
                 key = (np.int64(float_as_bits(_f4(z_row + slope_x * k))) << np.int64(32)) | own
                 # a little over the edges, so that no cell between two triangles stays open
                 inside = min(of_b, of_c, 1 - of_b - of_c) >= -1e-6
-                cells[k] = min(cells[k], key if inside else _NOBODY)
+                cells[k] = min(cells[k], key if inside else _EMPTY)
 
 
 @compiled
-def see(positions, triangles, groups, first, weights, facing, cells, least_cell, tolerance, seen):
-    """Whether points are seen, pose by pose, into `seen` `(n_poses, n_points)`; others as of `visible`.
+def find_visible(positions, triangles, groups, first, weights, facing, cells, least_cell, tolerance, seen):
+    """Write whether points are visible in each pose, `seen` `(n_poses, n_points)`; see `surface.visible`.
 
     The box of an object is cut into at most `cells` x `cells` of at least `least_cell` px.
     """
@@ -85,14 +85,16 @@ def see(positions, triangles, groups, first, weights, facing, cells, least_cell,
         columns = min(max(int(np.ceil((right - left) / cell)), 1), cells)
         rows = min(max(int(np.ceil((bottom - top) / cell)), 1), cells)
         buffer = whole[:rows]
-        draw(corners, triangles, 1 / cell, columns, planes, buffer)
+        fill_z_buffer(corners, triangles, 1 / cell, columns, planes, buffer)
         slack = tolerance * (farthest - nearest)
-        _query(corners, groups, first, weights, (facing, slack, cell), planes, buffer, columns, seen[pose])
+        _query_z_buffer(
+            corners, groups, first, weights, (facing, slack, cell), planes, buffer, columns, seen[pose]
+        )
 
 
 @compiled
-def _query(corners, groups, first, weights, limits, planes, buffer, columns, seen):
-    """Whether points are seen, once the z-buffer is filled; `limits`: facing, slack px, side of a cell px."""
+def _query_z_buffer(corners, groups, first, weights, limits, planes, buffer, columns, seen):
+    """Query visibility in a filled z-buffer; `limits`: facing, slack px, side of a cell px."""
     facing, slack, cell = limits
     keys, plane = buffer.reshape(-1), np.empty((MOST, 4), _f4)
     last_column, last_row = np.int32(columns - 1), np.int32(len(buffer) - 1)
@@ -105,7 +107,7 @@ def _query(corners, groups, first, weights, limits, planes, buffer, columns, see
                 vertex = groups[block + g, corner]
                 for axis in range(3):
                     places[3 * axis + corner, g] = corners[vertex, axis]
-            spare[g] = _spare(corners, groups[block + g], facing, slack, cell)
+            spare[g] = _depth_tolerance(corners, groups[block + g], facing, slack, cell)
         ax, bx, cx, ay, by, cy, az, bz, cz = places
         for row in range(len(first) - 1):
             n = min(first[row + 1] - first[row] - block, MOST)
@@ -133,8 +135,8 @@ def _query(corners, groups, first, weights, limits, planes, buffer, columns, see
 
 
 @compiled
-def _spare(corners, group, facing, slack, cell):
-    """How far behind what is in front points of a group are still seen; nowhere if it looks away."""
+def _depth_tolerance(corners, group, facing, slack, cell):
+    """Return the depth behind the z-buffer at which points of a group are still visible."""
     a, b, c = group[0], group[1], group[2]
     ux, uy, uz = corners[b, 0] - corners[a, 0], corners[b, 1] - corners[a, 1], corners[b, 2] - corners[a, 2]
     vx, vy, vz = corners[c, 0] - corners[a, 0], corners[c, 1] - corners[a, 1], corners[c, 2] - corners[a, 2]
@@ -148,8 +150,8 @@ def _spare(corners, group, facing, slack, cell):
 
 
 class OutlinePoints(NamedTuple):
-    """Room for points on outlines: `(n, room)` with two vertices, their shares and px of outline that the
-    point stands for, and the unit normal outwards; `counts` `(n,)` says how many there are."""
+    """Points on outlines `(n, room)`: two vertices, their weights and the length of outline in px, the
+    outward unit normal; `counts` `(n,)` of them are used."""
 
     vertices: NDArray[np.int64]
     weights: NDArray[np.float32]
@@ -205,10 +207,10 @@ def _inside(covered, x, y):
 
 @compiled
 def trace(positions, edges, covered, box, spacing, depth, points):
-    """Points along the outline about every `spacing` px, at most as many as there is room for.
+    """Write points along the outline about every `spacing` px, at most as many as `points` has room for.
 
-    An edge is on the outline where only one of its triangles faces the viewer, or where it has but one, and
-    what is `depth` px outside it is not covered but what is inside is. Writes `points`.
+    An edge is on the outline if only one of its triangles faces the viewer, or if it has only one, and if
+    the mesh covers `depth` px on its inner side but not on its outer side.
     """
     triangles, ends, sides = edges
     vertices, weights, normals, count = points

@@ -137,7 +137,7 @@ def visible(
     groups, weights = texels.groups.astype(np.uint32), np.ascontiguousarray(texels.weights.T)
 
     def work(a: int, b: int) -> None:
-        kernels.see(
+        kernels.find_visible(
             positions[a:b], mesh, groups, texels.first, weights, float(facing), _CELLS, _LEAST_CELL,
             _TOLERANCE, seen[a:b],
         )  # fmt: skip

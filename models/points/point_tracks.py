@@ -174,10 +174,10 @@ class PointTracks:
         if frame.image is None:
             return self.uniform()
         grey = grey_of(frame.image)
-        positions, found = self._found(grey, prior)
+        positions, found = self._search(grey, prior)
         return PointMessage(positions, view=View(frame.time, found, grey, self.noise, self.patch_size))
 
-    def _found(self, grey: NDArray[np.uint8], prior: PointMessage) -> tuple[GaussianMessage, GivenPoints]:
+    def _search(self, grey: NDArray[np.uint8], prior: PointMessage) -> tuple[GaussianMessage, GivenPoints]:
         """Return the points of `prior` that are found in the picture."""
         identities, mean, covariance = prior.positions.moments
         if prior.patches is None:

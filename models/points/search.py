@@ -60,7 +60,7 @@ class Candidates(NamedTuple):
 
 
 @compiled
-def find_candidates_in_place(image, windows, patches, which, found):
+def find_candidates_in_place(image, windows, patches, which, candidates):
     """Fill in the two likeliest places of those patches of `(n, side, side)` whose numbers are in `which`.
 
     A place's weight is `SHARPNESS` times -log(1 - correlation^2 + `NCC_NOISE`), plus the log prior. Only
@@ -105,9 +105,9 @@ def find_candidates_in_place(image, windows, patches, which, found):
         _keep_two(rooms[SCORE], line, rows, columns, offset, known, flags, eight, places, weights)
         for place in range(2):
             if weights[place] > LEAST_WEIGHT:
-                found.position[k, place, 0] = mean[k, 0] + places[place, 0]
-                found.position[k, place, 1] = mean[k, 1] + places[place, 1]
-                found.ncc[k, place], found.weight[k, place] = places[place, 2], weights[place]
+                candidates.position[k, place, 0] = mean[k, 0] + places[place, 0]
+                candidates.position[k, place, 1] = mean[k, 1] + places[place, 1]
+                candidates.ncc[k, place], candidates.weight[k, place] = places[place, 2], weights[place]
 
 
 @compiled

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.kernels import draw
+from rsmcm.models.face.kernels import fill_z_buffer
 from rsmcm.models.face.morphable_model import Poses
 from rsmcm.models.face.surface import SurfaceTexels, visible
 from rsmcm.models.numerics.compiled import LANES
@@ -191,7 +191,7 @@ def test_the_triangle_at_a_pixel_is_the_front_most_on_its_line_of_sight(turn: tu
     vertices = 20 * mesh.vertices @ exponential(np.array([turn]))[0].T + [31.3, 24.6, 0]
     corners = vertices + np.array([0.5, 0.5, 1 - vertices[:, 2].min()])
     buffer, planes = np.empty((50, 60 + LANES), np.int64), np.empty((len(mesh.triangles) + 1, 4), np.float32)
-    draw(corners, mesh.triangles.astype(np.uint32), 1.0, 60, planes, buffer)
+    fill_z_buffer(corners, mesh.triangles.astype(np.uint32), 1.0, 60, planes, buffer)
     found = (buffer[:, :60] & 0xFFFFFFFF) - 1
     rows, columns = np.indices((50, 60))
     depth = cast(
