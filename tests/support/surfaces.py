@@ -37,6 +37,16 @@ def poses_near(n: int, n_bases: int, seed: int, *, size: float = 24.0, turn: flo
     return Poses(exponential(turn * random.uniform(-1, 1, (n, 3))), translations, morphs)
 
 
+def random_poses(model: MorphableModel, n: int, seed: int, turn: float = 0.4, morphs: float = 0.7) -> Poses:
+    """Random poses of a model of 20 to 90 px, some hundred px from the origin."""
+    random = np.random.default_rng(seed)
+    poses = Poses.upright(random.uniform(50, 200, (n, 2)), random.uniform(20, 90, n), model.n_bases)
+    changes = np.zeros((n, poses.dimension))
+    changes[:, :3] = turn * random.normal(size=(n, 3))
+    changes[:, 6:] = morphs * poses.sizes[:, None] * random.normal(size=(n, model.n_bases - 1))
+    return poses.moved(changes)
+
+
 def smooth_picture(seed: int, height: int = 120, width: int = 160, shortest: float = 14.0) -> Array:
     """`(height, width)` from 8 to 247: a sum of waves, none shorter than `shortest` px."""
     random = np.random.default_rng(seed)

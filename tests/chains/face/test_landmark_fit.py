@@ -1,7 +1,6 @@
 """Poses from landmarks: the fit against finite differences, closed forms and known poses."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,19 +9,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.chains.face.landmark_fit import fit_landmarks
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.model_files import read_correspondences, read_model
 from rsmcm.models.face.morphable_model import MorphableModel, Poses, SurfacePoints
 
+from ...support.surfaces import random_poses
+
 Array = NDArray[np.float64]
-
-
-def random_poses(model: MorphableModel, n: int, seed: int, turn: float = 0.4, morphs: float = 0.7) -> Poses:
-    random = np.random.default_rng(seed)
-    poses = Poses.upright(random.uniform(50, 200, (n, 2)), random.uniform(20, 90, n), model.n_bases)
-    changes = np.zeros((n, poses.dimension))
-    changes[:, :3] = turn * random.normal(size=(n, 3))
-    changes[:, 6:] = morphs * poses.sizes[:, None] * random.normal(size=(n, model.n_bases - 1))
-    return poses.moved(changes)
 
 
 def known() -> MorphableModel:
@@ -131,20 +122,3 @@ def test_other_things_that_a_fit_refuses() -> None:
         model.landmark_points([1, 2])
     with pytest.raises(ValueError, match="no list of landmarks"):
         face_model().landmark_points([1])
-
-
-def test_a_face_in_real_video(data_folder: Path) -> None:
-    folder = data_folder / "talking-face"
-    if not folder.is_dir() or not (data_folder / "surrey-face").is_dir():
-        pytest.skip("no talking face or no Surrey model")
-    landmarks = np.load(folder / "landmarks_0000-1999.npy")[::10]
-    pupils = np.linalg.norm(landmarks[0, 31] - landmarks[0, 36])
-    model = read_model(data_folder / "surrey-face")
-    pairs = read_correspondences(folder / "fgnet_to_ibug.txt")
-    points, first = model.landmark_points(pairs[:, 1]), landmarks[0, pairs[:, 0]]
-    person = model.personalised(fit_landmarks(model, first, points).morphs[0])
-    attached = SurfacePoints.attached(person, fit_landmarks(person, first, points), landmarks[0])
-    found = attached.project(person, fit_landmarks(person, landmarks, attached))
-    error = np.linalg.norm(found - landmarks, axis=2).mean(axis=1) / pupils
-    assert error.mean() < 0.045
-    assert error.max() < 0.08

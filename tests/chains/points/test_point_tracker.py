@@ -1,14 +1,24 @@
-"""Tracker of single points: given ones, in pictures of exact motion, and with a chain that knows more."""
+"""Tracker of points: given ones, in pictures of exact motion, with a second chain; duplicates."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import networkx as nx
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.chains import PointTracker
-from rsmcm.chains.points.trajectory import PointTrajectory
+from rsmcm.chains.points.point_tracker import (
+    PointTable,
+    find_coincident_tracks,
+    find_duplicates,
+    merge_duplicates,
+    merge_groups,
+)
+from rsmcm.chains.points.trajectory import Appearances, PointTrajectory
 from rsmcm.inference import (
     BatchIncoming,
     CoordinateAscent,
@@ -18,6 +28,7 @@ from rsmcm.inference import (
     RecursiveBP,
     Smoothed,
 )
+from rsmcm.inference.kalman import PointStates
 from rsmcm.models import Frame, PointTracks
 from rsmcm.models.core.frame import GivenPoints
 from rsmcm.models.core.gaussian_message import GaussianMessage, squared_distances
@@ -89,23 +100,6 @@ def test_filter_follows_given_points_and_keeps_their_numbers() -> None:
         off = state.known.states.position - places[state.known.identities]
         errors.append(off[(state.known.unseen == 0) & state.known.alive])
     assert np.sqrt((np.concatenate(errors[10:]) ** 2).mean()) < 0.5  # better than the points that are given
-
-
-def test_what_a_frame_says_never_comes_back_to_it() -> None:
-    _, seen = circling(lost=0.0)
-    frames = given_frames(seen)
-    moved = list(frames)
-    points = frames[20].points
-    assert points is not None
-    moved[20] = replace(frames[20], points=replace(points, positions=points.positions + 0.1))
-    tracker, points_node = PointTracker(acceleration=500.0), PointTracks(noise=0.5)
-    before, after = (
-        tracker.messages(tracked(each, points_node, tracker), points_node) for each in (frames, moved)
-    )
-    for time in (19, 20, 21):
-        _, one, _ = before[time].positions.moments
-        _, other, _ = after[time].positions.moments
-        assert np.allclose(one, other, atol=1e-6) == (time == 20)
 
 
 def test_messages_and_evidence_make_the_smoothed_track() -> None:
@@ -242,32 +236,6 @@ def test_points_are_followed_to_fractions_of_a_pixel() -> None:
     assert np.sqrt((errors[right] ** 2).mean()) < 0.2
 
 
-def test_smoothed_tracks_are_better_and_know_how_good_they_are() -> None:
-    poses = sliding(40)
-    frames = pictures(film(poses, 1, noise=4.0))
-    node = PointTracks()
-    solution = CoordinateAscent(MultiChain().connect(PointTracker(n_points=50), node)).run(frames)
-    trajectory = solution["tracker"]
-    raw, smooth, distances = [], [], []
-    for time, (pose, evidence) in enumerate(zip(poses, solution.evidence(node), strict=True)):
-        identities, mean, _ = evidence.positions.moments
-        place = np.searchsorted(trajectory.identities, identities)
-        first = trajectory.observed.argmax(axis=0)[place]
-        # a point is where its patch was cut out, which the first find says exactly
-        origin = np.array(
-            [poses[t].on_plane(trajectory.position[t, k]) for t, k in zip(first, place, strict=True)]
-        )
-        seen_once = trajectory.observed[:, place].sum(axis=0) < 5
-        off, better = mean - pose.seen(origin), trajectory.position[time, place] - pose.seen(origin)
-        use = ~seen_once & (np.abs(off).max(axis=1) < 1) & (first < time)
-        raw.append(off[use])
-        smooth.append(better[use])
-        distances.append(squared_distances(better[use], trajectory.covariance[time, place][use]))
-    before, after = (np.sqrt((np.concatenate(each) ** 2).mean()) for each in (raw, smooth))
-    assert after < before
-    assert np.median(np.concatenate(distances)) < 5 * 2 * np.log(2)
-
-
 BEHIND = 62
 """Frame in which all of the left third is behind the bar's end."""
 
@@ -328,22 +296,6 @@ def test_in_later_rounds_points_are_found_wherever_they_are(
     assert (np.abs(np.concatenate(off)).max(axis=1) < 1).mean() > 0.98
 
 
-def test_identities_are_never_used_twice_and_runs_are_repeatable() -> None:
-    poses = sliding(30, (3.0, 1.0))
-    frames = pictures(film(poses, 3))
-    model = MultiChain().connect(PointTracker(n_points=40), PointTracks())
-    first = [belief["tracker"] for belief in RecursiveBP(model).run(frames)]
-    second = [belief["tracker"] for belief in RecursiveBP(model).run(frames)]
-    gone: set[int] = set()
-    for one, other in zip(first, second, strict=True):
-        alive = set(one.known.identities[one.known.alive].tolist())
-        assert not alive & gone
-        gone = set(range(one.next_identity)) - alive
-        assert (one.known.states.mean == other.known.states.mean).all()
-        np.testing.assert_array_equal(one.known.patches, other.known.patches)
-    assert first[-1].next_identity > 40
-
-
 def test_of_two_points_on_one_spot_the_younger_ends() -> None:
     (grey,) = film(sliding(1))
     tracker, node = PointTracker(n_points=20), PointTracks()
@@ -382,22 +334,6 @@ def test_missing_frames_are_bridged() -> None:
     assert trajectory.alive[15].sum() > 25
 
 
-@pytest.mark.parametrize("steps", [(0.04,) * 10, (0.1, 0.3), (0.4, 0.0)])
-def test_some_steps_are_one_long_step(steps: tuple[float, ...]) -> None:
-    tracker = PointTracker(n_points=40)
-    *_, last = RecursiveBP(MultiChain().connect(tracker, PointTracks())).run(film(sliding(5)))
-    once = several = last[tracker]
-    once = tracker.predict(once, sum(steps))
-    for dt in steps:
-        several = tracker.predict(several, dt)
-    assert once.since_corner_search == pytest.approx(several.since_corner_search, rel=1e-12)
-    np.testing.assert_allclose(once.known.unseen, several.known.unseen, rtol=1e-12)
-    np.testing.assert_allclose(once.known.states.mean, several.known.states.mean, rtol=1e-9)
-    np.testing.assert_allclose(
-        once.known.states.covariance, several.known.states.covariance, rtol=1e-9, atol=1e-9
-    )
-
-
 def test_a_run_goes_on_from_a_file_as_if_nothing_had_been(
     tmp_path: Path, hidden: tuple[list[Frame], tuple[Pose, ...]]
 ) -> None:
@@ -426,3 +362,83 @@ def test_a_point_of_one_picture_is_no_track() -> None:
         _, counts = np.unique(np.concatenate(identities), return_counts=True)
         assert (counts > 1).all()
     assert len(identities[0]) > 50
+
+
+PIXELS = np.random.default_rng(0).uniform(0, 255, (6, 5, 5)).astype(np.float32)
+
+pairs = st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), max_size=12)
+
+
+def at(identities: list[int], positions: list[list[float]], same_as: list[int] | None = None) -> PointMessage:
+    covariances = np.tile(np.eye(2), (len(identities), 1, 1))
+    message = GaussianMessage.from_moments(identities, np.array(positions, float).reshape(-1, 2), covariances)
+    return PointMessage(message, same_as=None if same_as is None else np.array(same_as))
+
+
+def trajectory(first: NDArray[np.float32], last: NDArray[np.float32]) -> PointTrajectory:
+    n = len(first)
+    nothing = np.zeros((1, n), np.bool_)
+    flat, square = np.zeros((1, n, 2)), np.zeros((1, n, 2, 2))
+    appearances = Appearances(np.arange(n), first, last)
+    return PointTrajectory(
+        np.arange(n), flat, square, nothing, nothing, square, flat, appearances, np.array([[5, 3]]), 0.0
+    )
+
+
+@given(pairs, pairs)
+def test_groups_are_those_of_a_graph_and_named_by_their_smallest(
+    one: list[tuple[int, int]], other: list[tuple[int, int]]
+) -> None:
+    graph = nx.Graph()
+    graph.add_nodes_from(range(10))
+    graph.add_edges_from([*one, *other])
+    expected = {
+        node: min(part) for part in nx.connected_components(graph) for node in part if node != min(part)
+    }
+    assert merge_groups(merge_groups({}, one), other) == expected
+
+
+def test_what_is_said_of_one_point_counts_once() -> None:
+    message = at([1, 4, 6], [[0, 0], [5, 5], [9, 9]])
+    same = merge_duplicates(message, {6: 4, 1: 0}).positions
+    np.testing.assert_array_equal(same.identities, [0, 4])
+    np.testing.assert_allclose(same.moments[1], [[0, 0], [5, 5]])
+    assert merge_duplicates(message, {}) is message
+
+
+def test_points_that_others_take_for_one_have_to_look_alike() -> None:
+    first = PIXELS.copy()
+    last = PIXELS[::-1].copy()
+    first[2] = 0.5 * last[0] + 30  # found again as it was lost, in another light
+    others = [at([0, 1, 2, 4], [[0, 0]] * 4, [0, 0, 0, 4]), at([0], [[0, 0]])]
+    assert find_duplicates(trajectory(first, last), others) == {2: 0, 5: 3}  # what was one before stays so
+
+
+def test_one_spot_again_and_again_is_one_point() -> None:
+    near, far = at([3, 7, 8], [[10, 10], [11, 10], [30, 30]]), at([3, 7, 8], [[10, 10], [20, 10], [30, 30]])
+    assert find_coincident_tracks([near] * 5 + [far] * 3, 1.5) == [(3, 7)]
+    assert find_coincident_tracks([near] * 4 + [far] * 3, 1.5) == []
+
+
+def known(identities: list[int], alive: list[bool], unseen: list[float]) -> PointTable:
+    n = len(identities)
+    states = PointStates.at_rest(np.arange(2.0 * n).reshape(n, 2), 1.0, 1.0)
+    return PointTable(
+        np.array(identities), states.mean, states.covariance, np.array(alive), np.array(unseen), PIXELS[:n],
+        PIXELS[:n],
+    )  # fmt: skip
+
+
+def test_points_are_joined_in_order() -> None:
+    both = known([2, 9], [True, False], [0.0, 1.0]).merged(known([1, 5], [True, True], [0.0, 0.2]))
+    np.testing.assert_array_equal(both.identities, [1, 2, 5, 9])
+    np.testing.assert_array_equal(both.alive, [True, True, True, False])
+    np.testing.assert_array_equal(both.states.mean[:, 0], [0, 0, 2, 2])
+    np.testing.assert_array_equal(both.patches, PIXELS[[0, 0, 1, 1]])
+
+
+def test_of_the_lost_the_last_are_remembered() -> None:
+    points = known([1, 2, 3, 4, 5], [True, False, False, False, True], [9.0, 1.0, 3.0, 1.0, 0.0])
+    np.testing.assert_array_equal(points.without_oldest(1).identities, [1, 4, 5])
+    np.testing.assert_array_equal(points.without_oldest(2).identities, [1, 2, 4, 5])
+    assert points.without_oldest(3) is points

@@ -10,8 +10,6 @@ from rsmcm.models.face.built_in_model import (
     SIDE,
     face_model,
     face_plane,
-    front_view,
-    unit_length,
 )
 from rsmcm.models.face.morphable_model import MorphableModel
 
@@ -82,39 +80,6 @@ def test_left_mirrors_right() -> None:
     # "atol": 1e-15 from sums in another order
     np.testing.assert_allclose(model.bases[even][:, left], model.bases[even][:, right] * mirror, atol=1e-15)
     assert (model.bases[0, right, 0] > 0).all()
-
-
-def test_shields_come_after_the_face_stand_before_it_and_have_no_expression() -> None:
-    face, shielded = face_model(), face_model(shields=True)
-    n_face = face.n_vertices
-    np.testing.assert_array_equal(shielded.bases[:, :n_face], face.bases)
-    np.testing.assert_array_equal(shielded.triangles[: len(face.triangles)], face.triangles)
-    shields = shielded.bases[:, n_face:]
-    assert shields.shape[1] == 18
-    assert (shields[1:] == 0).all()
-    assert np.ptp(shields[0, :, 2]) == 0
-    assert shields[0, :, 2].max() < face.bases[0, :, 2].min()
-    right, left = np.split(shields[0], 2)
-    np.testing.assert_allclose(np.sort(left[:, 0]), np.sort(-right[:, 0]), atol=1e-14)
-    radii = np.linalg.norm(right[1:] - right[0], axis=1)
-    np.testing.assert_allclose(radii, radii[0])
-    # every part of the mesh is used, and the finer one has no shield where there is skin
-    assert set(shielded.triangles.ravel()) == set(range(shielded.n_vertices))
-    finer = face_model(3, shields=True)
-    assert (finer.bases[0, :, 2] == shields[0, 0, 2]).sum() == 2 * (1 + 8 * (1 + 2 + 3))
-
-
-def test_the_plane_keeps_lengths_in_the_middle_and_along_rays() -> None:
-    plane = 1e-4 * np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.8]])
-    np.testing.assert_allclose(front_view(plane), plane, rtol=1e-6)
-    # the rim is where the ellipsoid has turned away by 80 degrees
-    across = front_view(face_plane()) / (0.78, 1.0)
-    assert np.linalg.norm(across, axis=1).max() == pytest.approx(np.sin(np.radians(80)))
-    # the top of the head is not moved by relief or narrowing: there a unit is `unit_length` c_1
-    top = np.argmin(face_plane()[:, 1])
-    ends = face_model().bases[0][[top, landmarks()["nose tip"]], 1]
-    seen = front_view(face_plane())[[top, landmarks()["nose tip"]], 1]
-    assert np.ptp(ends) == pytest.approx(np.ptp(seen) * unit_length())
 
 
 @pytest.mark.parametrize("fineness", [0, -1])

@@ -8,8 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face import detectors
@@ -55,38 +53,6 @@ def test_nothing_to_find(height: float | None) -> None:
         assert faces(Frame(image, 0.0, 1)).shape == (0, 4)
     assert copy.deepcopy(faces) == faces
     assert pickle.loads(pickle.dumps(faces)) == faces
-
-
-class Cascade:
-    """Stands in for OpenCV's, whose threads come to an end in any order."""
-
-    def __init__(self, found: list[tuple[int, int, int, int]]) -> None:
-        self.found = found
-
-    def detectMultiScale(self, *_: object, **__: object) -> list[tuple[int, int, int, int]]:  # noqa: N802
-        return self.found
-
-
-sides = st.integers(24, 27)  # px: a few, so that many boxes are of one size
-boxes = st.tuples(st.integers(0, 99), st.integers(0, 99), sides, sides)
-
-
-@given(
-    st.lists(boxes, unique=True, min_size=2).flatmap(
-        lambda each: st.permutations(each).map(lambda p: (each, p))
-    )
-)
-def test_boxes_in_one_order(found: tuple[list[Any], list[Any]]) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        one, other = (_boxes_of(patch, each) for each in found)
-    np.testing.assert_array_equal(one, other)
-    areas = one[:, 2] * one[:, 3]
-    assert (areas[1:] <= areas[:-1]).all()
-
-
-def _boxes_of(patch: pytest.MonkeyPatch, found: list[Any]) -> NDArray[np.float64]:
-    patch.setattr(detectors, "_cascade", lambda _: Cascade(found))
-    return HaarFaces()(Frame(np.zeros((120, 160), np.uint8), 0.0, 1))
 
 
 def test_no_cascade_no_model(monkeypatch: pytest.MonkeyPatch) -> None:

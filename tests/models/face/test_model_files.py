@@ -262,34 +262,6 @@ def test_a_surrey_file_that_is_cut_off(tmp_path: Path, name: str) -> None:
             read_model(tmp_path)
 
 
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@settings(max_examples=20)
-@given(st.data())
-@pytest.mark.parametrize("kind", ["a.npz", "a.wfm", "a.obj", "sfm_shape_3448.bin"])
-def test_damage_gives_one_clear_line(
-    tmp_path_factory: pytest.TempPathFactory, kind: str, data: st.DataObject
-) -> None:
-    folder = tmp_path_factory.mktemp("damaged")
-    path = folder / kind
-    if kind == "a.npz":
-        write_model(MorphableModel(np.eye(3)[None], np.array([[0, 1, 2]])), path)
-    elif kind == "sfm_shape_3448.bin":
-        write_surrey(folder, beside=False)
-    else:
-        path.write_text(CANDIDE if kind == "a.wfm" else OBJ)
-    content = bytearray(path.read_bytes())
-    for _ in range(data.draw(st.integers(1, 4))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path.write_bytes(content[: data.draw(st.integers(len(content) // 2, len(content)))])
-    message = ""
-    try:
-        assert np.isfinite(read_model(path).bases).all()
-    except ValueError as error:
-        message = str(error)
-    assert not message or message.startswith(str(path))
-    assert "\n" not in message
-
-
 def test_correspondences(tmp_path: Path) -> None:
     path = tmp_path / "pairs.txt"
     path.write_text("# words = words\n\n7 = 9   # chin\n  0=3\n")

@@ -1,20 +1,44 @@
-"""Points as a feature node: messages, and what pictures of exact motion show of them."""
+"""Points as a feature node: messages, given points, and points found in pictures of exact motion."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models import Frame, PointTracks
 from rsmcm.models.core.frame import GivenPoints
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.points.patches import Patches, find_corners
-from rsmcm.models.points.point_tracks import PointMessage, View, noise_of_tracks
+from rsmcm.models.points.point_tracks import MAX_COORDINATE, PointMessage, View, check_points, noise_of_tracks
 from scipy.stats import norm
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, film, hidden_by_a_bar
+
+
+@pytest.mark.parametrize(
+    ("place", "expected"),
+    [
+        ((np.inf, 0.0), "finite px"),
+        ((0.0, -1.01 * MAX_COORDINATE), "finite px"),
+        ((np.nan, 1.0), "both coordinates or none"),
+        ((1.0, np.nan), "both coordinates or none"),
+    ],
+)
+def test_damaged_points_are_named(place: tuple[float, float], expected: str) -> None:
+    points = np.zeros((3, 4, 2))
+    points[0, 0], points[1, 1] = np.nan, MAX_COORDINATE
+    check_points("some.npy", points)
+    points[2, 3] = place
+    if "both" in expected:
+        check_points("some.npy", points, allow_single=True)
+    else:
+        with pytest.raises(ValueError, match=expected):
+            check_points("some.npy", points, allow_single=True)
+    with pytest.raises(ValueError, match=f"some.npy: got .* at point 3 of frame 2 .*, expected {expected}"):
+        check_points("some.npy", points)
+
 
 Numbers = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -194,38 +218,3 @@ def test_what_is_hidden_is_no_information() -> None:
     assert np.concatenate(found_behind).size > 60
     assert np.concatenate(found_behind).mean() <= 0.15
     assert np.concatenate(found_free).mean() > 0.8
-
-
-def test_points_at_and_beyond_the_edge_do_no_harm() -> None:
-    before, after = film([STILL, MOVED])
-    points = np.array([[0.0, 0.0], [WIDTH - 1.0, 70.0], [-40.0, 10.0], [90.0, HEIGHT + 500.0], [1.0, 60.0]])
-    prior = prior_at(before, points, points, 3.0)
-    _, mean, covariance = NODE.evidence(frame(after), prior).positions.moments
-    assert np.isfinite(mean).all()
-    assert np.isfinite(covariance).all()
-    assert ((mean >= 0) & (mean <= [WIDTH - 1, HEIGHT - 1])).all()
-
-
-@settings(max_examples=10)
-@given(st.permutations(range(12)), st.integers(-4, 4), st.integers(-4, 4))
-def test_neither_order_nor_place_matters(order: list[int], right: int, down: int) -> None:
-    """Points under other numbers, in a picture that is cut otherwise."""
-    before, after = PAIR
-    points = find_corners(before[20:-20, 20:-20], 12, np.zeros((0, 2)), 8, 5) + 20
-    points = points[((points > 30) & (points < [WIDTH - 30, HEIGHT - 30])).all(axis=1)]
-    prior = prior_at(before, points, points, 1.5)
-    one = NODE.evidence(frame(after), prior)
-    order = [k for k in order if k < len(points)]
-    cut = after[4 + down : HEIGHT - 4 + down, 4 + right : WIDTH - 4 + right]
-    move = -np.array([4.0 + right, 4.0 + down])
-    assert prior.patches is not None
-    positions = gaussians(np.arange(len(points)), points[order] + move, 1.5)
-    other = NODE.evidence(
-        frame(np.ascontiguousarray(cut)),
-        PointMessage(positions, Patches(np.arange(len(points)), prior.patches.pixels[order])),
-    )
-    renumbered = np.array(order)[other.positions.identities]
-    np.testing.assert_array_equal(np.sort(renumbered), one.positions.identities)
-    _, mean, _ = one.positions.moments
-    _, moved, _ = other.positions.moments
-    np.testing.assert_allclose(moved[np.argsort(renumbered)], mean + move, atol=1e-6)

@@ -1,15 +1,11 @@
 """Search for patches against OpenCV's correlation, against known shifts, and back again."""
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.core.gaussian_message import squared_distances
 from rsmcm.models.points.patches import find_corners, sample_patches
 from rsmcm.models.points.search import (
     GRID,
@@ -114,16 +110,6 @@ def test_without_a_prior_the_best_two_places_are_opencvs(
         np.testing.assert_allclose(found.ncc[0][: len(peaks)], peaks[:2, 0], atol=1e-4)
 
 
-def test_the_prior_decides_between_equals() -> None:
-    image = np.full((40, 60), 100, np.uint8)
-    image[15:24, 10:19] = image[15:24, 26:35] = noise_picture(11, 9, 9)
-    patches = sample_patches(image, np.array([[14.0, 19.0]]), 5)
-    for x, best in ((19.0, 14), (25.0, 30)):
-        found = likeliest(image, patches, np.array([[x, 19.0]]), alike(5.0, 1), 24.0)
-        np.testing.assert_allclose(found.position[0], [[best, 19], [44 - best, 19]], atol=0.02)
-        np.testing.assert_allclose(found.ncc, 1, atol=1e-4)
-
-
 def test_where_nothing_can_be_there_is_nothing() -> None:
     image, flat = noise_picture(9, 40, 50), np.full((40, 50), 90, np.uint8)
     patches = np.repeat(sample_patches(image, np.array([[20.0, 20.0]]), 5), 5, axis=0)
@@ -168,52 +154,6 @@ def test_what_leads_back_elsewhere_is_refused() -> None:
 
 
 # --- covariances ---
-
-
-def pictures(data_folder: Path) -> Iterator[Numbers]:
-    for name in ("cmu-hotel/hotel.seq0.png", "bobot/frame_000120.jpg", "tud-campus/img1/000001.jpg"):
-        picture = cv2.imread(str(data_folder / name), cv2.IMREAD_GRAYSCALE)
-        if picture is None:
-            pytest.skip(f"no {name} in {data_folder}")
-        yield picture.astype(float)
-
-
-def seen_from(picture: Numbers, right: int, down: int) -> Numbers:
-    """A camera with pixels three times as wide, moved by thirds of them."""
-    picture = picture[down:, right:]
-    rows, columns = picture.shape[0] // 3, picture.shape[1] // 3
-    return picture[: 3 * rows, : 3 * columns].reshape(rows, 3, columns, 3).mean(axis=(1, 3))
-
-
-@pytest.mark.parametrize("deviation", [1.0, 4.0, 8.0])
-def test_covariances_are_about_right_on_real_pictures(data_folder: Path, deviation: float) -> None:
-    """Corners of real pictures, moved by thirds of a pixel under noise of the sensor of both.
-
-    Mean squares of errors over covariances are 2 for two coordinates. Of about 1500 places the standard error
-    is below 0.1; a factor of 1.4 either way is for patches being of 25 pixels, and pictures being no waves.
-    """
-    random = np.random.default_rng(4)
-    squares, wrong = [], []
-    for picture in pictures(data_folder):
-        still = seen_from(picture, 0, 0)
-        corners = cv2.goodFeaturesToTrack(still.astype(np.float32), 80, 0.01, 6, blockSize=5)[:, 0]
-        for right in range(3):
-            for down in range(3):
-                one, other = (
-                    rounded(seen + random.normal(0, deviation, seen.shape))
-                    for seen in (still, seen_from(picture, right, down))
-                )
-                start = corners + random.uniform(-0.5, 0.5, corners.shape)
-                found = find_points(
-                    other, sample_patches(one, start, 5), start, alike(1.0, len(start)), 0.05, 24.0
-                )
-                errors = found.position - start[found.seen] + np.array([right, down]) / 3
-                near = np.abs(errors).max(axis=1) < 1.5
-                squares.append(squared_distances(errors, found.covariance)[near])
-                wrong.append(~near)
-    assert len(np.concatenate(squares)) > 800
-    assert 1.4 < np.concatenate(squares).mean() < 2.8
-    assert np.concatenate(wrong).mean() < 0.05
 
 
 # --- points that may be hidden ---

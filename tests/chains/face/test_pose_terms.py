@@ -1,22 +1,82 @@
-"""Outlines of projected meshes, scans across them, and Gaussian terms of points of the surface."""
+"""Pose dynamics against scipy; outlines, scans across them, and Gaussian terms of points."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from matplotlib.path import Path
 from numpy.typing import NDArray
 from rsmcm.chains.face.background import BackgroundContrast
 from rsmcm.chains.face.experts import find_modes
 from rsmcm.chains.face.pose_terms import PointTerms, PoseDynamics, PosePrior, Silhouette
 from rsmcm.chains.face.texture_likelihood import Level, TexturedObject, TextureLikelihood
-from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.morphable_model import MorphableModel, Poses
+from rsmcm.models.face.morphable_model import RIGID, MorphableModel, Poses
 from rsmcm.models.face.surface import Box, MeshEdges, SurfaceTexels, covered, outline
 from rsmcm.models.numerics.rotations import exponential
 from scipy.spatial import ConvexHull
 
 from ...support.surfaces import bumpy, poses_near
+
+OBJECT = 24.0
+
+
+def prior_of(seed: int, elapsed: float = 0.04, n: int = 3, n_bases: int = 3) -> PosePrior:
+    return PosePrior.after(poses_near(n, n_bases, seed), PoseDynamics(), OBJECT, elapsed)
+
+
+def test_a_walk_spreads_with_the_root_of_time_and_with_size() -> None:
+    dynamics = PoseDynamics(size_range=1e4, morph_range=1e4)
+    memory, walk = dynamics.transition(OBJECT, 8, 0.04)
+    np.testing.assert_allclose(memory, 1, atol=1e-6)
+    np.testing.assert_allclose(dynamics.transition(OBJECT, 8, 0.16)[1], 4 * walk, rtol=1e-6)
+    larger = dynamics.transition(2 * OBJECT, 8, 0.04)[1]
+    np.testing.assert_allclose(larger[:3], walk[:3])
+    np.testing.assert_allclose(larger[3:], 4 * walk[3:], rtol=1e-6)
+    one_second = np.sqrt(dynamics.transition(1.0, 8, 1.0)[1])
+    expected = [*[dynamics.rotation] * 3, *[dynamics.translation] * 2, dynamics.size, *[dynamics.morphs] * 2]
+    np.testing.assert_allclose(one_second, expected, rtol=1e-6)
+    assert (dynamics.transition(OBJECT, 8, 0.0)[1] > 0).all()
+
+
+@given(st.floats(1e-3, 20), st.floats(1e-3, 20))
+def test_two_steps_are_one(first: float, second: float) -> None:
+    dynamics, start = PoseDynamics(), poses_near(3, 3, 1)
+    halfway = PosePrior.after(start, dynamics, OBJECT, first)
+    whole = PosePrior.after(start, dynamics, OBJECT, first + second)
+    memory, variance = dynamics.transition(OBJECT, start.dimension, second)
+    on = PosePrior.after(halfway.mean, dynamics, OBJECT, second)
+    np.testing.assert_allclose(on.mean.morphs, whole.mean.morphs, rtol=1e-9, atol=1e-9)
+    kept = np.concatenate([np.ones(RIGID), memory])
+    np.testing.assert_allclose(kept**2 * halfway.variance + variance, whole.variance, rtol=1e-9)
+
+
+def test_in_the_long_run_shapes_are_as_usual() -> None:
+    prior = prior_of(0, elapsed=1e4)
+    usual, spread = prior.mean.morphs, np.sqrt(prior.variance[RIGID:])
+    np.testing.assert_allclose(usual, np.tile([OBJECT, 0, 0], (3, 1)), atol=1e-9)
+    np.testing.assert_allclose(spread, OBJECT * np.array([0.11, 0.8, 0.8]))
+
+
+@given(st.integers(0, 10**6))
+def test_gradient_and_precision_are_derivatives_of_the_energy(seed: int) -> None:
+    prior, owner = prior_of(seed), np.array([2, 0, 1, 1])
+    random = np.random.default_rng(seed)
+    # a turn only about one axis: there the tangent spaces of both poses are one
+    change = np.sqrt(prior.variance) * random.normal(size=(4, 8)) * np.array([0, 1, 0, 1, 1, 1, 1, 1])
+    poses = prior.mean[owner].moved(change)
+    step = 1e-4 * np.sqrt(prior.variance)
+    middle, gradient = prior.energy(poses, owner)
+    for j in (1, 3, 4, 5, 6, 7):
+        ends = [
+            prior.energy(poses.moved(np.tile(sign * step[j] * np.eye(8)[j], (4, 1))), owner)[0]
+            for sign in (-1, 1)
+        ]
+        slope, bend = (ends[1] - ends[0]) / (2 * step[j]), (ends[1] + ends[0] - 2 * middle) / step[j] ** 2
+        np.testing.assert_allclose(gradient[:, j], slope, rtol=1e-5, atol=1e-6 / step[j])
+        np.testing.assert_allclose(bend, prior.precision[j], rtol=1e-2)
+
 
 Array = NDArray[np.float64]
 
@@ -77,21 +137,6 @@ def test_the_outline_of_a_convex_body_is_its_hull() -> None:
         assert found.lengths[number].sum() == pytest.approx(hull.area, rel=0.05)
 
 
-def test_an_edge_before_another_part_of_the_object_is_not_on_the_outline() -> None:
-    model = face_model(shields=True)
-    pose = Poses(
-        exponential(np.array([[0, 0.3, 0]])), np.array([[80.0, 60.0]]), np.eye(1, model.n_bases) * 22
-    )
-    positions = model.project(pose)
-    inside = covered(positions, model.triangles, WHOLE)
-    found = outline(positions, MeshEdges.of(model.triangles), inside, WHOLE)
-    points = (positions[0][found.vertices[0]] * found.weights[0][..., None]).sum(axis=1)
-    out = np.rint(points + 1.5 * found.normals[0]).astype(int)
-    back = np.rint(points - 1.5 * found.normals[0]).astype(int)
-    assert not inside[0, out[:, 1], out[:, 0]].any()
-    assert inside[0, back[:, 1], back[:, 0]].all()
-
-
 def contrast_of(border: NDArray[np.float32]) -> BackgroundContrast:
     return BackgroundContrast(
         WHOLE, border, np.ones_like(border), border, np.zeros(SIZE, np.float32), np.zeros(1)
@@ -133,22 +178,6 @@ def test_where_nothing_is_known_a_scan_says_nothing() -> None:
     assert not energy.any()
     assert not gradient.any()
     assert not curvature.any()
-
-
-def test_each_expert_may_have_its_own_map() -> None:
-    model = ellipsoid()
-    truth = centred(np.zeros((2, 3)))
-    truth.translations[1] += (2.0, -1.0)
-    maps = known_outside(covered(model.project(truth), model.triangles, WHOLE))
-    both = np.concatenate(
-        [known_outside(covered(model.project(truth[k]), model.triangles, WHOLE)).border for k in range(2)]
-    )
-    at = truth[np.array([0, 0])]
-    terms = Silhouette(model, MeshEdges.of(model.triangles), contrast_of(both), 400).around(at, 0)
-    gradient = terms.equations(at, np.arange(2))[1]
-    alone = Silhouette(model, MeshEdges.of(model.triangles), maps, 400).around(at, 0)
-    np.testing.assert_allclose(gradient[0], alone.equations(at, np.arange(2))[1][0])
-    assert gradient[1, 3] < 0 < gradient[1, 4]  # energy falls to the right and up
 
 
 def some_terms(seed: int, n: int = 2) -> SimpleNamespace:

@@ -1,13 +1,25 @@
-"""Views of a picture are upright, boxes in them become poses, and a detector confirms what is there."""
+"""Recovery of a lost object: dispersed starts, trust, views of detectors, poses in boxes."""
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.face.recovery import (
+    ASIDE,
+    CHANCE,
+    CHANCE_ANYWHERE,
+    FARTHEST_AHEAD,
+    LEAST_SHARE,
+    MAX_DOUBT_TIME,
+    MEMORY,
+    SHORTEST_TRIAL,
+    STRAIGHT,
+    TRIAL,
     TRIED_TURNS,
     DetectedFace,
+    Trust,
     UprightView,
     align_to_detections,
+    disperse,
     poses_in_boxes,
     roll_angles,
 )
@@ -15,6 +27,74 @@ from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.morphable_model import Poses
 from rsmcm.models.numerics.rotations import exponential
+
+N, BASES = 4000, 3
+
+
+def test_shares_of_the_motion_and_steps_aside() -> None:
+    poses = Poses.upright(np.zeros((N, 2)), np.full(N, 40.0), BASES)
+    motion = np.zeros((N, poses.dimension))
+    motion[:, 3] = 10.0
+    walk = np.array([0.01, 0.02, 0.01, 4.0, 9.0, 1.0, 2.0, 3.0])
+    changes = disperse(poses, motion, walk, np.random.default_rng(0)).changes_from(poses)
+    straight = np.abs(np.delete(changes, 3, axis=1)).max(axis=1) < 1e-12
+    bar = 5 / np.sqrt(N)
+    assert abs(straight.mean() - STRAIGHT) < bar
+    ahead = changes[straight, 3] / 10.0
+    assert ahead.min() >= 0
+    assert ahead.max() <= FARTHEST_AHEAD
+    assert abs(ahead.mean() - FARTHEST_AHEAD / 2) < bar * FARTHEST_AHEAD
+    np.testing.assert_allclose(changes[~straight, 4].std(), ASIDE * 3.0, rtol=bar)
+    np.testing.assert_allclose(changes[~straight, 5:].std(axis=0), ASIDE * np.sqrt(walk[5:]), rtol=bar)
+
+
+def test_usual_fit_is_that_of_the_last_second() -> None:
+    trust = Trust()
+    for _ in range(10):
+        trust = trust.confirmed(0.4, MEMORY / 10)
+    assert trust.usual_fit == pytest.approx(0.4 + 0.6 * np.exp(-1))
+    half = Trust().confirmed(0.4, 0.3).confirmed(0.4, 0.7)
+    assert half.usual_fit == pytest.approx(trust.usual_fit), "it is the same at any rate"
+    assert trust.doubted(0.04).usual_fit == trust.usual_fit, "what is doubted is not usual"
+
+
+def test_what_is_too_little_depends_on_what_is_usual() -> None:
+    assert Trust(usual_fit=0.9).least_fit == pytest.approx(0.9 * LEAST_SHARE)
+    assert Trust(usual_fit=0.6).least_fit < Trust(usual_fit=0.9).least_fit
+    assert Trust(usual_fit=0.1).least_fit == CHANCE
+    assert Trust(usual_fit=0.1).return_fit == CHANCE_ANYWHERE
+    assert Trust(usual_fit=0.9).return_fit > Trust(usual_fit=0.9).least_fit
+
+
+@pytest.mark.parametrize(("dt", "pictures"), [(0.04, 3), (1 / 30, 3), (0.2, 2), (10.0, 2)])
+def test_lost_after_some_doubt(dt: float, pictures: int) -> None:
+    trust = Trust()
+    for _ in range(pictures - 1):
+        trust = trust.doubted(dt)
+        assert not trust.lost
+    assert trust.doubted(dt).lost
+    assert not trust.doubted(dt).confirmed(0.8, dt).lost
+
+
+def test_a_trial() -> None:
+    """It stays lost until the object was there for long enough; less long if its texture says so, too."""
+    lost = Trust(usual_fit=0.8, doubt=2 * MAX_DOUBT_TIME, searches=3)
+    for matches, seconds in ((True, SHORTEST_TRIAL), (False, TRIAL)):
+        trust, pictures = lost.start_trial(matches=matches), 0
+        while trust.trial:
+            assert trust.lost
+            trust, pictures = trust.continue_trial(0.9, 0.02), pictures + 1
+        assert pictures == round(seconds / 0.02)
+        assert (trust.lost, trust.relocations, trust.searches, trust.usual_fit) == (False, 1, 0, 0.9)
+    failed = lost.start_trial(matches=False).doubted(0.02)
+    assert (failed.trial, failed.lost, failed.relocations) == (0.0, True, 0)
+
+
+def test_seen_again() -> None:
+    again = Trust(doubt=1.0, trial=0.1, searches=4).reacquired(0.04)
+    assert (again.lost, again.trial, again.searches, again.relocations) == (False, 0.0, 0, 1)
+    assert again.doubted(0.04).doubted(0.04).lost, "what is found is not believed before the next picture"
+
 
 MODEL = face_model()
 

@@ -1,13 +1,57 @@
-"""Registration of frames with a picture of the scene, against maps that are known."""
+"""Affine maps, and registration of frames against maps that are known."""
 
 from collections.abc import Callable
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.camera.moving_camera import AffineMap, ScenePicture
 from scipy.ndimage import affine_transform
+
+SMALL = (60, 90)
+
+
+def numbers(largest: float) -> st.SearchStrategy[np.ndarray]:
+    return st.lists(st.floats(-largest, largest), min_size=6, max_size=6).map(np.array)
+
+
+@given(numbers(5.0))
+def test_displacement_is_the_root_mean_square_over_the_picture(parameters: np.ndarray) -> None:
+    view = AffineMap(parameters, SMALL)
+    rows, columns = np.mgrid[: SMALL[0], : SMALL[1]]
+    places = np.stack([columns, rows], axis=-1).reshape(-1, 2).astype(float)
+    mean_square = ((view.points(places) - places) ** 2).sum(axis=1).mean()
+    assert view.displacement == pytest.approx(np.sqrt(mean_square), rel=0.03, abs=1e-9)
+
+
+def test_a_frame_comes_back_to_the_scene_and_the_mask_to_the_frame() -> None:
+    rows, columns = np.mgrid[: SMALL[0], : SMALL[1]]
+    ramp = np.asarray(2 * columns + rows, np.uint8)  # bends nowhere, so that interpolation is exact
+    view = AffineMap(np.array([3.0, 0, 0, -2.0, 0, 0]), SMALL)
+    frame = np.asarray(2 * (columns - 3) + (rows + 2), np.int16).clip(0, 255).astype(np.uint8)
+    scene = view.warp_to_scene(frame, np.full(SMALL, 7, np.uint8))
+    assert (scene[3:-3, 3:-4] == ramp[3:-3, 3:-4]).all()
+    assert (scene[:1] == 7).all(), "the frame does not show it"
+    assert (scene[:, -2:] == 7).all()
+    mask = np.zeros(SMALL, np.uint8)
+    mask[20:30, 40:50] = 255
+    seen = view.warp_to_frame(mask)
+    assert (seen[18:28, 43:53] == 255).all()
+    assert seen.sum() == mask.sum()
+
+
+def test_a_box_is_where_its_corners_are() -> None:
+    shift = AffineMap(np.array([3.5, 0, 0, -2.0, 0, 0]), SMALL)
+    assert shift.box((10, 20, 8, 16)) == pytest.approx((13.5, 18, 8, 16))
+    radius = shift.radius
+    zoom = AffineMap(np.array([0, 0.1 * radius, 0, 0, 0, 0.1 * radius]), SMALL)
+    corners = zoom.points(np.array([(9.5, 19.5), (17.5, 35.5)])) + 0.5
+    x, y, width, height = zoom.box((10, 20, 8, 16))
+    assert np.allclose([(x, y), (x + width, y + height)], corners)
+
 
 SIZE = (180, 240)
 Image = NDArray[np.uint8]

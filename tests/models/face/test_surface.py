@@ -1,4 +1,4 @@
-"""Visibility against closed forms: a sphere, a box before a wall; and that points do not hide themselves."""
+"""Texels on the surface, and their visibility against closed forms and lines of sight."""
 
 from typing import NamedTuple
 
@@ -8,11 +8,79 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.kernels import fill_z_buffer
 from rsmcm.models.face.morphable_model import Poses
 from rsmcm.models.face.surface import SurfaceTexels, visible
-from rsmcm.models.numerics.compiled import LANES
 from rsmcm.models.numerics.rotations import exponential
+
+from ...support.surfaces import bumpy, row_of_texel
+
+
+@given(st.integers(1, 3000))
+def test_a_dense_mesh_shares_texels_out_by_area(n_texels: int) -> None:
+    model = bumpy()
+    texels = SurfaceTexels.dense(model, n_texels)
+    corners = model.bases[0][model.triangles]
+    area = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    assert len(texels) == n_texels == texels.first[-1] == len(texels.group_of_texel)
+    assert (np.diff(texels.counts) <= 0).all()
+    assert texels.counts.min() > 0
+    number = {tuple(corners): k for k, corners in enumerate(model.triangles.tolist())}
+    counts = np.zeros(len(area))
+    counts[[number[tuple(corners)] for corners in texels.groups.tolist()]] = texels.counts
+    assert (np.abs(counts - area / area.sum() * n_texels) < 1 + 1e-6).all()
+    assert (texels.weights >= 0).all()
+    np.testing.assert_allclose(texels.weights.sum(axis=1), 1, atol=1e-6)
+    assert not texels.offsets.any()
+    assert not texels.areas.any()
+
+
+def test_rows_hold_the_kth_texel_of_every_group_that_has_so_many() -> None:
+    texels = SurfaceTexels.dense(bumpy(), 700)
+    for row, (begin, end) in enumerate(zip(texels.first[:-1], texels.first[1:], strict=True)):
+        np.testing.assert_array_equal(texels.group_of_texel[begin:end], np.flatnonzero(texels.counts > row))
+        assert (row_of_texel(texels)[begin:end] == row).all()
+        assert (texels.weights[begin:end] == texels.weights[begin]).all()
+        assert (texels.offsets[begin:end] == texels.offsets[begin]).all()
+
+
+def test_texels_fill_triangles_evenly() -> None:
+    texels = SurfaceTexels.dense(bumpy(), 24 * 400)
+    inside = texels.weights[texels.group_of_texel == 0]
+    assert len(inside) > 100
+    # moments of the uniform density over a triangle: means 1/3, second moments 1/6 and 1/12
+    np.testing.assert_allclose(inside.mean(axis=0), 1 / 3, atol=0.01)
+    np.testing.assert_allclose(
+        inside.T @ inside / len(inside), np.full((3, 3), 1 / 12) + np.eye(3) / 12, atol=0.01
+    )
+    # so is its first quarter, which a coarse level uses
+    part = inside[: len(inside) // 4]
+    np.testing.assert_allclose(part.mean(axis=0), 1 / 3, atol=0.04)
+    np.testing.assert_allclose(part.T @ part / len(part), np.full((3, 3), 1 / 12) + np.eye(3) / 12, atol=0.03)
+
+
+@given(st.floats(1, 12))
+def test_patches_are_discs_with_a_texel_a_pixel(radius: float) -> None:
+    model = bumpy()
+    texels = SurfaceTexels.patches(model, radius)
+    wanted = {(x, y) for x in range(-13, 14) for y in range(-13, 14) if x * x + y * y <= radius**2}
+    for vertex in range(model.n_vertices):
+        own = texels.group_of_texel == vertex
+        assert {tuple(offset) for offset in texels.offsets[own].astype(int).tolist()} == wanted
+        assert (texels.groups[vertex] == vertex).all()
+        np.testing.assert_array_equal(texels.weights[own], np.tile([1, 0, 0], (len(wanted), 1)))
+    np.testing.assert_array_equal(texels.areas, 1)
+
+
+def test_impossible_surfaces_are_refused() -> None:
+    with pytest.raises(ValueError, match="dense texels: got 10 on 0 triangles"):
+        SurfaceTexels.dense(bumpy(closed=False), 10)
+    with pytest.raises(ValueError, match="dense texels: got 0 on 24 triangles"):
+        SurfaceTexels.dense(bumpy(), 0)
+    with pytest.raises(ValueError, match=r"radius: got 0\.5 px, expected 1 or more"):
+        SurfaceTexels.patches(bumpy(), 0.5)
+
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -166,41 +234,9 @@ def test_a_head_with_a_large_nose_agrees_with_lines_of_sight(yaw: float) -> None
     assert seen[in_front].mean() > 0.985
 
 
-def test_vertices_have_no_facing_but_are_hidden() -> None:
-    mesh = joined(wall(60, 40, -50), wall(200, 160, 30, 16))
-    vertices = np.repeat(np.arange(len(mesh.vertices))[:, None], 3, axis=1)
-    weights = np.tile([1.0, 0.0, 0.0], (len(vertices), 1))
-    seen = visible(mesh.vertices[None], mesh.triangles, points(vertices, weights))[0]
-    margin = (np.abs(mesh.vertices[:, :2]) - [30, 20]).max(axis=1)
-    expected = ~((mesh.vertices[:, 2] > 0) & (margin < 0))
-    np.testing.assert_array_equal(seen[np.abs(margin) > 3], expected[np.abs(margin) > 3])
-    assert seen[:64].all()
-
-
 def test_a_pose_gone_astray_is_no_crash() -> None:
     mesh = sphere(6)
     chosen, weights = scattered(mesh, 50, 0)
     for scale in (0.0, 1e-9, 1e12, np.nan):
         seen = visible(scale * mesh.vertices[None], mesh.triangles, points(mesh.triangles[chosen], weights))
         assert seen.shape == (1, 50)
-
-
-@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.3, -0.8, 0.2)])
-def test_the_triangle_at_a_pixel_is_the_front_most_on_its_line_of_sight(turn: tuple[float, ...]) -> None:
-    mesh = sphere(10)
-    vertices = 20 * mesh.vertices @ exponential(np.array([turn]))[0].T + [31.3, 24.6, 0]
-    corners = vertices + np.array([0.5, 0.5, 1 - vertices[:, 2].min()])
-    buffer, planes = np.empty((50, 60 + LANES), np.int64), np.empty((len(mesh.triangles) + 1, 4), np.float32)
-    fill_z_buffer(corners, mesh.triangles.astype(np.uint32), 1.0, 60, planes, buffer)
-    found = (buffer[:, :60] & 0xFFFFFFFF) - 1
-    rows, columns = np.indices((50, 60))
-    depth = cast(
-        Mesh(vertices, mesh.triangles), np.stack([columns, rows], axis=2).reshape(-1, 2).astype(float)
-    )
-    np.testing.assert_array_equal(found.ravel() >= 0, np.isfinite(depth))
-    seen = found.ravel() >= 0
-    # all corners of a front-most triangle are in the near half of the ball
-    corners = vertices[mesh.triangles[found.ravel()[seen]], 2]
-    assert corners.min(axis=1).max() <= 1e-6
-    assert (corners.min(axis=1) <= depth[seen] + 1e-6).all()
-    assert (corners.max(axis=1) >= depth[seen] - 1e-6).all()
