@@ -116,7 +116,8 @@ def test_foreground_less_background_is_integrated_over_the_covered_pixels() -> N
     middles = corners.mean(axis=2)
     hidden = (areas * (0.5 + 0.02 * middles[..., 0] - 0.01 * middles[..., 1])).sum(axis=1)
     expected = own + np.log(256) * area - hidden
-    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-3, atol=2)
+    # the texels sample a linear function to a few per mille
+    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=6e-3)
     assert np.abs(np.diff(hidden)).min() > 50
 
 
