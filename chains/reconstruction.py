@@ -1,13 +1,13 @@
 """Structure from motion of a whole film: shape, cameras and tracks, from pictures or from tracks of points.
 
-found = reconstruct(tracks)  # (n_frames, n_tracks, 2) px, NaN where a track is not seen; or frames
-found.geometry, found.shape, found.point_of_track
+result = reconstruct(tracks)  # (n_frames, n_tracks, 2) px, NaN where a track is not seen; or frames
+result.geometry, result.shape, result.point_of_track
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from ..inference.sfm.perspective.structure import (
     affine_fit,
     perspective_structure,
 )
+from ..models.core.checks import Array, Positive, checked
 from ..models.core.frame import Frame
 from ..models.core.short_repr import short_repr
 from ..models.points.point_tracks import PointTracks, frames_of_tracks, noise_of_tracks
@@ -97,22 +98,22 @@ class Reconstruction:
 
     @property
     def n_points(self) -> int:
-        """How many points there are."""
+        """Number of points."""
         return len(self.shape)
 
     @property
     def n_observations(self) -> int:
-        """In how many places a point was seen in a frame."""
+        """Number of observations of a point in a frame."""
         return int(np.count_nonzero(self.observed))
 
     @property
     def determined(self) -> NDArray[np.bool_]:
-        """`(n_frames,)`: whether the camera is known, and with it where points are."""
+        """`(n_frames,)`: whether the camera of a frame is known."""
         return np.asarray(np.isfinite(self.cameras).all(axis=(1, 2)))
 
     @cached_property
     def places(self) -> Numbers:
-        """`(n_frames, n_points, 2)` px: every point where it was seen, or else where it should be."""
+        """`(n_frames, n_points, 2)` px: where a point was observed, or else where it is predicted."""
         return self.positions + np.where(self.observed[..., None], self.residuals, 0)
 
     @property
@@ -129,11 +130,12 @@ class Reconstruction:
 
 
 class NoStructureError(ValueError):
-    """Points are too few, or seen too shortly, to be a structure."""
+    """There are too few points, or they are in too few frames, for a structure."""
 
 
+@checked
 def reconstruct(
-    film: Sequence[Frame] | Numbers,
+    film: Sequence[Frame] | Annotated[Numbers, Array(None, None, 2, finite=False)],
     *,
     coherence: Coherence = "second-order",
     association: Association = "dual-chain",
@@ -158,6 +160,8 @@ def reconstruct(
     ------
     ValueError
         if there are fewer than 3 frames or 4 points, or frames share too few of them.
+    TypeError
+        if an argument is of another type.
     NoStructureError
         as `reconstruction_of` does.
     """
@@ -170,10 +174,11 @@ def reconstruct(
     return reconstruction_of(best, camera, lens, n_tracks)
 
 
+@checked
 def structure_engine(
     frames: Sequence[Frame], coherence: Coherence = "second-order", association: Association = "dual-chain"
 ) -> CoordinateAscent:
-    """The engine with tracker and shape of frames with images or with given points.
+    """Return the engine with tracker and shape for frames with images or with given points.
 
     `coherence` says whether the camera moves smoothly, `association` whether the tracker receives the
     shape's messages and tracks that show one point become one.
@@ -186,7 +191,7 @@ def structure_engine(
 
 
 def _following(frames: Sequence[Frame]) -> tuple[MultiChain, PointTracks]:
-    """The chains that follow points of frames, with images or with given points, and the points."""
+    """Return a model of chains that track points of the frames, and its feature node."""
     given = any(frame.points is not None for frame in frames)
     points = PointTracks(noise=noise_of_tracks(frames)) if given else PointTracks()
     # what a tracker predicts comes from observations that the shape has as well, and would count twice over
@@ -196,43 +201,44 @@ def _following(frames: Sequence[Frame]) -> tuple[MultiChain, PointTracks]:
     return model, points
 
 
-def followed(frames: Sequence[Frame]) -> Numbers:
-    """Tracks `(n_frames, n_tracks, 2)` px as they are followed without a shape, NaN where not seen."""
+@checked
+def track_points(frames: Sequence[Frame]) -> Numbers:
+    """Return tracks without a shape's feedback: `(n_frames, n_tracks, 2)` px, NaN where not observed."""
     return tracks_of(CoordinateAscent(_following(frames)[0], 1).run(frames))
 
 
 def tracks_of(solution: Solution) -> Numbers:
-    """What the frames show of each track: `(n_frames, n_tracks, 2)` px, NaN where nothing."""
+    """Return the observed positions of tracks: `(n_frames, n_tracks, 2)` px, NaN where not observed."""
     moments = [evidence.positions.moments for evidence in solution.evidence("points")]
-    everybody = np.unique(np.concatenate([identities for identities, _, _ in moments]))
-    tracks = np.full((len(moments), len(everybody), 2), np.nan)
-    for row, (identities, means, _) in zip(tracks, moments, strict=True):
-        row[np.searchsorted(everybody, identities)] = means
+    identities = np.unique(np.concatenate([each for each, _, _ in moments]))
+    tracks = np.full((len(moments), len(identities), 2), np.nan)
+    for row, (of_frame, means, _) in zip(tracks, moments, strict=True):
+        row[np.searchsorted(identities, of_frame)] = means
     return tracks
 
 
 def recursive_reconstruction(
     structure: Structure, cameras: Numbers, camera_covariances: Numbers, tracks: Numbers
 ) -> Reconstruction:
-    """What `RecursiveStructure` has found of its last shape, which is `structure` at the end.
+    """Return the reconstruction of the last shape of `RecursiveStructure`, which is `structure` at the end.
 
     Cameras `(n_frames, 2, 4)` and their covariances are those after each frame, NaN where there was none;
     tracks `(n_frames, n_points, 2)` px are where points of the shape were seen.
     """
-    known = np.asarray(np.isfinite(cameras).all(axis=(1, 2)))
-    since = np.flatnonzero(~known)  # cameras before are of another shape
-    known[: since.max(initial=-1) + 1] = False
+    has_camera = np.asarray(np.isfinite(cameras).all(axis=(1, 2)))
+    since = np.flatnonzero(~has_camera)  # cameras before are of another shape
+    has_camera[: since.max(initial=-1) + 1] = False
     fit = Factorisation(
-        cameras[known], camera_covariances[known], structure.shape, structure.shape_covariance,
-        0.0, 0.0, True, structure.motion.noise, known[known], (),
+        cameras[has_camera], camera_covariances[has_camera], structure.shape, structure.shape_covariance,
+        0.0, 0.0, True, structure.motion.noise, has_camera[has_camera], (),
     )  # fmt: skip
     n_frames, n_points = tracks.shape[:2]
     positions = np.full((n_frames, n_points, 2), np.nan)
     covariances = np.full((n_frames, n_points, 2, 2), np.nan)
-    positions[known], covariances[known] = predicted(fit)
+    positions[has_camera], covariances[has_camera] = predicted(fit)
     metric = euclidean(fit.cameras, fit.shape, fit.camera_covariance)
     upgraded = np.full(cameras.shape, np.nan)
-    upgraded[known] = metric.cameras
+    upgraded[has_camera] = metric.cameras
     residuals = tracks - positions
     observed = np.isfinite(residuals[..., 0])
     return Reconstruction(
@@ -252,8 +258,9 @@ def recursive_reconstruction(
     )
 
 
-def lens_of(frames: Sequence[Frame], focal: float | None = None) -> Lens:
-    """What is known of the camera; without images the picture ends with the positions."""
+@checked
+def lens_of(frames: Sequence[Frame], focal: Positive | None = None) -> Lens:
+    """Return the lens: size of the images, or of the region of all positions, and the focal length in px."""
     size = next((frame.image.shape[:2] for frame in frames if frame.image is not None), None)
     if size is not None:
         return Lens((size[0], size[1]), focal)
@@ -263,6 +270,7 @@ def lens_of(frames: Sequence[Frame], focal: float | None = None) -> Lens:
     return Lens((max(height, 1), max(width, 1)), focal)
 
 
+@checked
 def reconstruction_of(
     solution: Solution, camera: Camera = "auto", lens: Lens | None = None, n_tracks: int | None = None
 ) -> Reconstruction:
@@ -285,22 +293,22 @@ def reconstruction_of(
         if there is no point, or half of those that images show are in too few views to be any.
     """
     from_images = any(frame.image is not None for frame in solution.frames)
-    found = _before_affine_cameras(solution, n_tracks)
-    lives = found.observed.sum(axis=0)
+    result = _before_affine_cameras(solution, n_tracks)
+    lives = result.observed.sum(axis=0)
     if not len(lives) or (from_images and np.median(lives) < FEWEST_FRAMES):
         raise NoStructureError(
             f"tracks: got {len(lives)} points, most of them in fewer than {FEWEST_FRAMES} frames"
         )
-    if camera != "affine" and found.n_points >= FEWEST_POINTS:
-        found = _in_perspective(found, solution, n_tracks, camera, lens or lens_of(solution.frames))
-    return _without_false_depth(found, from_images)
+    if camera != "affine" and result.n_points >= FEWEST_POINTS:
+        result = _in_perspective(result, solution, n_tracks, camera, lens or lens_of(solution.frames))
+    return _without_false_depth(result, from_images)
 
 
 def _before_affine_cameras(solution: Solution, n_tracks: int | None) -> Reconstruction:
-    found: StructureTrajectory = solution["structure"]
-    fit = found.factorisation
+    structure: StructureTrajectory = solution["structure"]
+    fit = structure.factorisation
     positions, covariances = predicted(fit)
-    observations, observed = _observations_of_points(solution, found, len(fit.shape))
+    observations, observed = _observations_of_points(solution, structure, len(fit.shape))
     geometry: Geometry = "none"
     reason = ""
     if len(fit.shape) < FEWEST_POINTS:
@@ -318,11 +326,11 @@ def _before_affine_cameras(solution: Solution, n_tracks: int | None) -> Reconstr
         covariances=covariances,
         observed=observed,
         residuals=observations - positions,
-        point_of_track=_points_of_tracks(solution, found, n_tracks),
+        point_of_track=_points_of_tracks(solution, structure, n_tracks),
         cameras=cameras,
         shape=shape,
         shape_covariances=shape_covariances,
-        noise_variance=found.noise,
+        noise_variance=structure.noise,
         objective=tuple(report.objective for report in solution.rounds),
         converged=solution.converged,
         geometry=geometry,
@@ -331,35 +339,35 @@ def _before_affine_cameras(solution: Solution, n_tracks: int | None) -> Reconstr
 
 
 def _in_perspective(
-    found: Reconstruction, solution: Solution, n_tracks: int | None, camera: Camera, lens: Lens
+    affine: Reconstruction, solution: Solution, n_tracks: int | None, camera: Camera, lens: Lens
 ) -> Reconstruction:
-    """The same before a perspective camera; outliers and tracks without a point count again."""
+    """Return the reconstruction with a perspective camera; outliers and rejected tracks are tried again."""
     chain: StructureTrajectory = solution["structure"]
     point_of_track, alone = chain.point_of_track.copy(), chain.point_of_track < 0
     n_alone = int(np.count_nonzero(alone))
-    point_of_track[alone] = found.n_points + np.arange(n_alone)
+    point_of_track[alone] = affine.n_points + np.arange(n_alone)
     chain = replace(chain, point_of_track=point_of_track, trusted=np.ones_like(chain.trusted))
-    places, observed = _observations_of_points(solution, chain, found.n_points + n_alone)
+    places, observed = _observations_of_points(solution, chain, affine.n_points + n_alone)
     weights = observed.astype(np.float64)
-    shape = np.concatenate([found.shape, np.zeros((n_alone, 3))])
-    robust = affine_fit(places, weights, found.cameras, shape)
+    shape = np.concatenate([affine.shape, np.zeros((n_alone, 3))])
+    robust = affine_fit(places, weights, affine.cameras, shape)
     perspective = perspective_structure(places, weights, robust, lens)
     if perspective is None:
-        return replace(found, affine_reason="no perspective camera was found")
+        return replace(affine, affine_reason="no perspective camera was found")
     if camera == "auto" and not perspective.better_than(robust):
         reason = (
             "it explains the tracks better than a perspective one with square pixels does"
             if perspective.focal_determined
             else "the tracks show no perspective"
         )
-        return replace(found, affine_reason=reason)
+        return replace(affine, affine_reason=reason)
     agreeing = perspective.agrees(places, weights)
     kept = np.count_nonzero(agreeing, axis=0) >= FEWEST_VIEWS
     perspective, observed = perspective.of_points(kept), agreeing[:, kept]
     residuals = np.where(observed[..., None], places[:, kept] - perspective.positions, np.nan)
     chain = replace(chain, point_of_track=np.where(kept, np.cumsum(kept) - 1, -1)[chain.point_of_track])
     return replace(
-        found,
+        affine,
         positions=perspective.positions,
         covariances=perspective.covariances,
         observed=observed,
@@ -375,21 +383,21 @@ def _in_perspective(
     )
 
 
-def _without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruction:
-    """The reconstruction, without its shape if what was taken for depth is none.
+def _without_false_depth(result: Reconstruction, from_images: bool) -> Reconstruction:
+    """Return the reconstruction without its shape if its depth is not determined.
 
     Before affine cameras, perspective may have been: then homographies explain clearly more than the shape. A
     perspective camera explains them too, with any depth if it stays where it is, or with any focal length if
     it sees a plane: then homographies explain as much. Or, `from_images` and with an affine shape or a
     focal length that was estimated, there is less parallax than a tracker makes by itself.
     """
-    if found.geometry == "none":
-        return found
-    places = np.where(found.observed[..., None], found.places, np.nan)
-    lens = found.perspective
+    if result.geometry == "none":
+        return result
+    places = np.where(result.observed[..., None], result.places, np.nan)
+    lens = result.perspective
     most = MOST if lens is None else 1.0  # outliers are left out already
-    ratio = variance_over_shape(places, found.residuals, most)
-    uncertain = found.geometry == "affine" or (lens is not None and lens.curvature_deviation > 0)
+    ratio = variance_over_shape(places, result.residuals, most)
+    uncertain = result.geometry == "affine" or (lens is not None and lens.curvature_deviation > 0)
     reason = ""
     if lens is None and ratio * AS_WELL <= 1:
         reason = "homographies, which know no depth, explain the tracks better than a shape does"
@@ -400,38 +408,40 @@ def _without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruc
     if not reason and from_images and uncertain and motion_of(places, most).parallax < LASTING:
         reason = "points move against each other by less than a tracker errs"
     if not reason:
-        return found
-    return replace(found, geometry="none", reason=reason, perspective=None, affine_reason="")
+        return result
+    return replace(result, geometry="none", reason=reason, perspective=None, affine_reason="")
 
 
 def _points_of_tracks(
-    solution: Solution, found: StructureTrajectory, n_tracks: int | None
+    solution: Solution, structure: StructureTrajectory, n_tracks: int | None
 ) -> NDArray[np.int64]:
-    """The point of each track `(n_tracks,)`, -1 for none; also of those that the tracker took for another."""
+    """Return the point of each track `(n_tracks,)`, -1 for none, also of tracks that others absorbed."""
     tracks: PointTrajectory = solution["tracker"]
-    point_of = dict(zip(found.identities.tolist(), found.point_of_track.tolist(), strict=True))
+    point_of = dict(zip(structure.identities.tolist(), structure.point_of_track.tolist(), strict=True))
     for absorbed, by in tracks.absorbed.tolist():
         point_of[absorbed] = point_of.get(by, -1)
-    everybody = sorted(point_of) if n_tracks is None else range(n_tracks)
-    return np.array([point_of.get(identity, -1) for identity in everybody], np.int64)
+    identities = sorted(point_of) if n_tracks is None else range(n_tracks)
+    return np.array([point_of.get(identity, -1) for identity in identities], np.int64)
 
 
 def _observations_of_points(
-    solution: Solution, found: StructureTrajectory, n_points: int
+    solution: Solution, structure: StructureTrajectory, n_points: int
 ) -> tuple[Numbers, NDArray[np.bool_]]:
-    """Means of what frames show of each point, `(n_frames, n_points, 2)` px, NaN where nothing; where."""
+    """Return mean observed positions `(n_frames, n_points, 2)` px, NaN where none, and which there are."""
     sums = np.zeros((len(solution.frames), n_points, 2))
     counts = np.zeros((len(solution.frames), n_points))
     for time, evidence in enumerate(solution.evidence("points")):
         identities, means, _ = evidence.positions.moments
-        place = np.searchsorted(found.identities, identities)
-        known = place < len(found.identities)
-        known[known] = found.identities[place[known]] == identities[known]
+        place = np.searchsorted(structure.identities, identities)
+        has_point = place < len(structure.identities)
+        has_point[has_point] = structure.identities[place[has_point]] == identities[has_point]
         points = np.full(len(identities), -1)
-        points[known] = np.where(found.trusted[time, place[known]], found.point_of_track[place[known]], -1)
-        taken = points >= 0
-        np.add.at(sums[time], points[taken], means[taken])
-        np.add.at(counts[time], points[taken], 1)
+        points[has_point] = np.where(
+            structure.trusted[time, place[has_point]], structure.point_of_track[place[has_point]], -1
+        )
+        is_shown = points >= 0
+        np.add.at(sums[time], points[is_shown], means[is_shown])
+        np.add.at(counts[time], points[is_shown], 1)
     observed = counts > 0
     with np.errstate(invalid="ignore"):
         return sums / counts[:, :, None], observed

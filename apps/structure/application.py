@@ -14,9 +14,9 @@ from ...chains.reconstruction import (
     MOST_ROUNDS,
     NoStructureError,
     Reconstruction,
-    followed,
     reconstruction_of,
     structure_engine,
+    track_points,
     tracks_of,
 )
 from ...inference import Solution
@@ -133,7 +133,7 @@ class _StructureRun:
             solution = self._ascended(after)
         except ValueError as error:
             reason = str(error).removeprefix("positions: ")
-            return self._nothing(no_points(film.frames, followed(film.frames), reason))
+            return self._nothing(no_points(film.frames, track_points(film.frames), reason))
         lens, about_lens = known_lens(film.frames, job.focal, next(iter(film.pictures), None))
         try:
             found = reconstruction_of(solution, job.camera, lens, film.n_tracks)
