@@ -122,15 +122,6 @@ def test_is_lost_and_finds_the_face_again(
     assert error(chain, scene, last, N_FRAMES - 1, shift) < 2.5
 
 
-def test_a_face_that_leaves_the_picture_is_lost(scene: FaceScene, images: list[Image]) -> None:
-    leaving = []
-    for step in range(14):
-        away = np.full_like(images[0], 90)
-        away[:, 22 * step :] = images[0][:, : images[0].shape[1] - 22 * step]
-        leaving.append(away)
-    assert states(chain_for(scene), leaving)[-1].lost
-
-
 class KnownFinder:
     """Detects the face in some pictures, at its true pose there."""
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.chains.face.landmark_fit import fit_landmarks
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.morphable_model import MorphableModel, Poses, SurfacePoints
+from rsmcm.models.face.morphable_model import MorphableModel, SurfacePoints
 
 from ...support.surfaces import random_poses
 
@@ -103,22 +103,3 @@ def test_the_models_own_landmarks() -> None:
 def test_landmarks_that_do_not_match(landmarks: Array, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         fit_landmarks(known(), landmarks)
-
-
-def test_other_things_that_a_fit_refuses() -> None:
-    model = known()
-    landmarks = np.random.default_rng(0).normal(size=(12, 2))
-    with pytest.raises(ValueError, match="got 12, expected one for each of 2 points"):
-        fit_landmarks(model, landmarks, SurfacePoints.of_vertices([1, 2]))
-    with pytest.raises(ValueError, match=r"noise: got 0\.0"):
-        fit_landmarks(model, landmarks, noise=0.0)
-    with pytest.raises(ValueError, match="got a first morph coefficient that is not positive"):
-        fit_landmarks(model, landmarks, start=Poses.upright(np.zeros((1, 2)), np.zeros(1), model.n_bases))
-    with pytest.raises(
-        ValueError, match="landmark 13: the model has no vertex there; it has 10 of landmarks"
-    ):
-        model.landmark_points([1, 13])
-    with pytest.raises(ValueError, match="landmark 2: the model has no vertex there"):
-        model.landmark_points([1, 2])
-    with pytest.raises(ValueError, match="no list of landmarks"):
-        face_model().landmark_points([1])

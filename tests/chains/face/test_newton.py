@@ -114,12 +114,3 @@ def test_only_better_poses_are_taken() -> None:
     np.testing.assert_allclose(one.climb.damping, [1.0, 1.0, 0.03, 0.03, 0.03])
     np.testing.assert_array_equal(one.climb.poses.translations[:2], before[:2])
     np.testing.assert_array_equal(one.climb.poses.translations[2:], before[2:] + 0.01)
-
-
-def test_a_pose_of_which_nothing_faces_the_viewer_is_never_better() -> None:
-    one = case(5)
-    advanced(one, newton.StepLimits(1e9, 0.0, first=True))
-    before = one.climb.energy.copy()
-    hidden = one._replace(belief=one.belief._replace(energy=one.belief.energy - 10, seen=np.zeros(N, bool)))
-    advanced(hidden, newton.StepLimits(1e9, 0.0, first=False))
-    np.testing.assert_array_equal(one.climb.energy, before)

@@ -168,18 +168,6 @@ def test_a_scan_finds_the_edge(off: float) -> None:
     assert np.abs(error).max() < 1.25
 
 
-def test_where_nothing_is_known_a_scan_says_nothing() -> None:
-    model = ellipsoid()
-    pose = centred(np.zeros((2, 3)))
-    silhouette = Silhouette(
-        model, MeshEdges.of(model.triangles), contrast_of(np.zeros((1, *SIZE), np.float32)), 400
-    )
-    energy, gradient, curvature = silhouette.around(pose, 0).equations(pose, np.arange(2))
-    assert not energy.any()
-    assert not gradient.any()
-    assert not curvature.any()
-
-
 def some_terms(seed: int, n: int = 2) -> SimpleNamespace:
     random = np.random.default_rng(seed)
     model, n_points = bumpy(3, seed), 7

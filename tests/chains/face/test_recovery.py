@@ -120,17 +120,6 @@ def test_a_view_is_upright(roll: float) -> None:
     np.testing.assert_allclose(again, MODEL.project(upright)[0], atol=1e-9)
 
 
-def test_what_a_view_shows() -> None:
-    """A bright disc is where the matrix says."""
-    rows, columns = np.indices((120, 160))
-    image = np.where(np.hypot(columns - 100, rows - 40) < 8, 250, 10).astype(np.uint8)
-    view = UprightView.of(np.array([90.0, 50.0]), 0.4, 0.7, (80, 70))
-    warp = view.warp(image)
-    assert warp.shape == (70, 80)
-    found = np.argwhere(warp > 130).mean(axis=0)[::-1]
-    np.testing.assert_allclose(found, view.matrix @ (100, 40, 1), atol=0.5)
-
-
 def upright_faces(frame: Frame) -> NDArray[np.float64]:
     """A detector of a face that is a bright square over a dark one, as large together as a face's box."""
     image = frame.image

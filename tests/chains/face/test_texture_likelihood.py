@@ -8,7 +8,6 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.face.kernels import OFF_PICTURE
 from rsmcm.chains.face.texture_likelihood import (
-    DARKEST,
     SMOOTHING,
     TexturedObject,
     TextureLikelihood,
@@ -56,15 +55,6 @@ def test_light_that_changes_slowly_is_taken_out() -> None:
     for number in range(2):
         left = np.abs(even[number].image - lit[number].image).mean()
         assert left < 0.1 * np.abs(raw[number].image - dim[number].image).mean()
-
-
-def test_black_stays_black_and_an_even_picture_even() -> None:
-    black, grey = (
-        image_pyramid(np.full((60, 80), value, np.uint8), 24.0, n_levels=2, local_mean=True)
-        for value in (0, 100)
-    )
-    assert not black[0].image.any()
-    np.testing.assert_allclose(grey[1].image, 128 * 100 / (100 + DARKEST), rtol=1e-4)
 
 
 @pytest.mark.parametrize("deviation", [6.0, 40.0])
@@ -130,29 +120,6 @@ def test_a_batch_is_each_pose_alone_on_any_number_of_threads(number: int) -> Non
         np.testing.assert_array_equal(alone.sums[0], together[0].sums[pose])
         alone_sums = likelihood.sums(poses[pose], owner[pose : pose + 1], level=number)
         np.testing.assert_allclose(alone_sums[0, :3], alone.sums[0], rtol=1e-5)
-
-
-def test_without_triangles_everything_is_visible() -> None:
-    model = bumpy(closed=False)
-    surface = TexturedObject(model, SurfaceTexels.patches(model, 2))
-    assert surface.visible(poses_near(2, 3, 0)).all()
-
-
-def test_at_the_edge_of_the_picture_every_level_has_to_show_a_texel() -> None:
-    likelihood = seen_by(2)
-    poses = poses_near(2, 4, 2)
-    off = likelihood.surface.positions(poses).min(axis=(0, 1)) + 3.0
-    poses = Poses(poses.rotations, poses.translations - off, poses.morphs)
-    looks, seen = likelihood.surface.observe(likelihood.levels, poses, likelihood.visible)
-    texels = likelihood.surface.texels
-    corners = likelihood.surface.model.project(poses)[:, texels.groups][:, texels.group_of_texel]
-    places = np.einsum("nc,pnca->pna", texels.weights, corners)
-    # pixel 0 of the half-size picture is at 0.5, and its last one at half a pixel from the end
-    inside = ((places >= 0.5) & (places <= np.array([158.5, 118.5]))).all(axis=2)
-    near = (np.abs(places - 0.5) < 1e-3).any(axis=2)
-    np.testing.assert_array_equal(seen[~near], (likelihood.visible & inside)[~near])
-    assert (likelihood.visible & ~inside).sum() > 0
-    assert looks.shape == (2, 2, len(texels))
 
 
 Array = NDArray[np.float64]

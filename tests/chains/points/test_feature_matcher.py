@@ -201,19 +201,17 @@ def test_joining_agrees_with_sets() -> None:
     assert max(map(len, expected)) > 3
 
 
-@pytest.mark.parametrize("order", [[0, 1, 2, 3, 4, 5, 6, 7, 0, 1], [0, 4, 1, 5, 2, 6, 3, 7]])
-def test_pictures_that_are_alike_are_matched_whenever_they_were_taken(order: list[int]) -> None:
+def test_similar_pictures_are_matched_whenever_they_were_taken() -> None:
+    order = [0, 1, 2, 3, 4, 5, 6, 7, 0, 1]
     found = FilmMatches.of([PICTURES[number] for number in order])
     seen = np.array(order)[found.frame[found.pairs]]
     assert len(found.pairs) > 0.5 * len(MATCHES.pairs)
     for first, second in zip(range(7), range(1, 8), strict=True):
         assert ((np.sort(seen, axis=1) == [first, second]).all(axis=1)).sum() > 30
-    if len(order) == 10:
-        again = np.sort(found.frame[found.pairs], axis=1)
-        assert ((again == [0, 8]).all(axis=1)).sum() > 100
+    again = np.sort(found.frame[found.pairs], axis=1)
+    assert ((again == [0, 8]).all(axis=1)).sum() > 100
 
 
-FILM = turntable(8, (288, 360), 5.0, seed=1)
 POINTS, MATCHER = PointTracks(), FeatureMatcher(n_points=100, n_features=1000)
 
 

@@ -102,18 +102,6 @@ def test_filter_follows_given_points_and_keeps_their_numbers() -> None:
     assert np.sqrt((np.concatenate(errors[10:]) ** 2).mean()) < 0.5  # better than the points that are given
 
 
-def test_messages_and_evidence_make_the_smoothed_track() -> None:
-    _, seen = circling()
-    frames, node = given_frames(seen), PointTracks(noise=0.5)
-    model = MultiChain().connect(PointTracker(), node)
-    solution = CoordinateAscent(model).run(frames)
-    trajectory = solution["tracker"]
-    for time, belief in enumerate(solution[node]):
-        identities, mean, covariance = belief.positions.moments
-        np.testing.assert_allclose(mean, trajectory.position[time, identities], atol=1e-6)
-        np.testing.assert_allclose(covariance, trajectory.covariance[time, identities], atol=1e-6)
-
-
 # --- pictures ---
 
 
@@ -314,24 +302,6 @@ def test_of_two_points_on_one_spot_the_younger_ends() -> None:
     alive = after["tracker"].known.alive
     assert alive[3]
     assert not alive[7]
-
-
-def test_missing_frames_are_bridged() -> None:
-    poses = sliding(30)
-    frames = pictures(film(poses, 6))
-    for t in (0, 1, 14, 15, 16):
-        frames[t] = Frame(None, frames[t].time, t + 1)
-    tracker, node = PointTracker(n_points=40), PointTracks()
-    states = [
-        belief.states.get("tracker")
-        for belief in RecursiveBP(MultiChain().connect(tracker, node)).run(frames)
-    ]
-    assert states[0] is states[1] is None
-    before, after = states[13].known, states[17].known
-    assert np.isin(before.identities[before.alive], after.identities[after.alive]).mean() > 0.8
-    trajectory = tracked(frames, node, tracker)
-    assert not trajectory.observed[[0, 1, 14, 15, 16]].any()
-    assert trajectory.alive[15].sum() > 25
 
 
 def test_a_run_goes_on_from_a_file_as_if_nothing_had_been(

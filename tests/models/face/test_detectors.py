@@ -3,7 +3,6 @@
 import copy
 import pickle
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face import detectors
-from rsmcm.models.face.detectors import HaarFaces, YuNetFaces, default_faces, for_height
+from rsmcm.models.face.detectors import HaarFaces, default_faces, for_height
 
 from ...fuzz.networks import tiny_network
 from ...support.signer_clip import signer_clip
@@ -105,39 +104,6 @@ def test_for_height(film: list[Image]) -> None:
     assert hits(boxes)[0] >= 0.8 * len(film)
     other = lambda frame: np.zeros((0, 4))  # noqa: E731
     assert for_height(other, 52.0) is other
-
-
-class Network:
-    """Stands in for OpenCV's."""
-
-    def __init__(self, size: tuple[int, int]) -> None:
-        self.size = size
-
-    @staticmethod
-    def create(path: str, config: str, size: tuple[int, int], least: float) -> "Network":
-        return Network(size)
-
-    def detect(self, image: Image) -> tuple[int, Any]:
-        assert image.shape == (self.size[1], self.size[0], 3)
-        if not image.any():
-            return 1, None
-        found = np.zeros((2, 15), np.float32)
-        found[:, :4] = (1, 2, 30, 40), (5, 6, 20, 30)
-        found[:, 14] = 0.7, 0.9
-        return 1, found
-
-
-def test_the_surest_first(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    path = tmp_path / "yunet.onnx"
-    path.touch()
-    monkeypatch.setattr(cv2, "FaceDetectorYN", Network)
-    monkeypatch.setattr(detectors, "_is_survived", lambda *_: True)  # another process has OpenCV's
-    faces = YuNetFaces(path)
-    for image in (np.ones((90, 120), np.uint8), np.ones((50, 60, 3), np.uint8)):
-        np.testing.assert_array_equal(faces(Frame(image, 0.0, 1)), [[5, 6, 20, 30], [1, 2, 30, 40]])
-    assert faces(Frame(np.zeros((90, 120, 3), np.uint8), 0.0, 1)).shape == (0, 4)
-    assert faces(Frame(None, 0.0, 1)).shape == (0, 4)
-    assert pickle.loads(pickle.dumps(faces)) == faces
 
 
 def test_a_damaged_network_does_not_end_the_process(tmp_path: Path) -> None:

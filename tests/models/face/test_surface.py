@@ -7,12 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.morphable_model import Poses
 from rsmcm.models.face.surface import SurfaceTexels, visible
 from rsmcm.models.numerics.rotations import exponential
 
-from ...support.surfaces import bumpy, row_of_texel
+from ...support.surfaces import bumpy
 
 
 @given(st.integers(1, 3000))
@@ -34,15 +32,6 @@ def test_a_dense_mesh_shares_texels_out_by_area(n_texels: int) -> None:
     np.testing.assert_allclose(texels.weights.sum(axis=1), 1, atol=1e-6)
     assert not texels.offsets.any()
     assert not texels.areas.any()
-
-
-def test_rows_hold_the_kth_texel_of_every_group_that_has_so_many() -> None:
-    texels = SurfaceTexels.dense(bumpy(), 700)
-    for row, (begin, end) in enumerate(zip(texels.first[:-1], texels.first[1:], strict=True)):
-        np.testing.assert_array_equal(texels.group_of_texel[begin:end], np.flatnonzero(texels.counts > row))
-        assert (row_of_texel(texels)[begin:end] == row).all()
-        assert (texels.weights[begin:end] == texels.weights[begin]).all()
-        assert (texels.offsets[begin:end] == texels.offsets[begin]).all()
 
 
 def test_texels_fill_triangles_evenly() -> None:
@@ -191,17 +180,6 @@ def test_a_wall_hides_what_is_behind_it_seen_along_the_line_of_sight(turn: tuple
     assert seen[~behind].all()
 
 
-@pytest.mark.parametrize("size", [6.0, 40.0, 150.0, 600.0])
-def test_a_face_from_the_front_hides_nothing_of_itself(size: float) -> None:
-    model = face_model()
-    poses = Poses.upright(np.array([[100.0, 80.0]]), np.array([size]), model.n_bases)
-    positions = model.positions(poses)
-    mesh = Mesh(positions[0], model.triangles)
-    chosen, weights = scattered(mesh, 4000, 0)
-    seen = visible(positions, model.triangles, points(model.triangles[chosen], weights))[0]
-    np.testing.assert_array_equal(seen, cosines(mesh)[chosen] >= 0.3)
-
-
 def cast(mesh: Mesh, places: Array) -> Array:
     """z of the front-most triangle along the line of sight through each place, infinite without any."""
     corners = mesh.vertices[mesh.triangles]
@@ -232,11 +210,3 @@ def test_a_head_with_a_large_nose_agrees_with_lines_of_sight(yaw: float) -> None
     assert seen[hidden].mean() < 0.1
     in_front = facing & (behind < 1e-6)
     assert seen[in_front].mean() > 0.985
-
-
-def test_a_pose_gone_astray_is_no_crash() -> None:
-    mesh = sphere(6)
-    chosen, weights = scattered(mesh, 50, 0)
-    for scale in (0.0, 1e-9, 1e12, np.nan):
-        seen = visible(scale * mesh.vertices[None], mesh.triangles, points(mesh.triangles[chosen], weights))
-        assert seen.shape == (1, 50)
