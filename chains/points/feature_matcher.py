@@ -90,7 +90,7 @@ def join_matches(matches, frame, n_frames):
     return track
 
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
@@ -120,8 +120,8 @@ UNIT = 255.0  # length of a descriptor that is stored
 class Features:
     """Features of a picture."""
 
-    positions: Numbers  # (n, 2) px
-    deviations: Numbers  # (n,) px, standard deviation of each coordinate
+    positions: Array  # (n, 2) px
+    deviations: Array  # (n,) px, standard deviation of each coordinate
     descriptors: NDArray[np.uint8]  # (n, 128), square roots, of length `UNIT` but for rounding
 
     def __len__(self) -> int:
@@ -150,7 +150,7 @@ def find_features(grey: NDArray[np.uint8], most: int) -> Features:
     return Features(rows[best, :2], LOCALISATION * rows[best, 2], roots)
 
 
-def match_features(one: Features, other: Features) -> tuple[Indices, Numbers]:
+def match_features(one: Features, other: Features) -> tuple[Indices, Array]:
     """Match features of two pictures that are mutual nearest neighbours and pass the ratio test.
 
     Returns pairs `(m, 2)`, of `one` and of `other`, and their doubt `(m,)`: the larger of both ratios of the
@@ -160,8 +160,8 @@ def match_features(one: Features, other: Features) -> tuple[Indices, Numbers]:
 
 
 def match_along_lines(
-    one: Features, other: Features, pairs: Indices, fundamental: Numbers, tolerance: float
-) -> tuple[Indices, Numbers]:
+    one: Features, other: Features, pairs: Indices, fundamental: Array, tolerance: float
+) -> tuple[Indices, Array]:
     """Match as `match_features`, among the features that given `pairs` and their epipolar geometry allow.
 
     These are within `tolerance` px of the epipolar line, and within the motion of the nearest pairs, since
@@ -194,7 +194,7 @@ def _likeness(one: Features, other: Features) -> NDArray[np.float32]:
     return likeness
 
 
-def _mutual_matches(likeness: NDArray[np.float32]) -> tuple[Indices, Numbers]:
+def _mutual_matches(likeness: NDArray[np.float32]) -> tuple[Indices, Array]:
     """Return mutual matches and their doubt; see `match_features`."""
     if min(likeness.shape) < 2:
         return np.zeros((0, 2), np.int64), np.zeros(0)
@@ -207,10 +207,10 @@ def _mutual_matches(likeness: NDArray[np.float32]) -> tuple[Indices, Numbers]:
     return np.stack([mutual, there], axis=1)[sure], doubt[sure]
 
 
-def _ratio(best: NDArray[np.float32], second: NDArray[np.float32]) -> Numbers:
+def _ratio(best: NDArray[np.float32], second: NDArray[np.float32]) -> Array:
     """Return the ratio of distances of unit vectors, given their scalar products."""
     near, far = (np.maximum(1 - each.astype(np.float64), 1e-9) for each in (best, second))
-    ratio: Numbers = np.sqrt(near / far)
+    ratio: Array = np.sqrt(near / far)
     return ratio
 
 
@@ -229,14 +229,14 @@ class FilmMatches:
     frame: Indices  # (n,): the picture of each feature, those of all pictures one after the other
     # (m, 2): features that look alike and obey one epipolar geometry, as a third picture confirms
     pairs: Indices
-    doubt: Numbers  # (m,): of each pair; see `match_features`
+    doubt: Array  # (m,): of each pair; see `match_features`
 
     @classmethod
     def of(cls, pictures: Sequence[Features]) -> "FilmMatches":
         """Match each picture with later ones, in growing steps while they match, and with similar ones."""
         edges = np.concatenate([[0], np.cumsum([len(each) for each in pictures])])
         pairs: list[Indices] = []
-        doubts: list[Numbers] = []
+        doubts: list[Array] = []
         tried: set[tuple[int, int]] = set()
 
         def tried_together(one: int, other: int) -> bool:
@@ -300,7 +300,7 @@ def _longest(track: Indices, frame: Indices, most: int) -> Mask:
     return kept
 
 
-def _verify_matches(one: Features, other: Features) -> tuple[Indices, Numbers]:
+def _verify_matches(one: Features, other: Features) -> tuple[Indices, Array]:
     """Return the matches of two pictures that obey one epipolar geometry, if there are enough."""
     pairs, doubt = match_features(one, other)
     if len(pairs) >= LEAST_MATCHES:
@@ -336,7 +336,7 @@ def _similar_pictures(pictures: Sequence[Features], tried: set[tuple[int, int]])
     return sorted(chosen)
 
 
-def _shares(descriptors: NDArray[np.uint8], words: NDArray[np.float32]) -> Numbers:
+def _shares(descriptors: NDArray[np.uint8], words: NDArray[np.float32]) -> Array:
     """Return square roots of the counts of descriptors nearest to each word."""
     nearest = (
         (descriptors.astype(np.float32) @ words.T).argmax(axis=1) if len(descriptors) else np.zeros(0, int)
@@ -357,8 +357,8 @@ class Observations(Rows):
 
     frame: Indices
     point: Indices
-    positions: Numbers
-    covariances: Numbers
+    positions: Array
+    covariances: Array
 
 
 @short_repr
@@ -370,12 +370,12 @@ class FeatureTracks:
     matched: Observations  # matched features
     patches: NDArray[np.float32]  # (k, side, side): grey values about each of these
     together: Mask  # (n_frames, n_frames): pictures with features in common
-    areas: Numbers  # (n_frames,) px^2 of the pictures, 1 without a picture
+    areas: Array  # (n_frames,) px^2 of the pictures, 1 without a picture
     seen: Observations  # matches that agree with other chains, and points found where these predict them
 
     @classmethod
     def of(
-        cls, pictures: Sequence[Features], patches: Sequence[NDArray[np.float32]], areas: Numbers, most: int
+        cls, pictures: Sequence[Features], patches: Sequence[NDArray[np.float32]], areas: Array, most: int
     ) -> "FeatureTracks":
         """Match the features of all pictures, with their `patches`."""
         matches = FilmMatches.of(pictures)
@@ -435,7 +435,7 @@ class FeatureTracks:
             more.append(Observations(np.full(len(names), frame), points, places, spreads))
         return replace(self, seen=self.matched.only(stays).joined(more))
 
-    def _is_plausible(self, here: Indices, point: Indices, mean: Numbers, covariance: Numbers) -> Mask:
+    def _is_plausible(self, here: Indices, point: Indices, mean: Array, covariance: Array) -> Mask:
         """Return which of the matches `here` agree with others' predictions of the points, `(k,)`."""
         place = np.minimum(np.searchsorted(point, self.matched.point[here]), len(point) - 1)
         off = self.matched.positions[here] - mean[place]

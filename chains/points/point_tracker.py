@@ -38,7 +38,7 @@ from .trajectory import (
     smoothed_trajectory,
 )
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Identities = NDArray[np.int64]
 Pixels = NDArray[np.float32]
@@ -50,10 +50,10 @@ class PointTable(Rows):
     """Points by identity, tracked and lately lost ones."""
 
     identities: Identities  # (n,), increasing
-    mean: Numbers  # (n, 4), of their states; undefined unless alive
-    covariance: Numbers  # (n, 4, 4)
+    mean: Array  # (n, 4), of their states; undefined unless alive
+    covariance: Array  # (n, 4, 4)
     alive: Mask  # (n,): tracked
-    unseen: Numbers  # (n,) s since a frame showed the point
+    unseen: Array  # (n,) s since a frame showed the point
     first: Pixels  # (n, side, side): first patch; 0 where points come without pictures
     patches: Pixels  # (n, side, side): current patch
 
@@ -217,7 +217,7 @@ def replenish(state: TrackerState, n_points: int, spacing: float) -> TrackerStat
     )
 
 
-def initial_states(state: TrackerState, view: View, mean: Numbers, covariance: Numbers) -> PointStates:
+def initial_states(state: TrackerState, view: View, mean: Array, covariance: Array) -> PointStates:
     """Return states of new points, with the median velocity of the others."""
     known = state.known
     if view.grey is None:
@@ -525,7 +525,7 @@ def _without(message: PointMessage, alone: Identities) -> PointMessage:
     return replace(message, positions=message.positions.only(stay))
 
 
-def _is_plausible(others: GaussianMessage, identities: Identities, positions: Numbers) -> Mask:
+def _is_plausible(others: GaussianMessage, identities: Identities, positions: Array) -> Mask:
     """Return whether points may be at `positions` `(n, 2)` px by the others' messages, `(n,)`."""
     known, mean, covariance = others.only(np.isin(others.identities, identities)).moments
     place = np.searchsorted(identities, known)

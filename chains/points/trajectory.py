@@ -14,7 +14,7 @@ from ...inference.kalman import PointStates, cavity, filter_tracks, smooth
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.short_repr import short_repr
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Identities = NDArray[np.int64]
 
@@ -33,9 +33,9 @@ SPEED_FACTOR = 3.0  # standard deviation of initial velocities over a typical ve
 class Measurements:
     """Measured positions of points in all frames, in information form."""
 
-    times: Numbers  # (n_frames,) s, increasing
-    information: Numbers  # (n_frames, n_points, 2, 2) 1/px^2, zeros where a point was not seen
-    vector: Numbers  # (n_frames, n_points, 2) 1/px, information times position
+    times: Array  # (n_frames,) s, increasing
+    information: Array  # (n_frames, n_points, 2, 2) 1/px^2, zeros where a point was not seen
+    vector: Array  # (n_frames, n_points, 2) 1/px, information times position
 
     @property
     def seen(self) -> Mask:
@@ -47,7 +47,7 @@ class Measurements:
         """Return the measurements of some points."""
         return Measurements(self.times, self.information[:, points], self.vector[:, points])
 
-    def moments(self) -> tuple[Numbers, Numbers]:
+    def moments(self) -> tuple[Array, Array]:
         """Return positions `(n_frames, n_points, 2)` px, covariances `(..., 2, 2)` px^2; 0 where not seen."""
         seen = self.seen
         position, covariance = np.zeros_like(self.vector), np.zeros_like(self.information)
@@ -100,7 +100,7 @@ def estimate_motion(measured: Measurements, acceleration: float | None = None) -
     return MotionModel(float(np.exp(0.5 * (low + high))), speed, extent)
 
 
-def one_frame_ahead(filtered: PointStates, times: Numbers, acceleration: float) -> tuple[Numbers, Numbers]:
+def one_frame_ahead(filtered: PointStates, times: Array, acceleration: float) -> tuple[Array, Array]:
     """Return the positions and covariances predicted for all frames but the first, one frame ahead."""
     dt = np.diff(times)[:, None, None]
     mean, covariance = filtered.mean[:-1], filtered.covariance[:-1]
@@ -111,7 +111,7 @@ def one_frame_ahead(filtered: PointStates, times: Numbers, acceleration: float) 
     return expected, grown + acceleration * dt**3 / 3 * np.eye(2)
 
 
-def _steps(times: Numbers, position: Numbers, seen: Mask) -> tuple[float, float, float]:
+def _steps(times: Array, position: Array, seen: Mask) -> tuple[float, float, float]:
     """Return typical velocity, px/s, and step between frames, px, of a coordinate, and s between frames."""
     apart = np.diff(times)
     dt = float(np.median(apart)) if len(apart) else 1.0
@@ -121,7 +121,7 @@ def _steps(times: Numbers, position: Numbers, seen: Mask) -> tuple[float, float,
     return 1.4826 * speed, 1.4826 * speed * dt, dt
 
 
-def _distances(measured: Measurements, motion: MotionModel) -> Numbers:
+def _distances(measured: Measurements, motion: MotionModel) -> Array:
     """Return squared Mahalanobis distances of measurements of points that were seen twice before."""
     seen = measured.seen
     filtered = filter_tracks(
@@ -167,12 +167,12 @@ class PointTrajectory:
     """
 
     identities: Identities  # (n,), increasing
-    position: Numbers  # (n_frames, n, 2) px, given all evidence; undefined where a point is not alive
-    covariance: Numbers  # (n_frames, n, 2, 2) px^2
+    position: Array  # (n_frames, n, 2) px, given all evidence; undefined where a point is not alive
+    covariance: Array  # (n_frames, n, 2, 2) px^2
     observed: Mask  # (n_frames, n): the frame itself shows the point
     alive: Mask  # (n_frames, n): its position is certain enough, and inside the picture
-    information: Numbers  # (n_frames, n, 2, 2) 1/px^2: of the other frames' evidence alone; 0 if too little
-    vector: Numbers  # (n_frames, n, 2) 1/px: likewise
+    information: Array  # (n_frames, n, 2, 2) 1/px^2: of the other frames' evidence alone; 0 if too little
+    vector: Array  # (n_frames, n, 2) 1/px: likewise
     appearances: Appearances | None  # also of points that no frame shows; None without pictures
     absorbed: NDArray[np.int64]  # (m, 2): identities of duplicates, and those of their points
     log_prior: float
@@ -192,11 +192,11 @@ class StackedMessages:
 
     identities: Identities
     measured: Measurements
-    log_scale: Numbers
+    log_scale: Array
 
     @classmethod
     def of(
-        cls, messages: Sequence[GaussianMessage], times: Numbers, identities: Identities | None = None
+        cls, messages: Sequence[GaussianMessage], times: Array, identities: Identities | None = None
     ) -> "StackedMessages":
         """Stack messages, of some points or of all."""
         if identities is None:
@@ -272,7 +272,7 @@ def smoothed_trajectory(
     )
 
 
-def _is_certain(information: Numbers, max_position_std: float) -> Mask:
+def _is_certain(information: Array, max_position_std: float) -> Mask:
     """Return which positions have a standard deviation of at most `max_position_std` px."""
     trace = np.trace(information, axis1=-2, axis2=-1)
     # mean of the two variances, without an inverse of what may be singular
@@ -282,10 +282,10 @@ def _is_certain(information: Numbers, max_position_std: float) -> Mask:
 
 def _log_prior(
     seen: Measurements,
-    log_scale: Numbers,
+    log_scale: Array,
     filtered: PointStates,
-    cavity_information: Numbers,
-    cavity_vector: Numbers,
+    cavity_information: Array,
+    cavity_vector: Array,
     motion: MotionModel,
     max_position_std: float,
 ) -> float:
@@ -306,7 +306,7 @@ def _log_prior(
     return float(total - _log_density(off, others + noise[both]).sum())
 
 
-def _log_density(off: Numbers, covariance: Numbers) -> Numbers:
+def _log_density(off: Array, covariance: Array) -> Array:
     sizes = np.log(np.linalg.det(covariance))
-    density: Numbers = -0.5 * (squared_distances(off, covariance) + sizes) - np.log(2 * np.pi)
+    density: Array = -0.5 * (squared_distances(off, covariance) + sizes) - np.log(2 * np.pi)
     return density

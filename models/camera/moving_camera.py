@@ -19,7 +19,7 @@ from ..core.pictures import grey_of
 from ..core.short_repr import short_repr
 from ..numerics.compiled import compiled
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Image = NDArray[np.uint8]
 Value = TypeVar("Value", np.uint8, np.float32)
@@ -110,7 +110,7 @@ class AffineMap:
         `(height, width)` px of scene and frame.
     """
 
-    parameters: Numbers
+    parameters: Array
     size: tuple[int, int]
 
     @classmethod
@@ -129,7 +129,7 @@ class AffineMap:
         return float(np.hypot(*self.size)) / 2
 
     @property
-    def matrix(self) -> Numbers:
+    def matrix(self) -> Array:
         """The same map as a matrix `(2, 3)` of points (x, y, 1)."""
         rows = self.parameters.reshape(2, 3)
         linear = np.eye(2) + rows[:, 1:] / self.radius
@@ -143,7 +143,7 @@ class AffineMap:
         rows = self.parameters.reshape(2, 3) ** 2
         return float(np.sqrt((rows[:, 0] + rows[:, 1:] @ shares).sum()))
 
-    def points(self, places: NDArray[np.float64]) -> Numbers:
+    def points(self, places: NDArray[np.float64]) -> Array:
         """Return the positions in the frame, px, of points `(..., 2)` of the scene."""
         matrix = self.matrix
         return places @ matrix[:, :2].T + matrix[:, 2]
@@ -233,7 +233,7 @@ class Registration:
     """
 
     map: AffineMap
-    covariance: Numbers
+    covariance: Array
     explained: float
     correlation: float
 
@@ -272,7 +272,7 @@ class ScenePicture:
         covariance = np.linalg.inv(information).astype(np.float64)
         return Registration(AffineMap(parameters, self.size), covariance, explained, correlation)
 
-    def _nearest(self, bands: list[Floats], start: Numbers) -> Numbers:
+    def _nearest(self, bands: list[Floats], start: Array) -> Array:
         """Return the better one of `start` and a phase-correlated shift on the coarsest level."""
         level, band = self._levels[-1], bands[-1]
         window = cv2.createHanningWindow(band.shape[::-1], cv2.CV_32F)
@@ -306,7 +306,7 @@ def _band_passed(grey: Floats) -> Floats:
     return np.asarray(fine - cv2.blur(fine, side), np.float32)
 
 
-def _refined(band: Floats, level: Level, start: Numbers) -> tuple[Numbers, Numbers]:
+def _refined(band: Floats, level: Level, start: Array) -> tuple[Array, Array]:
     """Return parameters after Gauss-Newton steps on a level, and their information."""
     parameters, contrast = start.copy(), 1.0
     information, vector = np.empty((7, 7)), np.empty(7)
@@ -324,25 +324,25 @@ def _refined(band: Floats, level: Level, start: Numbers) -> tuple[Numbers, Numbe
     return parameters, WORTH * schur / (variance * level.scale**2)
 
 
-def _residuals(band: Floats, level: Level, parameters: Numbers, contrast: float = 1.0) -> Numbers:
+def _residuals(band: Floats, level: Level, parameters: Array, contrast: float = 1.0) -> Array:
     off = np.empty(len(level.places))
     residuals(band, level.places, level.values, level.about, parameters / level.scale, contrast, off)
     return off
 
 
-def _variance(off: Numbers) -> float:
+def _variance(off: Array) -> float:
     """Return the variance of residuals, squared grey levels, by their median size."""
     inside = np.abs(off[off < OUTSIDE])
     return float(max(1.4826 * np.median(inside), LEAST_NOISE)) ** 2 if len(inside) else LEAST_NOISE**2
 
 
-def _cost(off: Numbers) -> float:
+def _cost(off: Array) -> float:
     """Return the mean size of the residuals, cut off; infinite if the frame shows too few points."""
     inside = np.abs(off[off < OUTSIDE])
     return float(np.minimum(inside, LARGEST).mean()) if len(inside) > 0.2 * len(off) else np.inf
 
 
-def _correlation(one: Numbers, other: Floats, among: NDArray[np.bool_]) -> float:
+def _correlation(one: Array, other: Floats, among: NDArray[np.bool_]) -> float:
     if not among.any():
         return 0.0
     first, second = _cut(one[among]), _cut(other[among].astype(np.float64))
@@ -350,7 +350,7 @@ def _correlation(one: Numbers, other: Floats, among: NDArray[np.bool_]) -> float
     return float(first @ second) / scale if scale > 0 else 0.0
 
 
-def _cut(values: Numbers) -> Numbers:
+def _cut(values: Array) -> Array:
     usual = np.median(np.abs(values))
     return np.clip(values, -usual, usual)
 
@@ -373,7 +373,7 @@ class View:
     scene: NDArray[np.float32] | None = None
 
     @classmethod
-    def predicted(cls, mean: Numbers, covariance: Numbers, scene: NDArray[np.float32]) -> Self:
+    def predicted(cls, mean: Array, covariance: Array, scene: NDArray[np.float32]) -> Self:
         """Return a density of the map, with the scene for the registration."""
         where = GaussianMessage.from_moments(_CAMERA, mean[None], covariance[None])
         return cls((scene.shape[0], scene.shape[1]), where, scene)
@@ -388,7 +388,7 @@ class View:
         return AffineMap(self.where.marginal(0)[0], self.size)
 
     @property
-    def covariance(self) -> Numbers:
+    def covariance(self) -> Array:
         """Covariance of the map's parameters, `(6, 6)` px^2."""
         return self.where.marginal(0)[1]
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 MIRROR = np.diag([1.0, 1.0, -1.0])
 NEAREST = 1e-2  # least depth of a point in front of a camera, in depths of the shape's origin
@@ -42,14 +42,14 @@ class PerspectiveCameras:
         `(2,)` px, the principal point.
     """
 
-    rotations: Numbers
-    scales: Numbers
-    shifts: Numbers
+    rotations: Array
+    scales: Array
+    shifts: Array
     curvature: float
-    principal: Numbers
+    principal: Array
 
     @property
-    def arrays(self) -> tuple[Numbers, Numbers, Numbers, float]:
+    def arrays(self) -> tuple[Array, Array, Array, float]:
         """Rotations, scales, shifts and curvature, for compiled loops."""
         return self.rotations, self.scales, self.shifts, self.curvature
 
@@ -59,24 +59,24 @@ class PerspectiveCameras:
         return 1 / self.curvature if self.curvature else np.inf
 
     @property
-    def translations(self) -> Numbers:
+    def translations(self) -> Array:
         """Translations T `(n_frames, 3)` in the shape's unit, for a finite focal length."""
         depth = self.focal / self.scales[:, None]
         return np.concatenate([self.shifts * self.curvature * depth, depth], axis=1)
 
     @property
-    def affine(self) -> Numbers:
+    def affine(self) -> Array:
         """Affine cameras `(n_frames, 2, 4)` that agree at the depth of the shape's origin."""
         rows = self.scales[:, None, None] * self.rotations[:, :2]
         return np.concatenate([rows, (self.shifts + self.principal)[:, :, None]], axis=2)
 
     @property
-    def centres(self) -> Numbers:
+    def centres(self) -> Array:
         """Camera centres `(n_frames, 3)` in the shape's axes."""
-        places: Numbers = -np.einsum("tji,tj->ti", self.rotations, self.translations)
+        places: Array = -np.einsum("tji,tj->ti", self.rotations, self.translations)
         return places
 
-    def seen(self, shape: Numbers) -> tuple[Numbers, Numbers]:
+    def seen(self, shape: Array) -> tuple[Array, Array]:
         """Return positions `(n_frames, n_points, 2)` px of points `(n_points, 3)`, and their depths.
 
         Depths `(n_frames, n_points)` are in units of that of the shape's origin; below `NEAREST` a point is

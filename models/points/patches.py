@@ -328,7 +328,7 @@ def _correlation(products, lane, side):
     return (cross + own) / np.sqrt(spread * own)
 
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
 
@@ -344,11 +344,11 @@ class Patches:
         return len(self.identities)
 
 
-def ncc(one: Pixels, other: Pixels) -> Numbers:
+def ncc(one: Pixels, other: Pixels) -> Array:
     """Return the normalised correlation of patches `(n, side, side)`, `(n,)`; 0 if one is uniform."""
     a, b = _centred(one), _centred(other)
     lengths = np.sqrt(np.square(a).sum(axis=(1, 2)) * np.square(b).sum(axis=(1, 2)))
-    correlation: Numbers = (a * b).sum(axis=(1, 2)) / np.where(lengths > 0, lengths, 1.0)
+    correlation: Array = (a * b).sum(axis=(1, 2)) / np.where(lengths > 0, lengths, 1.0)
     return correlation
 
 
@@ -362,8 +362,8 @@ def match_light(patches: Pixels, others: Pixels) -> Pixels:
     return lit
 
 
-def _centred(patches: Pixels) -> Numbers:
-    centred: Numbers = np.subtract(patches, patches.mean(axis=(1, 2), keepdims=True, dtype=np.float64))
+def _centred(patches: Pixels) -> Array:
+    centred: Array = np.subtract(patches, patches.mean(axis=(1, 2), keepdims=True, dtype=np.float64))
     return centred
 
 
@@ -386,15 +386,15 @@ LIGHT_MODEL = LightModel(
 class Aligned(NamedTuple):
     """Aligned patches."""
 
-    position: Numbers  # (n, 2) px
-    covariance: Numbers  # (n, 2, 2) px^2: of the position, for noise as large as the residuals
-    ncc: Numbers  # (n,) normalised correlation there, -1 if no near position fits
+    position: Array  # (n, 2) px
+    covariance: Array  # (n, 2, 2) px^2: of the position, for noise as large as the residuals
+    ncc: Array  # (n,) normalised correlation there, -1 if no near position fits
 
 
 def align_patches(
     grey: NDArray[np.uint8],
     patches: NDArray[np.float32],
-    start: Numbers,
+    start: Array,
     search_radius: float,
     expected: PlacePrior | None = None,
 ) -> Aligned:
@@ -412,7 +412,7 @@ def align_patches(
     return Aligned(position, covariance, ncc)
 
 
-def sample_patches(grey: NDArray[np.uint8], positions: Numbers, side: int) -> NDArray[np.float32]:
+def sample_patches(grey: NDArray[np.uint8], positions: Array, side: int) -> NDArray[np.float32]:
     """Return grey values `(n, side, side)` about `positions` `(n, 2)` px, by cubic interpolation."""
     patches = np.empty((len(positions), side, side), np.float32)
     places = np.ascontiguousarray(positions, np.float64)
@@ -426,9 +426,7 @@ NOISE = 4.0  # usual pixel noise over the residual of a patch compared with itse
 BORDER = 6  # px: no corner is nearer to the picture's edge
 
 
-def find_corners(
-    grey: NDArray[np.uint8], most: int, away_from: Numbers, spacing: float, side: int
-) -> Numbers:
+def find_corners(grey: NDArray[np.uint8], most: int, away_from: Array, spacing: float, side: int) -> Array:
     """Return at most `most` corners `(m, 2)` px of a picture, the best first.
 
     They are at least `spacing` px from each other and from `away_from` `(n, 2)`, and patches of `side` px
@@ -444,5 +442,5 @@ def find_corners(
     corners = found.reshape(-1, 2).astype(np.float64)
     itself = align_patches(grey, sample_patches(grey, corners, side), corners, 1.0)
     deviation = NOISE * np.sqrt(np.linalg.eigvalsh(itself.covariance)[:, 1])
-    clear: Numbers = corners[deviation < CLEAR]
+    clear: Array = corners[deviation < CLEAR]
     return clear

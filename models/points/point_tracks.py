@@ -20,7 +20,7 @@ from ..core.short_repr import short_repr
 from .patches import Patches, sample_patches
 from .search import PreviousView, find_points
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 MAX_COORDINATE = 1e7  # px: coordinates beyond are taken for damage; their squares would drown everything else
 
@@ -63,7 +63,7 @@ class View:
     noise: float  # px, standard deviation of each coordinate of points that were given
     patch_size: int  # px, side of the patches that are cut from it
 
-    def patches_at(self, positions: Numbers) -> NDArray[np.float32]:
+    def patches_at(self, positions: Array) -> NDArray[np.float32]:
         """Return grey values `(n, patch_size, patch_size)` about `positions` `(n, 2)` px of the picture."""
         assert self.grey is not None
         return sample_patches(self.grey, positions, self.patch_size)

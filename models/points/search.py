@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..numerics.compiled import compiled, logarithm
 from .patches import LIGHT_MODEL, PlacePrior, align_in_place, sample_all
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
@@ -44,8 +44,8 @@ LEAST_WEIGHT = -1e30  # log weight of where a patch cannot be
 class Windows(NamedTuple):
     """Search windows of n patches."""
 
-    mean: Numbers  # (n, 2) px
-    covariance: Numbers  # (n, 2, 2) px^2 about it
+    mean: Array  # (n, 2) px
+    covariance: Array  # (n, 2, 2) px^2 about it
     prior: bool  # whether mean and covariance are also the prior of the position
     reach: float  # standard deviations to search
     search_radius: float  # px along either axis to search, at most
@@ -54,9 +54,9 @@ class Windows(NamedTuple):
 class Candidates(NamedTuple):
     """The two likeliest places of each of n patches, the likelier first."""
 
-    position: Numbers  # (n, 2, 2) px: patch, place, x and y, by parabolas about the best pixel
-    ncc: Numbers  # (n, 2) normalised correlation at that pixel; -1 where there is no such place
-    weight: Numbers  # (n, 2) log of likelihood and prior, up to a constant, or `LEAST_WEIGHT`
+    position: Array  # (n, 2, 2) px: patch, place, x and y, by parabolas about the best pixel
+    ncc: Array  # (n, 2) normalised correlation at that pixel; -1 where there is no such place
+    weight: Array  # (n, 2) log of likelihood and prior, up to a constant, or `LEAST_WEIGHT`
 
 
 @compiled
@@ -275,9 +275,9 @@ such points in a real film the quartiles of the correlation were 0.91, 0.96 and 
 class Places(NamedTuple):
     """Two places for each of n patches, to sub-pixel accuracy."""
 
-    position: Numbers
-    covariance: Numbers
-    ncc: Numbers
+    position: Array
+    covariance: Array
+    ncc: Array
 
 
 @compiled
@@ -376,22 +376,22 @@ class PreviousView(NamedTuple):
 
     grey: Grey
     shown: Mask
-    position: Numbers
+    position: Array
 
 
 class FoundPoints(NamedTuple):
     """Which of the points were `seen` `(n,)`, and positions (px) and covariances (px^2) of these."""
 
     seen: Mask
-    position: Numbers
-    covariance: Numbers
+    position: Array
+    covariance: Array
 
 
 def find_points(
     grey: Grey,
     patches: Pixels,
-    mean: Numbers,
-    covariance: Numbers,
+    mean: Array,
+    covariance: Array,
     false_alarm_rate: float,
     search_radius: float,
     before: PreviousView | None = None,
@@ -433,7 +433,7 @@ def find_points(
 
 
 def is_found_back(
-    grey: Grey, position: Numbers, before: Grey, windows: Windows, which: NDArray[np.int64], side: int
+    grey: Grey, position: Array, before: Grey, windows: Windows, which: NDArray[np.int64], side: int
 ) -> Mask:
     """Return whether points at `position` px were in the middle of their windows in the last picture."""
     patches = np.empty((len(position), side, side), np.float32)
@@ -463,9 +463,9 @@ def _aligned(grey: Grey, patches: Pixels, places: Candidates, expected: PlacePri
     return Places(position, covariance, ncc)
 
 
-def _inverses(matrices: Numbers) -> Numbers:
+def _inverses(matrices: Array) -> Array:
     """Return the inverses of symmetric matrices `(n, 2, 2)`, three times as fast as numpy's."""
     turned = matrices[:, ::-1, ::-1] * np.array([[1.0, -1.0], [-1.0, 1.0]])
     determinants = matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
-    inverses: Numbers = turned / determinants[:, None, None]
+    inverses: Array = turned / determinants[:, None, None]
     return inverses

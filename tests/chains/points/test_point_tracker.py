@@ -36,12 +36,12 @@ from rsmcm.models.points.point_tracks import PointMessage, noise_of_tracks
 
 from ...support.pictures import WIDTH, Pose, film, hidden_by_a_bar, sliding
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 DT = 1 / 25
 
 
-def given_frames(tracks: Numbers) -> list[Frame]:
+def given_frames(tracks: Array) -> list[Frame]:
     """Frames that hold tracks `(n_frames, n_tracks, 2)`, NaN where a track has no point."""
     frames = []
     for number, points in enumerate(tracks, 1):
@@ -52,7 +52,7 @@ def given_frames(tracks: Numbers) -> list[Frame]:
 
 def circling(
     n_frames: int = 60, n_points: int = 30, noise: float = 0.5, lost: float = 0.1, seed: int = 0
-) -> tuple[Numbers, Numbers]:
+) -> tuple[Array, Array]:
     """Positions of points that go round about (200, 150) px at different radii, and what is seen of them."""
     random = np.random.default_rng(seed)
     angles = random.uniform(0, 2 * np.pi, n_points) + 0.05 * np.arange(n_frames)[:, None]
@@ -114,7 +114,7 @@ class Places:
     """Points of the plane by identity, `(n,)` and `(n, 2)`, and the time in s."""
 
     identities: NDArray[np.int64]
-    points: Numbers
+    points: Array
     time: float
     log_prior: float = 0.0
 
@@ -163,7 +163,7 @@ class PlaneKnown:
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: Places | None = None
     ) -> Smoothed[Places]:
-        points: dict[int, list[Numbers]] = {}
+        points: dict[int, list[Array]] = {}
         for incoming in incoming_over_time:
             message = incoming[PointTracks]
             identities, mean, covariance = message.positions.moments
@@ -186,11 +186,11 @@ class PlaneKnown:
 class Finds:
     """Where every point was found: frame and point of the plane."""
 
-    by_identity: dict[int, list[tuple[int, Numbers]]]
+    by_identity: dict[int, list[tuple[int, Array]]]
 
     @classmethod
     def of_run(cls, model: MultiChain, frames: Sequence[Frame], poses: Sequence[Pose]) -> "Finds":
-        finds: dict[int, list[tuple[int, Numbers]]] = {}
+        finds: dict[int, list[tuple[int, Array]]] = {}
         for t, (pose, belief) in enumerate(zip(poses, RecursiveBP(model).run(frames), strict=True)):
             view = belief["tracker"].view
             if view.time == frames[t].time:
@@ -199,7 +199,7 @@ class Finds:
         return cls(finds)
 
     @property
-    def errors(self) -> Numbers:
+    def errors(self) -> Array:
         """px along either axis, from where the point was found first."""
         return np.concatenate(
             [

@@ -9,7 +9,7 @@ from rsmcm.chains.points.trajectory import MotionModel, StackedMessages, smoothe
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from scipy.stats import multivariate_normal
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 MOTION = MotionModel(acceleration=50.0, speed=30.0, extent=200.0)
 TIMES = np.array([0.0, 0.04, 0.08, 0.16, 0.2, 0.3])
@@ -17,12 +17,12 @@ ANY = 1e9
 """px: any position counts as known."""
 
 
-def prior_covariance(times: Numbers, motion: MotionModel) -> Numbers:
+def prior_covariance(times: Array, motion: MotionModel) -> Array:
     """Covariance `(n, n)` of a coordinate at `times`: an integrated Wiener process, in closed form."""
     s, t = np.meshgrid(times, times)
     low, high = np.minimum(s, t), np.maximum(s, t)
     process = low**2 * (3 * high - low) / 6
-    covariance: Numbers = motion.extent**2 + motion.speed**2 * s * t + motion.acceleration * process
+    covariance: Array = motion.extent**2 + motion.speed**2 * s * t + motion.acceleration * process
     return covariance
 
 
@@ -43,7 +43,7 @@ def stacked(parts: list[GaussianMessage], n_points: int) -> StackedMessages:
     return StackedMessages.of(parts, TIMES, np.arange(n_points))
 
 
-def dense(parts: list[GaussianMessage], point: int) -> tuple[Numbers, Numbers, float]:
+def dense(parts: list[GaussianMessage], point: int) -> tuple[Array, Array, float]:
     """Mean `(n_frames, 2)` and covariance `(n_frames, 2, 2)` of a point's positions, and log evidence."""
     prior = np.kron(prior_covariance(TIMES, MOTION), np.eye(2))
     rows, means, noise = [], [], []

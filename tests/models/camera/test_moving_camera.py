@@ -55,7 +55,7 @@ def test_a_box_is_where_its_corners_are() -> None:
 
 SIZE = (180, 240)
 Image = NDArray[np.uint8]
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
 def textured(seed: int) -> NDArray[np.float32]:
@@ -119,7 +119,7 @@ def test_things_that_move_by_themselves_do_not_move_the_camera() -> None:
     assert AffineMap(found.map.parameters - true.parameters, SIZE).displacement < 0.1
 
 
-LIGHTS: list[Callable[[Numbers], Numbers]] = [
+LIGHTS: list[Callable[[Array], Array]] = [
     lambda x: 0.6 * x,
     lambda x: 1.4 * x + 10,
     lambda x: 255 * (x / 255) ** 1.7,
@@ -127,7 +127,7 @@ LIGHTS: list[Callable[[Numbers], Numbers]] = [
 
 
 @pytest.mark.parametrize("change", LIGHTS)
-def test_light_that_is_switched_is_no_motion(change: Callable[[Numbers], Numbers]) -> None:
+def test_light_that_is_switched_is_no_motion(change: Callable[[Array], Array]) -> None:
     picture = textured(5)
     scene = ScenePicture(seen(picture, still(), 0))
     image = np.clip(change(seen(picture, still(), 1).astype(float)), 0, 255).astype(np.uint8)

@@ -19,12 +19,12 @@ from scipy.spatial.distance import cdist, pdist
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, Texture, picture
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 SHIFT = np.array([2.37, -1.81])
 
 
-def places(n: int, seed: int = 0) -> Numbers:
+def places(n: int, seed: int = 0) -> Array:
     return np.random.default_rng(seed).uniform(15, [WIDTH - 15, HEIGHT - 15], (n, 2))
 
 
@@ -41,7 +41,7 @@ def shifted(
 def test_samples_of_a_parabola_are_exact() -> None:
     rows, columns = np.mgrid[:40, :50].astype(np.float64)
 
-    def parabola(x: Numbers, y: Numbers) -> Numbers:
+    def parabola(x: Array, y: Array) -> Array:
         return 20 + 0.05 * x**2 - 0.03 * x * y + 0.04 * y**2
 
     grey = np.rint(parabola(columns, rows)).astype(np.uint8)

@@ -40,7 +40,7 @@ def test_damaged_points_are_named(place: tuple[float, float], expected: str) -> 
         check_points("some.npy", points)
 
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 STILL, SHIFT = Pose(np.eye(2), np.zeros(2)), np.array([3.4, -1.7])
@@ -49,18 +49,18 @@ NODE = PointTracks()
 PAIR = film([STILL, MOVED], noise=0.0)
 
 
-def gaussians(identities: NDArray[np.int64] | list[int], means: Numbers, deviation: float) -> GaussianMessage:
+def gaussians(identities: NDArray[np.int64] | list[int], means: Array, deviation: float) -> GaussianMessage:
     covariances = np.tile(deviation**2 * np.eye(2), (len(means), 1, 1))
     return GaussianMessage.from_moments(identities, means, covariances)
 
 
-def view_of(grey: Grey, time: float = 0.0, found: Numbers | None = None) -> View:
+def view_of(grey: Grey, time: float = 0.0, found: Array | None = None) -> View:
     places = np.zeros((0, 2)) if found is None else found
     return View(time, GivenPoints(places, np.arange(len(places))), grey, 1.0, 5)
 
 
 def prior_at(
-    grey: Grey, points: Numbers, expected: Numbers, deviation: float, *, looks_back: bool = False
+    grey: Grey, points: Array, expected: Array, deviation: float, *, looks_back: bool = False
 ) -> PointMessage:
     """A tracker's message about points of a picture, which it expects elsewhere in the next."""
     numbers = np.arange(len(points))

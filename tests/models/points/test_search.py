@@ -25,7 +25,7 @@ from rsmcm.models.points.search import (
 from ...support.pictures import HEIGHT, WIDTH, Pose, film
 
 Grey = NDArray[np.uint8]
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 SHIFT = np.array([3.4, -1.7])
 
@@ -34,7 +34,7 @@ def noise_picture(seed: int, height: int, width: int) -> Grey:
     return np.random.default_rng(seed).integers(0, 256, (height, width), dtype=np.uint8)
 
 
-def rounded(picture: Numbers) -> Grey:
+def rounded(picture: Array) -> Grey:
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
 
@@ -42,22 +42,22 @@ def before_and_after() -> list[Grey]:
     return film([Pose(np.eye(2), np.zeros(2)), Pose(np.eye(2), SHIFT)], noise=0.0)
 
 
-def alike(deviation: float, n: int) -> Numbers:
+def alike(deviation: float, n: int) -> Array:
     return np.tile(deviation**2 * np.eye(2), (n, 1, 1))
 
 
 # --- correlation, pixel by pixel ---
 
 
-def windows(mean: Numbers, covariance: Numbers, search_radius: float, *, prior: bool = True) -> Windows:
+def windows(mean: Array, covariance: Array, search_radius: float, *, prior: bool = True) -> Windows:
     return Windows(mean, covariance + GRID**2 * np.eye(2), prior, REACH, search_radius)
 
 
 def likeliest(
     grey: Grey,
     patches: NDArray[np.float32],
-    mean: Numbers,
-    covariance: Numbers,
+    mean: Array,
+    covariance: Array,
     search_radius: float,
     **prior: bool,
 ) -> Candidates:
@@ -66,7 +66,7 @@ def likeliest(
     )
 
 
-def opencv_peaks(image: Grey, patch: NDArray[np.float32], x: int, y: int, radius: int) -> Numbers:
+def opencv_peaks(image: Grey, patch: NDArray[np.float32], x: int, y: int, radius: int) -> Array:
     """Score, column and row `(n, 3)` of the peaks within `radius` px of a place, the best first."""
     half = len(patch) // 2
     scores = np.full(image.shape, -2.0)
