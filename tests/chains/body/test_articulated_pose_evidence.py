@@ -13,7 +13,9 @@ from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.engine.recursive_bp import RunState
 from rsmcm.models.body.upper_body import BodyPoses
 
-N_SEEDS = 4
+pytestmark = pytest.mark.slow
+
+N_SEEDS = 6
 
 
 @pytest.fixture(scope="module")
@@ -73,15 +75,17 @@ def test_it_is_that_of_a_bootstrap_filter_of_many_samples(
 
 
 @pytest.mark.parametrize(("kind", "samples"), [(ArticulatedPose, 500), (Condensation, 5000)])
-def test_exchanged_hands_explain_less(
-    kind: type[ArticulatedPose] | type[Condensation], samples: int, film: SignerFilm
-) -> None:
-    """Each run goes on from its pose, and no hand jumps."""
-    body, right = film.scene.body, film.scene.poses.take([0])
-    elbows = Ancestors(film.scene.poses.take(np.zeros(200, np.int64)), np.full(200, 1 / 200), 0.04)
-    pairs = BodyDynamics(body).with_exchanged(elbows, np.random.default_rng(0)).poses
-    dynamics = BodyDynamics(body, exchanges=0.0, jumps=0.0)
-    chain = kind(body, samples, dynamics=dynamics)
-    assert len(pairs) > 200, "hands reach each other's places with some elbow"
-    exchanged = pairs.take([200])
-    assert evidence(chain, film, right) > evidence(chain, film, exchanged) + 2
+def test_exchanged_hands_explain_less(kind: type[ArticulatedPose] | type[Condensation], samples: int) -> None:
+    """On average over films; each run starts from its pose, and no hand jumps."""
+    gains = []
+    for seed in range(101, 109):
+        film = SignerFilm.of(n_frames=5, seed=seed)
+        body = film.scene.body
+        truth = Ancestors(film.scene.poses.take(np.zeros(200, np.int64)), np.full(200, 1 / 200), 0.04)
+        pairs = BodyDynamics(body).with_exchanged(truth, np.random.default_rng(0)).poses
+        chain = kind(body, samples, dynamics=BodyDynamics(body, exchanges=0.0, jumps=0.0))
+        if len(pairs) > 200:  # else hands do not reach each other's positions
+            right, exchanged = film.scene.poses.take([0]), pairs.take([200])
+            gains.append(evidence(chain, film, right) - evidence(chain, film, exchanged))
+    assert len(gains) >= 4
+    assert np.mean(gains) > 2 * np.std(gains, ddof=1) / np.sqrt(len(gains))

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.io import with_keypoints
 from rsmcm.apps.scenes import SignerScene, signer
@@ -18,7 +19,7 @@ from ...support.keypoints import found_in
 
 Array = NDArray[np.float64]
 
-SEEDS = (1, 2)
+SEEDS = tuple(range(1, 9))
 ARMS = [JOINTS.index(f"{side}_{name}") for side in ("left", "right") for name in ("elbow", "hand")]
 REGION_90 = 4.605
 
@@ -35,15 +36,15 @@ class Followed:
 
 
 @cache
-def scene_of(seed: int) -> tuple[SignerScene, tuple[Frame, ...]]:
-    scene = signer(32, seed, 0.2, 0.5, (320, 180))
+def scene_of(seed: int, n_frames: int = 32) -> tuple[SignerScene, tuple[Frame, ...]]:
+    scene = signer(n_frames, seed, 0.2, 0.5, (320, 180))
     return scene, tuple(scene)
 
 
 @cache
-def followed(seed: int, **detector: float | tuple[float, float] | None) -> Followed:
+def followed(seed: int, n_frames: int = 32, **detector: float | tuple[float, float] | None) -> Followed:
     """How a scene is followed; `None` as noise is no detector of keypoints."""
-    scene, frames = scene_of(seed)
+    scene, frames = scene_of(seed, n_frames)
     body = scene.body
     images = [frame.image for frame in frames if frame.image is not None]
     parts = replace(BodyParts.learned(images, scene.detector), head_height=body.head_height)
@@ -61,33 +62,43 @@ def followed(seed: int, **detector: float | tuple[float, float] | None) -> Follo
     return Followed(np.array(flat)[4:], np.array(deep)[4:], np.array(nees)[4:])
 
 
-def all_scenes(**detector: float | tuple[float, float]) -> Followed:
-    runs = [followed(seed, **detector) for seed in SEEDS]
-    return Followed(*(np.stack([getattr(run, name) for run in runs]) for name in ("flat", "deep", "nees")))
+def gains(**detector: float | tuple[float, float]) -> Array:
+    """Head heights, one a scene: mean error without points less that with them."""
+    return np.array([(followed(s).flat - followed(s, **detector).flat).mean() for s in SEEDS])
 
 
+def error_of(values: Array) -> float:
+    return float(values.std(ddof=1) / np.sqrt(len(values)))
+
+
+@pytest.mark.slow
 def test_points_with_errors_misses_and_exchanged_sides_help() -> None:
-    """Error falls by a fifth and more, and regions hold about as much as they did."""
-    alone, helped = all_scenes(), all_scenes(noise=0.08)
-    assert helped.flat.mean() < 0.8 * alone.flat.mean()
-    assert helped.flat.mean() < 0.15
-    inside = [(each.nees < REGION_90).mean() for each in (alone, helped)]
-    assert inside[1] > inside[0] - 0.08  # neighbouring frames err together: few are independent
-    assert helped.deep.mean() < 0.5
+    """Errors are smaller on average over the scenes, by more than two standard errors."""
+    gained = gains(noise=0.08)
+    assert gained.mean() > 2 * error_of(gained)
+    helped = [followed(seed, noise=0.08) for seed in SEEDS]
+    alone = [followed(seed) for seed in SEEDS]
+    inside = [np.mean([(run.nees < REGION_90).mean() for run in runs]) for runs in (alone, helped)]
+    assert inside[1] > inside[0] - 0.1
+    assert np.mean([run.deep.mean() for run in helped]) < 0.5
 
 
-def test_sides_that_are_often_exchanged_do_no_harm() -> None:
-    assert all_scenes(exchanged=0.3).flat.mean() < all_scenes().flat.mean()
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "detector", [{"exchanged": 0.3}, {"shift": (3.0, 0.0)}, {"shift": (-0.9, 0.5)}], ids=str
+)
+def test_exchanged_sides_and_points_of_others_do_little_harm(
+    detector: dict[str, float | tuple[float, float]],
+) -> None:
+    """A person beside this one, or half hidden, is somebody else: within two standard errors and 0.05."""
+    if "shift" in detector:
+        unit = scene_of(SEEDS[0])[0].body.head_height
+        x, y = detector["shift"]  # type: ignore[misc]
+        detector = {"shift": (x * unit, y * unit)}
+    lost = -gains(**detector)
+    assert lost.mean() < 0.05 + 2 * error_of(lost)
 
 
-def test_points_of_another_person_do_not_pull() -> None:
-    """Who is beside this one, or half hidden by him, is somebody else."""
-    alone = all_scenes()
-    unit = scene_of(SEEDS[0])[0].body.head_height
-    for shift in ((3 * unit, 0.0), (-0.9 * unit, 0.5 * unit)):
-        assert all_scenes(shift=shift).flat.mean() < alone.flat.mean() + 0.05
-
-
-def test_a_detector_that_finds_nobody_changes_nothing() -> None:
-    alone, nobody = followed(SEEDS[0]), followed(SEEDS[0], missed=1.0)
-    np.testing.assert_array_equal(alone.flat, nobody.flat)
+def test_a_detector_without_detections_changes_nothing() -> None:
+    alone, without = (followed(SEEDS[0], n_frames=8, **none) for none in ({}, {"missed": 1.0}))
+    np.testing.assert_array_equal(alone.flat, without.flat)

@@ -4,13 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics, draw_usual_arms
 from rsmcm.chains.body.proposals import RESTARTED, Candidates
 from rsmcm.models.body.upper_body import BodyPoses, UpperBody
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
-
-Array = NDArray[np.float64]
 
 BODY = UpperBody.from_head(90.0)
 SIZE = (360, 640)
@@ -83,17 +80,6 @@ def test_most_go_on_and_some_begin_anew() -> None:
     assert np.exp(even.log_weights).sum() == pytest.approx(1.0)
 
 
-def test_nobody_begins_anew_who_never_returns() -> None:
-    past, dynamics = past_of(4), BodyDynamics(BODY, returns=0.0)
-    poses, _ = anywhere(3000, np.random.default_rng(2))
-    nothing = [(GaussianMixtures.uniform(3), 1.0)]
-    found = Candidates.of_next_frame(
-        dynamics, SIZE, past, nothing, broad(poses, 1.0), 2000, np.random.default_rng(3)
-    )
-    assert np.isneginf(found.log_weights[found.restarted]).all()
-    assert np.exp(found.log_weights).sum() == pytest.approx(1.0)
-
-
 def test_priors_are_those_of_what_a_pose_goes_back_to() -> None:
     """A step from the ancestor, or anywhere; minus infinity where the joints forbid it."""
     past, dynamics = past_of(5), BodyDynamics(BODY)
@@ -112,11 +98,3 @@ def test_priors_are_those_of_what_a_pose_goes_back_to() -> None:
     np.testing.assert_allclose(found.log_prior(moved, rows), expected)
     assert found.restarted[rows].any()
     assert np.isneginf(expected).any()
-
-
-def test_where_nothing_is_possible_there_are_no_candidates() -> None:
-    """Detections that no body reaches, of somebody of whom nothing is known."""
-    places = np.array([[20.0, 20.0], [20.0, 340.0], [620.0, 20.0]])
-    far = GaussianMixtures.of_parts([[0.0]] * 3, list(places[:, None]), [np.eye(2)[None]] * 3)
-    found = Candidates.of_first_frame(BodyDynamics(BODY), SIZE, far, 200, np.random.default_rng(0))
-    assert len(found.weighted(np.zeros(0)).log_weights) == len(found.poses) == 0

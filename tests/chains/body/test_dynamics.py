@@ -113,27 +113,32 @@ def test_concentrations_have_the_mean_of_a_brownian_motion(elapsed):
 
 
 def test_ten_steps_have_the_moments_of_one():
-    """Places, necks and directions of arms that do not jump: means, and covariances of the Gaussian ones.
+    """Positions, necks and directions of arms that do not jump: means and covariances, to six errors.
 
-    A direction's second moments are nearly the same: von Mises and Fisher's densities, folded, are not one.
+    Second moments of directions are nearly the same: von Mises-Fisher densities, folded, are not one.
     """
     random = np.random.default_rng(11)
     dynamics = BodyDynamics(BODY, jumps=0.0)
-    n, start = 40_000, some_poses(1, random)
+    n, start = 20_000, some_poses(1, random)
     start.torsos[0], start.necks[0] = (-0.1, 0.4, 0.2), (0.2, -0.3, 0.1)
     once = stepwise = start.take(np.zeros(n, np.int64))
     once = dynamics.draw(once, 0.4, random)
     for _ in range(10):
         stepwise = dynamics.draw(stepwise, DT, random)
     directions = start.arms[0] * np.exp(-0.4 * np.array([0.6, 1.0]) ** 2)[:, None]
-    for name, tolerance in (("roots", 0.03), ("torsos", 0.03), ("necks", 0.03), ("arms", 0.06)):
+    for name, systematic in (("roots", 0.0), ("torsos", 0.0), ("necks", 0.0), ("arms", 0.04)):
         one, ten = (getattr(each, name).reshape(n, -1) for each in (once, stepwise))
-        bar = 5 * np.hypot(one.std(axis=0), ten.std(axis=0)) / np.sqrt(n)
+        bar = 6 * np.hypot(one.std(axis=0), ten.std(axis=0)) / np.sqrt(n)
         assert (np.abs(one.mean(axis=0) - ten.mean(axis=0)) < bar).all()
-        covariance = np.cov(one.T)
-        assert np.cov(ten.T) == pytest.approx(covariance, abs=tolerance * covariance.max())
+        products = [
+            np.einsum("ni,nj->nij", each - each.mean(axis=0), each - each.mean(axis=0)) for each in (one, ten)
+        ]
+        covariances = [each.mean(axis=0) for each in products]
+        bar = 6 * np.hypot(*(each.std(axis=0) for each in products)) / np.sqrt(n)
+        bar += systematic * covariances[0].max()
+        assert (np.abs(covariances[0] - covariances[1]) < bar).all()
     for each in (once, stepwise):
-        assert each.arms.mean(axis=0) == pytest.approx(directions, abs=5 * 0.6 / np.sqrt(n))
+        assert each.arms.mean(axis=0) == pytest.approx(directions, abs=6 * 0.6 / np.sqrt(n))
 
 
 def test_anywhere_is_within_the_limits_and_the_picture():
@@ -145,15 +150,6 @@ def test_anywhere_is_within_the_limits_and_the_picture():
     density = dynamics.log_density_anywhere(poses, (360, 640))
     rest = replace(poses, torsos=np.zeros((200, 3)), necks=np.zeros((200, 3)))
     assert (dynamics.log_density_anywhere(rest, (360, 640)) >= density).all()
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [({"place": 0.0}, "place: got 0.0, expected more than 0"), ({"jumps": -1.0}, "jumps: got -1.0 a second")],
-)
-def test_impossible_dynamics_are_refused(settings, words):
-    with pytest.raises(ValueError, match=words):
-        BodyDynamics(BODY, **settings)
 
 
 def test_ancestors_are_drawn_in_proportion_to_their_terms():
@@ -184,23 +180,6 @@ def test_one_step_is_a_mixture_of_one_ancestor():
         for k in range(30)
     ]
     np.testing.assert_allclose(dynamics.log_step(poses, before, DT), each, atol=1e-3)
-
-
-def test_arms_are_factors_of_a_step():
-    """Each by itself, and all that depends on the arms."""
-    random = np.random.default_rng(7)
-    dynamics = BodyDynamics(BODY)
-    before = some_poses(30, random)
-    poses, others = dynamics.draw(before, DT, random), some_poses(30, random)
-    arms = dynamics.log_arm_steps(poses, before, DT)
-    for side in (0, 1):
-        mixed = replace(poses, arms=poses.arms.copy())
-        mixed.arms[:, side] = others.arms[:, side]
-        after = dynamics.log_arm_steps(mixed, before, DT)
-        np.testing.assert_array_equal(after[:, 1 - side], arms[:, 1 - side])
-        change = dynamics.log_step(mixed, before, DT) - dynamics.log_posture(mixed, DT)
-        change -= dynamics.log_step(poses, before, DT) - dynamics.log_posture(poses, DT)
-        np.testing.assert_allclose(change, (after - arms)[:, side], rtol=1e-9, atol=1e-9)
 
 
 def test_arms_that_do_not_jump_have_a_density_everywhere():

@@ -92,29 +92,6 @@ def test_every_frame_is_answered_once_and_in_order():
         assert not hindsight.waiting.frames
 
 
-def test_without_a_lag_the_answer_is_the_filters():
-    dynamics, clouds, _ = random_walk(3, 50, np.random.default_rng(1))
-    answers = run(FixedLag(dynamics, 0), clouds)
-    assert [answer.samples for answer in answers] == clouds
-
-
-def test_a_run_that_is_taken_up_again_gives_the_same(tmp_path):
-    dynamics, clouds, _ = random_walk(20, 600, np.random.default_rng(1))
-    whole = run(FixedLag(dynamics, 6), clouds)
-    first = FixedLag(dynamics, 6)
-    answers = run(first, clouds, after=13)
-    checkpoint.save(tmp_path / "state.npz", {"waiting": first.waiting}, {"waiting": WaitingFrames})
-    second = FixedLag(dynamics, 6, seed=99)
-    second.waiting = checkpoint.load(tmp_path / "state.npz", {"waiting": WaitingFrames})["waiting"]
-    for index in range(13, 20):
-        answers += second.add(Frame(None, index * DT, index + 1), clouds[index])
-    answers += second.rest()
-    for one, other in zip(whole, answers, strict=True):
-        assert one.number == other.number
-        np.testing.assert_array_equal(one.samples.poses.arms, other.samples.poses.arms)
-        np.testing.assert_array_equal(one.samples.poses.roots, other.samples.poses.roots)
-
-
 def test_what_is_improbable_survives_the_thinning():
     random = np.random.default_rng(1)
     poses = BodyDynamics(BODY).draw_anywhere(1000, SIZE, random)
@@ -127,15 +104,8 @@ def test_what_is_improbable_survives_the_thinning():
     assert few.weights.sum() == pytest.approx(1)
 
 
-def test_settings_that_make_no_sense():
-    with pytest.raises(ValueError, match="lag: got -1 frames"):
-        FixedLag(BodyDynamics(BODY), -1)
-    with pytest.raises(ValueError, match="trajectories: got 1"):
-        FixedLag(BodyDynamics(BODY), 3, trajectories=1)
-
-
 def test_a_run_over_pictures_that_is_taken_up_again_gives_the_same(tmp_path):
-    scene = signer(10, seed=4)
+    scene = signer(10, 4, size=(320, 180))
     parts = BodyParts.learned(list(scene.images()), scene.detector)
     dynamics = BodyDynamics(scene.body)
     random = np.random.default_rng(1)

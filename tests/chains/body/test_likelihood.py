@@ -14,7 +14,6 @@ from rsmcm.chains.body.likelihood import (
     ARM_WEIGHTS,
     BARE_HAND_SCORES,
     BARE_SCORES,
-    BLOB_COST,
     EDGE_POINTS,
     EDGE_SHARPNESS,
     EDGE_STD,
@@ -33,7 +32,7 @@ from rsmcm.chains.body.likelihood import (
     skin_maps,
 )
 from rsmcm.models.body.image_features import BodyImage, edge_distances
-from rsmcm.models.body.upper_body import BodyPoses, UpperBody, arm_at, swivels
+from rsmcm.models.body.upper_body import BodyPoses, UpperBody
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from scipy.ndimage import map_coordinates
@@ -352,39 +351,6 @@ def test_arms_before_the_trunk_say_nothing() -> None:
     assert likelihood(sleeved(wide)).inner_terms(signing())[CLOTHES, 0] > 3
 
 
-def test_arms_of_another_colour_lose_a_few_nats_and_no_more() -> None:
-    """Who wears a vest is found all the same."""
-    away = np.full((180, 320), -60, np.float32)
-    least = 2 * np.log(NO_SLEEVE) * (ARM_POINTS.shape[1] * ARM_WEIGHTS).sum()
-    found = BodyLikelihood(BODY)(sleeved(away)).inner_terms(scattered(50, np.random.default_rng(0)))[CLOTHES]
-    assert (found > least - 1e-3).all()
-    assert (found < 0).all()
-
-
-def test_elbows_are_found_by_the_colour_of_sleeves() -> None:
-    """True arms are liked best of those that leave the hands where they are."""
-    poses = signing()
-    joints = BODY.joints(poses)[0]
-    sleeves = np.full(SIZE, -3, np.float32)
-    for shoulder in (2, 5):
-        for start, end in ((shoulder, shoulder + 1), (shoulder + 1, shoulder + 2)):
-            ends = [tuple(np.rint(joints[joint, :2]).astype(int).tolist()) for joint in (start, end)]
-            cv2.line(sleeves, ends[0], ends[1], 3.0, round(BODY.forearm_width))
-    half = cv2.GaussianBlur(cv2.resize(sleeves, (320, 180), interpolation=cv2.INTER_AREA), (0, 0), 2)
-    turned = poses.take(np.zeros(25, int))
-    turned = replace(turned, arms=turned.arms.copy())
-    angles = np.linspace(-np.pi, np.pi, 25)
-    for side in (0, 1):
-        offsets = np.tile(joints[4 + 3 * side] - joints[2 + 3 * side], (25, 1))
-        own = swivels(side, poses.arms[:, side], BODY)
-        turned.arms[:, side], _ = arm_at(BODY, side, offsets, own + angles)
-    found = BodyLikelihood(BODY)(sleeved(np.asarray(half, np.float32))).inner_terms(turned)[CLOTHES]
-    off = np.linalg.norm(BODY.joints(turned)[:, [3, 6], :2] - joints[[3, 6], :2], axis=2).max(axis=1)
-    best = found > found.max() - 0.5
-    assert off[best].max() < 0.25 * BODY.head_height
-    assert found[12] > np.median(found) + 2
-
-
 def test_a_first_look_is_all_but_edges() -> None:
     """In an image that has something to say of each of the others."""
     poses = scattered(20, np.random.default_rng(4))
@@ -396,24 +362,6 @@ def test_a_first_look_is_all_but_edges() -> None:
     np.testing.assert_array_equal(likelihood(poses), inner.sum(axis=0) + edges)
 
 
-def test_poses_do_not_know_of_each_other() -> None:
-    random = np.random.default_rng(0)
-    likelihood, image, poses = BodyLikelihood(BODY), seen(signing()), scattered(30, random)
-    together = likelihood(image)(poses)
-    assert together.shape == (30,)
-    order = random.permutation(30)
-    np.testing.assert_allclose(likelihood(image)(poses.take(order)), together[order], rtol=1e-6)
-    np.testing.assert_allclose(likelihood(image)(poses.take([7])), together[[7]], rtol=1e-6)
-
-
-def test_another_image_of_the_same_body_is_looked_at_anew() -> None:
-    likelihood, poses = BodyLikelihood(BODY), signing()
-    first, second = seen(poses), seen(poses, without=(0, 1))
-    before, after = likelihood(first)(poses), likelihood(second)(poses)
-    assert before != after
-    assert likelihood(first)(poses) == before
-
-
 def test_the_true_pose_is_liked_best() -> None:
     random = np.random.default_rng(1)
     truth = signing()
@@ -423,22 +371,6 @@ def test_the_true_pose_is_liked_best() -> None:
     )
     for term in (*likelihood.inner_terms(poses)[[HEAD, SKIN]], likelihood.rest(poses)):
         assert (term[0] > np.quantile(term[1:], 0.95)).all()
-
-
-@pytest.mark.parametrize("side", [0, 1])
-def test_a_hand_is_in_the_middle_of_its_skin(side: int) -> None:
-    poses = signing()
-    parts = BODY.parts(poses)
-    step = np.stack(np.meshgrid(*[np.arange(-40, 41, 2.0)] * 2), -1).reshape(-1, 2)
-    moved = np.repeat(parts, len(step), axis=0)
-    moved[:, 1 + side] += step
-    scores = hand_scores(seen(poses), moved, np.repeat(poses.roots, len(step), axis=0))
-    off = np.linalg.norm(step[scores.argmax()])
-    assert off <= 0.08 * BODY.head_height  # a hand that is partly hidden by its wrist is a little off
-    share = np.exp(scores - scores.max())
-    mean = share @ step / share.sum()
-    spread = np.sqrt((share @ (step - mean) ** 2).sum() / share.sum() / 2)
-    assert 0.03 < spread / BODY.head_height < 0.12
 
 
 def test_a_hand_without_skin_loses_a_few_nats_and_no_more() -> None:
@@ -475,26 +407,6 @@ def test_skin_is_explained_once() -> None:
     assert max(apart) <= both
 
 
-def test_the_face_is_no_hand() -> None:
-    poses = signing()
-    parts = np.repeat(BODY.parts(poses), 3, axis=0)
-    parts[1, 1] = parts[1, 0]  # at the face
-    parts[2, 1] = [40.0, 340.0]  # where nothing is
-    true, face, nothing = hand_scores(seen(poses), parts, np.repeat(poses.roots, 3, axis=0))
-    assert true > face + 4
-    assert face > nothing  # a hand that is not to be seen may as well be before the face
-    assert face < nothing + 2
-
-
-def test_skin_that_nobody_explains_costs_a_little() -> None:
-    poses = signing()
-    spot = np.array([[100.0, 300.0]])
-    likelihood = BodyLikelihood(BODY)
-    alone, beside = likelihood(seen(poses))(poses), likelihood(seen(poses, discs=spot))(poses)
-    cost = BLOB_COST / (1 + np.exp(-1.5))
-    assert (alone - beside)[0] == pytest.approx(cost, abs=0.02)
-
-
 # --- where a cue is missing ---------------------------------------------------------------------------------
 
 
@@ -518,30 +430,6 @@ def test_without_a_face_the_head_is_where_its_skin_is() -> None:
     grey = BodyLikelihood(BODY)(replace(missed, skin=None, moving_skin=None)).inner_terms(poses)
     assert not grey[HEAD].any()
     assert np.isfinite(grey).all()
-
-
-def test_an_empty_picture_says_next_to_nothing() -> None:
-    edges, directions = edge_distances(np.full(SIZE, 90, np.uint8), BODY.head_height / 6)
-    image = replace(
-        seen(signing()),
-        skin=np.full(SIZE, -4, np.float32),
-        moving_skin=np.full(SIZE, -4, np.float32),
-        edges=edges,
-        edge_directions=directions,
-        mixtures=GaussianMixtures.uniform(3),
-        blobs=np.zeros((0, 2)),
-        blob_log_weights=np.zeros(0),
-    )
-    likelihood, poses = BodyLikelihood(BODY)(image), scattered(20, np.random.default_rng(4))
-    terms = likelihood.inner_terms(poses)
-    assert np.isfinite(terms).all()
-    assert np.ptp(terms[SKIN]) < 2  # before the face nothing is expected, elsewhere skin is missed
-    assert likelihood.rest(poses).max() <= 0
-
-
-def test_a_body_out_of_the_picture_is_no_error() -> None:
-    away = replace(signing(), roots=np.array([[-900.0, 5000.0]]))
-    assert np.isfinite(BodyLikelihood(BODY)(seen(signing()))(away)).all()
 
 
 # --- edges --------------------------------------------------------------------------------------------------
@@ -577,50 +465,6 @@ def test_an_edge_across_stripes_says_more_than_one_along_them() -> None:
     assert ratios[there & across, 0].mean() > 2 * ratios[there & ~across, 0].mean()
 
 
-def test_places_without_edges_nearby_have_none() -> None:
-    ratios, image = ratios_of((25 * masks(BODY, signing(), SIZE)[0]).astype(np.uint8))
-    assert not ratios[image.edges >= image.edges.max(), 0].any()
-    assert ratios[image.edges == 0, 0].min() > 1
-
-
-def test_edges_say_less_where_there_are_many() -> None:
-    random = np.random.default_rng(5)
-    few, many = (
-        edge_distances((25 * masks(BODY, signing(), SIZE)[0] + noise).astype(np.uint8), BODY.head_height / 6)
-        for noise in (0, cv2.GaussianBlur(random.normal(40, 300, SIZE), (0, 0), 2.5).clip(0, 80))
-    )
-    poses = BodyPoses.concatenated([signing(), scattered(200, random)])
-    likelihood = BodyLikelihood(BODY)
-    gaps = []
-    for edges, directions in (few, many):
-        term = likelihood(replace(seen(signing()), edges=edges, edge_directions=directions)).rest(poses)
-        gaps.append(term[0] - np.median(term[1:]))
-    assert gaps[0] > gaps[1] > 0
-
-
-def test_elbows_are_found_by_edges() -> None:
-    """Of arms that reach the same hand, edges prefer the true one."""
-    from rsmcm.models.body.upper_body import arm_at
-
-    truth = signing()
-    random = np.random.default_rng(6)
-    joints = BODY.joints(truth)[0]
-    offsets = np.tile(joints[4] - joints[2], (400, 1))
-    offsets[:, 2] = random.uniform(-150, 150, 400)
-    arms, reachable = arm_at(BODY, 0, offsets, random.uniform(-np.pi, np.pi, 400))
-    poses = truth.take(np.zeros(400, int))
-    bent = poses.arms.copy()
-    bent[:, 0] = arms
-    poses = replace(poses, arms=bent)
-    poses = poses.take(reachable & BODY.allowed(poses))
-    term = BodyLikelihood(BODY)(seen(truth)).rest(BodyPoses.concatenated([truth, poses]))
-    weights = np.exp(term[1:] - term[1:].max())
-    elbows = BODY.joints(poses)[:, 3, :2]
-    off = np.linalg.norm(weights @ elbows / weights.sum() - joints[3, :2])
-    assert off < 0.15 * BODY.head_height
-    assert (term[0] > term[1:]).mean() > 0.95
-
-
 # --- bare forearms ------------------------------------------------------------------------------------------
 
 
@@ -634,29 +478,6 @@ def bare_armed(poses: BodyPoses) -> BodyImage:
         cv2.line(image.skin, *ends, 4.0, round(0.5 * (BODY.forearm_width + BODY.wrist_width)))
     blobs = np.concatenate([image.blobs, joints[[3, 6]]])
     return replace(image, blobs=blobs, blob_log_weights=np.full(4, 1.5), bare=1.0)
-
-
-def test_hands_are_where_bare_forearms_end() -> None:
-    """Not at the elbows, nor halfway: forearms there leave skin unexplained, or lie where none is."""
-    truth = signing()
-    image = bare_armed(truth)
-    joints = BODY.joints(truth)[..., :2]
-    parts, elbows = joints[:, [0, 4, 7]], joints[:, [3, 6]]
-    likelihood = BodyLikelihood(BODY)(image)
-    assert likelihood.skin is not None
-
-    def score(hands: Array, elbows: Array) -> float:
-        placed = np.concatenate([parts[:, :1], hands], axis=1)
-        assert likelihood.skin is not None
-        return float(likelihood._skin_terms(likelihood.skin, placed, truth.roots, elbows)[0])
-
-    hands = parts[:, 1:]
-    right = score(hands, elbows)
-    assert right > score(0.5 * (hands + elbows), elbows) + 5
-    assert right > score(elbows, 2 * elbows - hands) + 5
-    # a sleeve is no forearm: the same pose is worse where there is none
-    bare_less = replace(seen(truth), bare=1.0)
-    assert right > BodyLikelihood(BODY)(bare_less).inner_terms(truth)[SKIN, 0] + 5
 
 
 def test_who_may_be_in_sleeves_or_not_is_a_mixture() -> None:

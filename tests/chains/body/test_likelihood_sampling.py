@@ -1,7 +1,6 @@
 import numpy as np
-import pytest
 from rsmcm.chains.body.dynamics import BodyDynamics
-from rsmcm.chains.body.proposals import draw_from_likelihood, draw_mixture
+from rsmcm.chains.body.proposals import draw_from_likelihood
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 
@@ -62,12 +61,3 @@ def test_out_of_reach_there_are_no_poses():
     proposal = draw_from_likelihood(BodyDynamics(BODY), mixtures, 100, random)
     assert len(proposal.poses) == 0
     assert proposal.log_density.shape == (0,)
-
-
-def test_components_are_drawn_as_often_as_they_weigh():
-    random = np.random.default_rng(10)
-    mixtures = GaussianMixtures.of_parts(
-        [np.log([0.2, 0.8])], [[[0.0, 0.0], [100.0, 0.0]]], [np.tile(np.eye(2), (2, 1, 1))]
-    )
-    drawn = draw_mixture(mixtures, 0, 1000, random)
-    assert np.count_nonzero(drawn[:, 0] > 50) == pytest.approx(800, abs=1)

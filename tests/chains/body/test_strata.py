@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import BodyDynamics
-from rsmcm.chains.body.tempering import EVENLY, LEAST_MASS, MOST_STRATA, NARROW, Strata
+from rsmcm.chains.body.tempering import EVENLY, LEAST_MASS, MOST_STRATA, Strata
 from rsmcm.inference.smc import normalised, systematic
 from rsmcm.models.body.upper_body import BodyPoses, UpperBody
 from scipy.special import logsumexp
-
-Array = NDArray[np.float64]
 
 BODY = UpperBody.from_head(90.0)
 
@@ -38,12 +36,6 @@ def test_poses_with_hands_elsewhere_are_another_stratum() -> None:
     numbers = Strata.of(BODY, poses).numbers
     assert len(set(zip(owners, numbers, strict=True))) == 3
     assert sorted(np.unique(numbers)) == [0, 1, 2]
-
-
-def test_poses_that_say_the_same_are_one_stratum() -> None:
-    poses, _ = groups([500], spread=0.9 * NARROW * BODY.head_height)
-    assert not Strata.of(BODY, poses).numbers.any()
-    assert not Strata.of(BODY, poses.take([0])).numbers.any()
 
 
 def test_strata_are_no_more_than_the_constant_says_and_narrow_unless_they_are_all_used() -> None:
@@ -105,13 +97,3 @@ def test_what_has_next_to_no_weight_is_forgotten() -> None:
     choice = Strata.of(BODY, poses).balanced(log_weights)
     assert np.isneginf(choice[owners == 1]).all()
     np.testing.assert_allclose(np.exp(choice[owners == 0]).sum(), 1.0)
-
-
-def test_weights_of_zero_stay_zero() -> None:
-    """Also where a whole stratum has none."""
-    poses, owners = groups([100, 100])
-    some = np.where(owners == 1, -np.inf, 0.0)
-    some[np.flatnonzero(owners == 0)[:50]] = -np.inf
-    choice = Strata.of(BODY, poses).balanced(normalised(some))
-    np.testing.assert_array_equal(np.isneginf(choice), np.isneginf(some))
-    np.testing.assert_allclose(np.exp(choice).sum(), 1.0)

@@ -19,15 +19,6 @@ def test_the_probability_is_that_of_two_gaussians() -> None:
         assert bare_probability([0.3, middle, 4.0]) == pytest.approx(high / (low + high))
 
 
-def test_what_is_learned_from_frames() -> None:
-    assert bare_probability([]) == bare_probability([0.0, 0.0]) == 0.5
-    assert bare_probability([IN_SLEEVE] * 20) == 0
-    assert bare_probability([WITH_FOREARM] * 20) == 1
-    # one frame says less than many, and one that is unlike the others does not matter
-    assert 0.5 < bare_probability([1.3]) < bare_probability([1.3] * 5)
-    assert bare_probability([0.6] * 9 + [5.0]) == 0
-
-
 def test_the_area_is_that_of_the_largest_patch_beside_the_head() -> None:
     skin = np.full((400, 640), -4, np.float32)
     for x, y, across, down in HEADS:

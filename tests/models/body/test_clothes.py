@@ -6,8 +6,6 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.scenes import signer
-from rsmcm.apps.scenes.signing.signer import Sleeves
 from rsmcm.models.body.parts import BodyParts
 from rsmcm.models.body.person import SHRINK, ClothesColour
 from rsmcm.models.body.skin import HIGHEST, SkinColour, smoothed
@@ -99,32 +97,6 @@ def test_the_map_is_the_log_of_a_mixture(bare: float) -> None:
         np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
-def test_clothes_like_the_wall_say_nothing() -> None:
-    arms = arm_map(picture(WALL))
-    assert abs(at(arms, 263, 114)) < 0.5
-    assert abs(at(arms, 40, 60)) < 0.5
-
-
-def test_colours_that_nobody_has_seen_say_nothing() -> None:
-    image = np.full((80, 100, 3), (250, 10, 240), np.uint8)
-    arms = learned(picture()).arm_map(smoothed(image), HEIGHT, np.zeros((80, 100), np.float32), 0.0)
-    assert np.abs(arms).max() < 0.1
-
-
-def test_of_several_frames_all_count() -> None:
-    """Half of the frames in another jacket: both are clothes, each in half of the places."""
-    jacket = (150, 60, 160)
-    images = [picture(), picture(jacket)]
-    skin = SkinColour.learned(images, np.repeat(BOX, 2, axis=0))
-    assert skin is not None
-    clothes = ClothesColour.learned(images, np.stack([HEAD, HEAD]), HEIGHT, skin)
-    assert clothes is not None
-    for image in images:
-        arms = clothes.arm_map(smoothed(image), HEIGHT, skin.log_odds(image), 0.0)
-        assert at(arms, 263, 114) > 1
-        assert at(arms, 40, 60) < -2
-
-
 def test_of_grey_pictures_and_of_heads_without_a_trunk_nothing_is_learned() -> None:
     image = picture()
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
@@ -133,23 +105,6 @@ def test_of_grey_pictures_and_of_heads_without_a_trunk_nothing_is_learned() -> N
         assert ClothesColour.learned([one], HEAD[None], HEIGHT, skin) is None
     assert ClothesColour.learned([image], np.array([[160.0, 235.0]]), HEIGHT, skin) is None
     assert ClothesColour.learned([], np.zeros((0, 2)), HEIGHT, skin) is None
-
-
-@pytest.mark.parametrize("sleeves", ["long", "short"])
-def test_arms_of_a_generated_signer(sleeves: Sleeves) -> None:
-    """Along true arms the map is higher than in most of the picture, on average by some nats."""
-    scene = signer(40, 3, sleeves=sleeves)
-    images = [scene.image(index) for index in range(0, 40, 8)]
-    boxes = scene.detector.boxes[::8]
-    node = BodyParts.learned(images, lambda frame: np.array(boxes[frame.number - 1]))
-    assert node.clothes is not None
-    assert node.skin is not None
-    along, rest = [], []
-    for image, joints in zip(images, scene.joints[::8, :, :2], strict=True):
-        arms = node.clothes.arm_map(smoothed(image), node.head_height, node.skin.log_odds(image), node.bare)
-        along += [at(arms, *(0.5 * (joints[first] + joints[first + 1]))) for first in (2, 3, 5, 6)]
-        rest.append(np.median(arms))
-    assert np.mean(along) > np.mean(rest) + 2
 
 
 def test_the_evidence_of_an_image_holds_the_map() -> None:
@@ -168,9 +123,3 @@ def test_the_evidence_of_an_image_holds_the_map() -> None:
         seen = less.evidence(Frame(image, 0.0, 1), node.uniform()).image
         assert seen is not None
         assert seen.arms is None
-
-
-def test_nobody_is_dressed_in_grey() -> None:
-    grey = cv2.cvtColor(picture(), cv2.COLOR_BGR2GRAY)
-    node = BodyParts(HEIGHT)
-    assert node.dressed([grey], BOX) is node

@@ -4,12 +4,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.chains.body.dynamics import draw_directions
 from rsmcm.models.body.kernels import lean
 from rsmcm.models.body.upper_body import LIMITS, REFERENCE, BodyPoses, UpperBody, arm_at, swivels
 from scipy.spatial.transform import Rotation
 
-from ...support.body_poses import resting, twists
+from ...support.body_poses import twists
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -145,28 +144,6 @@ def test_arms_and_swivels_are_those_of_plain_arrays(seed: int, side: int) -> Non
     np.testing.assert_allclose(apart, 0, atol=1e-9)
 
 
-def test_arrays_need_not_be_contiguous() -> None:
-    given_ones = poses(1)
-    offsets = np.moveaxis(np.random.default_rng(2).uniform(-150, 150, (3, 200)), 0, 1)
-    copied = arm_at(BODY, 0, offsets.copy(), given_ones.necks[:, 0].copy())[0]
-    np.testing.assert_array_equal(arm_at(BODY, 0, offsets, given_ones.necks[:, 0])[0], copied)
-    turned = BodyPoses(
-        np.asfortranarray(given_ones.roots),
-        np.asfortranarray(given_ones.torsos),
-        given_ones.necks,
-        np.asfortranarray(given_ones.arms),
-    )
-    np.testing.assert_allclose(BODY.joints(turned), BODY.joints(given_ones), rtol=1e-14)
-    np.testing.assert_array_equal(BODY.allowed(turned), BODY.allowed(given_ones))
-
-
-def test_no_poses_have_no_joints() -> None:
-    body = resting(np.zeros((0, 2)))
-    assert BODY.joints(body).shape == (0, 8, 3)
-    assert BODY.parts(body).shape == (0, 3, 2)
-    assert BODY.allowed(body).shape == (0,)
-
-
 @given(SEEDS)
 @settings(max_examples=20, deadline=None)
 def test_leaning_vectors_have_the_given_angle_and_go_round(seed: int) -> None:
@@ -182,20 +159,3 @@ def test_leaning_vectors_have_the_given_angle_and_go_round(seed: int) -> None:
     # a quarter of a turn further on is at right angles, across the direction
     sides = [each - cosines[:, None] * directions for each in (leant, further)]
     np.testing.assert_allclose((sides[0] * sides[1]).sum(1), 0, atol=1e-11)
-
-
-def test_draws_around_directions_are_those_of_plain_arrays() -> None:
-    directions = units((500, 2), np.random.default_rng(0))[:, ::-1]
-    for concentration in (2.0, 70.0, 7000.0):
-        random = np.random.default_rng(1)
-        share, angle = random.random((500, 2)), 2 * np.pi * random.random((500, 2))
-        cosine = 1 + np.log(share + (1 - share) * np.exp(-2 * concentration)) / concentration
-        x, y, z = np.moveaxis(directions, -1, 0)
-        sign = np.copysign(1.0, z)
-        a = -1 / (sign + z)
-        one = np.stack([1 + sign * x * x * a, sign * x * y * a, -sign * x], axis=-1)
-        other = np.stack([x * y * a, sign + y * y * a, -y], axis=-1)
-        side = np.cos(angle)[..., None] * one + np.sin(angle)[..., None] * other
-        expected = cosine[..., None] * directions + np.sqrt(1 - cosine**2)[..., None] * side
-        drawn = draw_directions(directions, concentration, np.random.default_rng(1))
-        np.testing.assert_allclose(drawn, expected, atol=1e-11)

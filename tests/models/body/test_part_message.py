@@ -88,17 +88,6 @@ def test_products_are_products_of_values_and_commute(seed: int, n_ours: int, n_t
     assert (theirs * ours).log_mass == pytest.approx(product.log_mass, abs=1e-9)
 
 
-@given(SEEDS)
-@settings(max_examples=20, deadline=None)
-def test_products_are_associative(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    one, two, three = message(random, 3), message(random, 4), message(random, 1)
-    places = random.normal(0, 10, (7, 3, 2))
-    left, right = (one * two) * three, one * (two * three)
-    np.testing.assert_allclose(left.log_values(places), right.log_values(places), rtol=1e-9)
-    assert left.log_mass == pytest.approx(right.log_mass, abs=1e-9)
-
-
 def test_of_many_combinations_the_heaviest_are_kept() -> None:
     random = np.random.default_rng(0)
     ours, theirs = message(random, 6), message(random, 7)
@@ -148,21 +137,3 @@ def test_masses_moments_and_marginals_are_those_of_draws() -> None:
             np.log(weight.mean()), abs=5 * of_image_given + 1e-9
         )
     np.testing.assert_allclose(said.predicted.moments(1.0, (0, 0))[0], said.mixtures.moments(1.0, (0, 0))[0])
-
-
-def test_one_hypothesis_is_a_product_of_mixtures() -> None:
-    """Nothing is said where a part is flat."""
-    random = np.random.default_rng(2)
-    one = mixtures(random)
-    nothing = GaussianMixtures.uniform(3)
-    places = random.normal(0, 10, (7, 3, 2))
-    for said in (PartMessage(one), PartMessage(nothing) * PartMessage(one)):
-        np.testing.assert_allclose(said.log_values(places), one.log_values(places).sum(axis=1))
-        np.testing.assert_array_equal(said.predicted.means, one.means)
-    np.testing.assert_array_equal(PartMessage(nothing).log_values(places), 0.0)
-    assert PartMessage(nothing).log_mass == np.inf
-
-
-def test_hypotheses_have_three_parts() -> None:
-    with pytest.raises(ValueError, match="got 6 mixtures, expected 3 for each of 1 hypotheses"):
-        PartMessage(GaussianMixtures.uniform(6))

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.body.parts import ANYWHERE, CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts, PartMessage
+from rsmcm.models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts, PartMessage
 from rsmcm.models.body.skin import SkinColour
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
@@ -56,14 +56,6 @@ def learned(*boxes: Array) -> BodyParts:
 def heaviest(mixtures: GaussianMixtures, part: int) -> Array:
     weights = np.where(mixtures.flat[part], -np.inf, mixtures.log_weights[part])
     return mixtures.means[part, weights.argmax()]
-
-
-def test_two_images_have_no_product() -> None:
-    node = learned(BOX)
-    seen = node.evidence(Frame(picture(), 0.0, 1), node.uniform())
-    assert (seen * node.uniform()).image is (node.uniform() * seen).image is seen.image
-    with pytest.raises(ValueError, match="part message: got two images, expected at most one"):
-        seen * seen
 
 
 def test_head_and_hands() -> None:
@@ -145,53 +137,6 @@ def test_prior_tells_the_head_from_the_hands() -> None:
     assert sure < vague - 1
 
 
-def test_nothing_to_see() -> None:
-    node = learned()
-    nothing = node.evidence(Frame(None, 0.0, 1), node.uniform())
-    assert nothing.image is None
-    wall = np.full((240, 320, 3), (150, 110, 90), np.uint8)
-    seen = node.evidence(Frame(wall, 0.0, 1), node.uniform())
-    assert seen.image is not None
-    assert not seen.mixtures.informative.any()
-    # it multiplies as the constant 1 does
-    message = told(HEAD, 5.0)
-    np.testing.assert_allclose((message * seen).mixtures.log_masses[0], message.mixtures.log_masses[0])
-
-
-def test_faces_are_sought_about_the_head_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """There they are where they are in the whole picture; elsewhere if there is none, or now and then."""
-    shown: list[tuple[int, ...]] = []
-
-    def brightest(self: HaarFaces, frame: Frame) -> Array:
-        """A box about the middle of what is white, if anything is."""
-        assert frame.image is not None
-        shown.append(frame.image.shape[:2])
-        rows, columns = np.nonzero(frame.image[..., 0] == 255)
-        boxes = [[columns.mean() - 30, rows.mean() - 30, 60, 60]] if len(rows) else []
-        return np.array(boxes, np.float64).reshape(-1, 4)
-
-    monkeypatch.setattr(HaarFaces, "__call__", brightest)
-    node = BodyParts(80.0, detector=HaarFaces())
-    image = np.zeros((360, 640, 3), np.uint8)
-    image[140:150, 300:320] = 255
-    for place, number, size in (
-        ((310.0, 150.0), 1, [(200, 200)]),
-        ((310.0, 150.0), ANYWHERE, [(360, 640)]),
-        ((40.0, 300.0), 2, [(160, 140), (360, 640)]),
-    ):
-        shown.clear()
-        known = GaussianMixtures.of_parts(
-            [np.zeros(1)] * 3, [np.array([place])] * 3, [25.0 * np.eye(2)[None]] * 3
-        )
-        head = node._known_head(PartMessage(known), image.shape)
-        boxes = node._faces(Frame(image, 0.0, number), head)
-        np.testing.assert_allclose(boxes, [[279.5, 114.5, 60, 60]])
-        assert shown == size
-    shown.clear()
-    node._faces(Frame(image, 0.0, 1), node._known_head(node.uniform(), image.shape))
-    assert shown == [(360, 640)], "of a head that nobody knows of"
-
-
 def test_grey_video() -> None:
     """No skin: faces and edges are all there is."""
     grey = picture().mean(axis=2).astype(np.uint8)
@@ -214,12 +159,6 @@ def test_learned_from_a_clip() -> None:
         BodyParts.learned([picture(), picture()], Faces())
     with pytest.raises(ValueError, match="images: got no face in 0 of 0"):
         BodyParts.learned([], Faces(BOX))
-
-
-@pytest.mark.parametrize("height", [0.0, -3.0, np.inf, np.nan])
-def test_impossible_height(height: float) -> None:
-    with pytest.raises(ValueError, match=r"head_height: got .* px, expected more than 0"):
-        BodyParts(height)
 
 
 # hand-marked centres, px, of the right and the left hand in every 16th frame of a film of 125

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from rsmcm.models.body.upper_body import BodyPoses, shoulder_rotations, transport
 from scipy.spatial.transform import Rotation
 
-from ...support.body_poses import from_angles, resting, twists
+from ...support.body_poses import from_angles
 
 Array = NDArray[np.float64]
 
@@ -63,14 +63,6 @@ def test_angles_are_a_ball_joint_and_a_hinge(seed: int) -> None:
         np.testing.assert_allclose(arms[side, 1], (shoulder * elbow).apply([0, 1, 0]), atol=1e-12)
 
 
-def test_zero_angles_hang_and_flexion_moves_the_hand_to_the_viewer() -> None:
-    hanging = from_angles(np.zeros((1, 16)))
-    np.testing.assert_array_equal(hanging.arms, resting(np.zeros((1, 2))).arms)
-    bent = np.zeros((1, 16))
-    bent[0, 11] = np.pi / 2
-    np.testing.assert_allclose(from_angles(bent).arms[0, 0, 1], [0, 0, -1], atol=1e-15)
-
-
 @given(seeds)
 def test_a_straight_arm_is_turned_the_shortest_way(seed: int) -> None:
     directions = units((10,), seed)
@@ -92,28 +84,6 @@ def test_transport_is_exact_up_to_straight_up(seed: int, power: float) -> None:
     np.testing.assert_array_equal(rotations[:, :, 1], directions)
 
 
-def test_an_arm_straight_up_or_down_or_folded_has_finite_angles() -> None:
-    poses = resting(np.zeros((3, 2)))
-    poses.arms[1] = [0, -1, 0]
-    poses.arms[2, :, 1] = [0, -1, 0]
-    assert np.isfinite(poses.angles).all()
-    np.testing.assert_allclose(from_angles(poses.angles).arms, poses.arms, atol=1e-12)
-
-
-@given(seeds)
-def test_shoulder_is_a_turn_of_the_hanging_arm_and_then_transport(seed: int) -> None:
-    arms = units((20, 2), seed)
-    turns = Rotation.from_rotvec(twists(arms)[:, None] * [0, 1, 0]).as_matrix()
-    rotations, _ = shoulder_rotations(arms)
-    np.testing.assert_allclose(transport(arms[:, 0]) @ turns, rotations, atol=1e-9)
-
-
-def test_twist_straight_up_agrees_with_transport_there() -> None:
-    arms = np.array([[[0.0, -1.0, 0.0], [0.6, 0.0, 0.8]]])
-    turns = Rotation.from_rotvec(twists(arms)[:, None] * [0, 1, 0]).as_matrix()
-    np.testing.assert_allclose(transport(arms[:, 0]) @ turns, shoulder_rotations(arms)[0], atol=1e-12)
-
-
 def test_poses_are_taken_and_joined() -> None:
     poses = random_poses(6, 0)
     joined = BodyPoses.concatenated([poses.take(slice(0, 2)), poses.take(np.array([4, 5]))])
@@ -121,13 +91,3 @@ def test_poses_are_taken_and_joined() -> None:
     np.testing.assert_array_equal(joined.arms, poses.arms[[0, 1, 4, 5]])
     np.testing.assert_array_equal(joined.turns, poses.turns[[0, 1, 4, 5]])
     assert len(poses.take(np.zeros(6, bool)).angles) == 0
-
-
-def test_some_poses_are_replaced_by_others() -> None:
-    poses, others = random_poses(6, 0), random_poses(6, 1)
-    where = np.array([True, False, False, True, False, True])
-    mixed = poses.replaced(where, others)
-    for name in ("roots", "torsos", "necks", "arms"):
-        own, new, found = (getattr(each, name) for each in (poses, others, mixed))
-        np.testing.assert_array_equal(found[where], new[where])
-        np.testing.assert_array_equal(found[~where], own[~where])

@@ -48,17 +48,6 @@ def test_lengths_are_found_from_30_noisy_frames() -> None:
     assert np.sqrt(np.mean(np.square(errors), axis=0)).max() < 0.02
 
 
-def test_torsos_that_lean_and_turn_leave_the_lengths_nearly_as_they_are() -> None:
-    """The median cosine of a turn by 0.3 rad is 0.98."""
-    errors = []
-    for seed in range(20):
-        body = unusual(seed)
-        fitted = UpperBody.fit(seen(body, 30, 2.0, seed, lean=0.15), np.full(30, 90.0))
-        errors.append([np.log(getattr(fitted, name) / getattr(body, name)) for name in SEGMENTS])
-    assert np.mean(errors, axis=0) == pytest.approx([0.0, np.log(0.98), 0.0, 0.0], abs=0.015)
-    assert np.abs(errors).max() < 0.07
-
-
 @settings(max_examples=8, deadline=None)
 @given(seeds)
 def test_gaps_and_wrong_joints_do_little(seed: int) -> None:
@@ -69,16 +58,6 @@ def test_gaps_and_wrong_joints_do_little(seed: int) -> None:
     fitted = UpperBody.fit(joints, np.full(40, 90.0))
     for name in SEGMENTS:
         assert getattr(fitted, name) == pytest.approx(getattr(body, name), rel=0.1)
-
-
-def test_the_estimate_has_no_bias_over_many_bodies() -> None:
-    random = np.random.default_rng(0)
-    errors = []
-    for _ in range(40):
-        apparent = 126 * np.sin(np.arccos(random.random(60))) + 2.7 * random.normal(size=60)
-        errors.append(np.log(projected_length(np.abs(apparent), 126, 2.7) / 126))
-    assert abs(np.mean(errors)) < 0.004 + 3 * np.std(errors) / np.sqrt(40)
-    assert np.std(errors) < 0.02
 
 
 @pytest.mark.parametrize("usual", [100, 160])
@@ -109,14 +88,6 @@ def test_one_side_is_enough_and_neck_comes_from_the_shoulders() -> None:
         fitted = UpperBody.fit(partial)
         for name in SEGMENTS:
             assert getattr(fitted, name) == pytest.approx(getattr(body, name), rel=0.05)
-
-
-def test_arms_alone_give_the_size() -> None:
-    body = UpperBody.from_head(80)
-    joints = seen(body, 60, 0.5, 4)
-    joints[:, :2] = np.nan
-    joints[:, 5:] = np.nan
-    assert UpperBody.fit(joints).upper_arm == pytest.approx(body.upper_arm, rel=0.06)
 
 
 def test_head_heights_come_first() -> None:

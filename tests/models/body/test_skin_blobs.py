@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from rsmcm.models.body.image_features import MOST_BLOBS, SkinBlobs, skin_blobs
 from scipy.ndimage import gaussian_filter
 
-Array = NDArray[np.float64]
 Map = NDArray[np.float32]
 
 RADIUS = 24.0

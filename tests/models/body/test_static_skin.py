@@ -59,15 +59,6 @@ def test_it_is_a_quantile_of_the_log_odds(colour: SkinColour) -> None:
     np.testing.assert_allclose(still, expected, atol=0.501 / LEVELS)
 
 
-def test_the_order_of_frames_does_not_matter(colour: SkinColour) -> None:
-    random = np.random.default_rng(1)
-    images = [random.integers(0, 256, (*SIZE, 3)).astype(np.uint8) for _ in range(12)]
-    forwards, backwards = static_skin(colour, images), static_skin(colour, images[::-1])
-    assert forwards is not None
-    assert backwards is not None
-    np.testing.assert_array_equal(forwards, backwards)
-
-
 def test_a_few_frames_do_not_tell(colour: SkinColour) -> None:
     assert static_skin(colour, [picture()] * (LEAST_FRAMES - 1)) is None
     assert static_skin(colour, [picture()] * LEAST_FRAMES) is not None

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from rsmcm.models.body.upper_body import JOINTS, PROPORTIONS, BodyPoses, UpperBody
 from scipy.spatial.transform import Rotation
 
 from ...support.body_poses import from_angles, resting
 
-Array = NDArray[np.float64]
 Direction = tuple[float, float, float]
 
 BODY = UpperBody.from_head(90)
@@ -44,23 +42,6 @@ def test_joints_are_where_a_chain_of_rotations_leads(seed: int) -> None:
         expected.append(expected[-1] + elbow.apply([0, BODY.forearm, 0]))
     np.testing.assert_allclose(joints, expected, atol=1e-10)
     assert len(JOINTS) == len(expected)
-
-
-def test_a_head_without_any_turn_is_above_the_root() -> None:
-    joints = BODY.joints(resting(np.array([[10.0, 20.0]])))
-    np.testing.assert_array_equal(joints[0, 0], [10, 20 - BODY.neck, 0])
-
-
-def test_left_is_on_the_right_of_a_picture_of_somebody_who_faces_the_camera() -> None:
-    joints = BODY.joints(resting(np.zeros((1, 2))))[0]
-    assert joints[JOINTS.index("left_hand"), 0] > 0 > joints[JOINTS.index("right_hand"), 0]
-
-
-def test_parts_are_head_and_hands_in_the_picture() -> None:
-    poses = posed((0.3, 0.5, -0.8), (-0.5, -0.5, -0.2))
-    joints = BODY.joints(poses)
-    expected = joints[:, [JOINTS.index(part) for part in ("head", "left_hand", "right_hand")], :2]
-    np.testing.assert_allclose(BODY.parts(poses), expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -126,26 +107,6 @@ def test_limits_do_not_depend_on_side_nor_place_nor_size(seed: int) -> None:
     np.testing.assert_array_equal(UpperBody.from_head(33).allowed(poses), allowed)
 
 
-@given(seeds)
-def test_what_is_allowed_leans_and_turns_with_the_torso(seed: int) -> None:
-    """Head and arms keep their places against it: the same limits, and joints turned about the root."""
-    random = np.random.default_rng(seed)
-    arms = random.normal(size=(100, 2, 2, 3))
-    arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
-    turn = Rotation.from_rotvec(random.uniform(-0.4, 0.4, 3))
-    upright = BodyPoses(np.zeros((100, 2)), np.zeros((100, 3)), 0.4 * random.normal(size=(100, 3)), arms)
-    leant = BodyPoses(
-        upright.roots,
-        np.tile(turn.as_rotvec(), (100, 1)),
-        (turn * Rotation.from_rotvec(upright.necks)).as_rotvec(),
-        np.reshape(turn.apply(arms.reshape(-1, 3)), arms.shape),
-    )
-    np.testing.assert_array_equal(BODY.allowed(leant), BODY.allowed(upright))
-    expected = turn.apply(BODY.joints(upright).reshape(-1, 3)).reshape(100, 8, 3)
-    np.testing.assert_allclose(BODY.joints(leant), expected, atol=1e-10)
-    np.testing.assert_allclose(BODY.shoulders(leant), expected[:, [2, 5]], atol=1e-10)
-
-
 def test_torsos_lean_half_way_to_the_side_and_heads_go_with_them() -> None:
     poses = resting(np.zeros((4, 2)))
     poses.torsos[:, 1] = np.radians([44, -44, 46, 44])
@@ -153,46 +114,11 @@ def test_torsos_lean_half_way_to_the_side_and_heads_go_with_them() -> None:
     np.testing.assert_array_equal(BODY.allowed(poses), [True, True, False, False])
 
 
-def test_a_left_shoulder_turns_to_the_viewer_and_a_lean_takes_it_down() -> None:
-    poses = resting(np.zeros((2, 2)))
-    poses.torsos[0, 1], poses.torsos[1, 2] = 0.3, 0.2
-    left, right = BODY.shoulders(poses).swapaxes(0, 1)
-    assert left[0, 2] < -10 < 10 < right[0, 2]
-    assert left[1, 1] > 10 > -10 > right[1, 1]
-    np.testing.assert_allclose(left, -right, atol=1e-12)  # the root is between them
-
-
-@given(seeds)
-def test_a_torso_that_is_mirrored_in_depth_is_seen_in_the_same_places(seed: int) -> None:
-    """So a picture does not tell which way it turns."""
-    random = np.random.default_rng(seed)
-    poses = resting(np.zeros((20, 2)))
-    poses.torsos[:] = 0.3 * random.normal(size=(20, 3))
-    mirrored = replace(poses, torsos=poses.torsos * [-1, -1, 1])
-    np.testing.assert_allclose(BODY.parts(mirrored), BODY.parts(poses), atol=1e-11)
-    np.testing.assert_allclose(BODY.shoulders(mirrored), BODY.shoulders(poses) * [1, 1, -1], atol=1e-11)
-
-
 @given(seeds)
 def test_the_turn_of_a_straight_arm_is_not_judged(seed: int) -> None:
     upper = np.array([0.4, 0.5, -0.7]) / np.linalg.norm([0.4, 0.5, -0.7])
     forearm = upper + 0.02 * np.random.default_rng(seed).normal(size=3)
     assert BODY.allowed(posed((upper[0], upper[1], upper[2]), (forearm[0], forearm[1], forearm[2]))).all()
-
-
-def test_a_body_of_usual_proportions_scales_with_its_head() -> None:
-    small, large = UpperBody.from_head(50), UpperBody.from_head(100)
-    for name in ("head_height", *PROPORTIONS):
-        assert getattr(large, name) == pytest.approx(2 * getattr(small, name))
-    # the hand of a hanging arm is below the torso, that of a folded one reaches the face
-    assert large.upper_arm + large.forearm > large.torso_height
-    assert large.forearm > large.neck
-
-
-@pytest.mark.parametrize("height", [0, -3, float("nan"), float("inf")])
-def test_heads_without_a_size_are_refused(height: float) -> None:
-    with pytest.raises(ValueError, match="head_height must be a positive length"):
-        UpperBody.from_head(height)
 
 
 @pytest.mark.parametrize("name", ["head_height", *PROPORTIONS])
