@@ -1,4 +1,4 @@
-"""What one image shows of an upper body: faces, skin, blobs of skin of the size of a hand or head, edges."""
+"""Features of an image for an upper body: skin, blobs of a hand's or head's size, edges."""
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Map = NDArray[np.float32]
 Made = TypeVar("Made")
 
-COARSE_RADIUS = 7.0  # px: the radius sought in the picture that is searched, which is as much smaller as that
+COARSE_RADIUS = 7.0  # px: radius of a hand in the reduced image that is searched
 
 CENTRE, AROUND = 0.5, 1.0
 """Standard deviations of the two Gaussian windows whose difference is the contrast, in radii: the inner one
@@ -29,48 +29,48 @@ APART, TOGETHER = 0.5, 0.55
 LEAST_CONTRAST = 0.03  # of the share of skin in the two windows; 0.4 for a lone disc
 
 LEVEL, PENALTY = 1.5, 2.0
-"""A place's log weight: 1.5 times the mean log odds in the inner window, less those in the outer one, less 2.
-Neither enough says much: cloth in skin's colour has a level without contrast, its corners contrast without
-level. On 16 frames of a real signer, hands had 0.6 and clutter -0.6 on average, both spread by 0.8."""
+"""A blob's log weight: 1.5 times the mean log odds in the inner window, less those in the outer one, less 2.
+Cloth in skin's colour has a level without contrast, its corners contrast without level. On 16 frames of a
+real signer, hands had 0.6 and clutter -0.6 on average, with standard deviations of 0.8."""
 
-OF_HEAD = 0.3  # as much does the head's skin count when a hand's middle is worked out
-HIDDEN_BY_HEAD = 6.0  # nats: the face has such places of its own, and a hand in front of it adds no skin
+OF_HEAD = 0.3  # weight of the head's skin in a hand's centre
+HIDDEN_BY_HEAD = 6.0  # nats: penalty of blobs in the face, where a hand adds no skin
 ONE_HAND = 0.9  # pi radii^2 in a Gaussian window of one radius: more skin than a hand's 0.55 to 0.8
-HALF_APART = 0.55  # radii: half the distance of the two hands that such a place may be
+HALF_APART = 0.55  # radii: half the distance of the two hands that such a blob may be
 
-SPREAD, ELONGATION = 0.2, 0.15
-"""A place's covariance: the first squared, in radii, and this share of the skin's own second moments."""
+BLOB_STD, ELONGATION = 0.2, 0.15
+"""A blob's covariance: the first squared, in radii, plus this share of the skin's second moments."""
 
 MOST_BLOBS = 12
 
 
 @dataclass(frozen=True, eq=False)
 class SkinBlobs:
-    """Places where a hand, or a head, may be."""
+    """m blobs of skin that may be a hand, or a head."""
 
     means: Array  # `(m, 2)` px, the strongest first
     covariances: Array  # `(m, 2, 2)` px^2: of the hand's centre
-    log_weights: Array  # `(m,)`: log of the probability that a hand looks like that, over that of clutter
+    log_weights: Array  # `(m,)` nats: log likelihood ratio of a hand against clutter
 
     @classmethod
     def none(cls) -> "SkinBlobs":
-        """No place at all."""
+        """Return no blobs."""
         return cls(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
 
 
 def skin_blobs(skin: Map, radius: float, heads: Array | None = None) -> SkinBlobs:
-    """Find places of a hand's size with more skin than there is around them.
+    """Detect blobs of a hand's size with more skin than around them.
 
-    Hands beside and below the face are sought in the picture without it, which would outshine them. Where
-    there is more skin than one hand shows, two that touch are listed as well.
+    Hands beside and below the face are searched for in the image without it. A blob with more skin than one
+    hand shows is also split into two that touch.
 
     `skin` `(height, width)` float32 nats: log odds of skin; `radius` px: of a hand; `heads` `(k, 4)` px:
-    ellipses of heads that are known, centre x, y and half axes; places in them are listed, with less weight.
+    ellipses of known heads, centre x, y and half axes; blobs in them have less weight.
     """
     scale = min(1.0, COARSE_RADIUS / radius)
     reach = radius * scale
     odds = np.asarray(cv2.resize(skin, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.float32)
-    # in float64: the exponential of float32 is another one on other CPUs
+    # in float64: the exponential of float32 differs between CPUs
     share = np.asarray(1 / (1 + np.exp(-odds, dtype=np.float64)), np.float32)
     inside = _inside(share.shape, np.zeros((0, 4)) if heads is None else heads, scale)
     beside = np.where(inside, np.float32(0), share)
@@ -86,7 +86,7 @@ def skin_blobs(skin: Map, radius: float, heads: Array | None = None) -> SkinBlob
     moments = np.concatenate([moments, moments[two] / 2, moments[two] / 2])
     log_weights = np.concatenate([log_weights, *2 * [log_weights[two] - np.log(2)]])
     order = np.argsort(-log_weights, kind="stable")[:MOST_BLOBS]
-    covariances = (SPREAD * reach) ** 2 * np.eye(2) + ELONGATION * moments[order]
+    covariances = (BLOB_STD * reach) ** 2 * np.eye(2) + ELONGATION * moments[order]
     return SkinBlobs((means[order] + 0.5) / scale - 0.5, covariances / scale**2, log_weights[order])
 
 
@@ -112,7 +112,7 @@ def _peaks(share: Map, reach: float) -> NDArray[np.int64]:
 
 
 def _thinned(places: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
-    """Those that are not close to an earlier one."""
+    """Drop places that are close to an earlier one."""
     apart = ((places[:, None] - places[None]) ** 2).sum(axis=2) > (TOGETHER * reach) ** 2
     kept: list[int] = []
     for place in range(len(places)):
@@ -129,7 +129,7 @@ def _log_weights(odds: Map, places: NDArray[np.int64], reach: float) -> Array:
 
 
 def _local(share: Map, places: NDArray[np.int64], reach: float) -> tuple[Array, Array, Array]:
-    """Skin near places: its centre `(n, 2)`, second moments `(n, 2, 2)` and amount `(n,)`, in pixels."""
+    """Return centre `(n, 2)`, second moments `(n, 2, 2)` and mass `(n,)` of the skin near places, in px."""
     half = int(np.ceil(2.5 * reach))
     steps = np.arange(-half, half + 1)
     padded = np.pad(share, half)
@@ -156,7 +156,7 @@ def _centres(weights: Array, steps: NDArray[np.int64]) -> Array:
     return np.asarray(sums / total[:, None], np.float64)
 
 
-BLUR = 1.2  # px: of the picture in which edges are looked for
+BLUR = 1.2  # px: of the image before edge detection
 
 STEEPEST, OVER_MEDIAN, LEAST, WEAK = 0.9, 3.5, 12.0, 0.4
 """An edge begins where the gradient is among the image's steepest tenth, above 3.5 times its median and that
@@ -167,28 +167,26 @@ stays below twice its median, and soft shades go by steps of one level."""
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BodyImage:
-    """Everything that is asked of an image when poses of a body are compared with it, worked out once."""
+    """Features of an image that poses of a body are compared with."""
 
     # `(height, width)` float32 nats, from -4 to 4: log odds of skin; `None` without colour
     skin: NDArray[np.float32] | None
-    moving_skin: NDArray[np.float32] | None  # the same less what is skin all the time: for hands
+    moving_skin: NDArray[np.float32] | None  # the same less the static skin: for hands
     # `(height, width)` float32 px: distance to the nearest edge, capped at a sixth of the head's height
     edges: NDArray[np.float32]
     # `(height, width)` float32 rad, between 0 and pi: the normal of the nearest edge, as angle from x to y
     edge_directions: NDArray[np.float32]
-    # `(m, 2)` px: centres of places with as much skin as a hand shows, the strongest first
-    blobs: NDArray[np.float64]
+    blobs: NDArray[np.float64]  # `(m, 2)` px: centres of `SkinBlobs`
     blob_log_weights: NDArray[np.float64]  # `(m,)`: log odds of a hand against clutter, up to a constant
-    # the evidence phi(I, F) of head and hands that faces, blobs and keypoints give
-    mixtures: GaussianMixtures
-    keypoints: SeenKeypoints | None = None  # points of this body that a detector has found, if there are any
+    mixtures: GaussianMixtures  # evidence phi(I, F) of head and hands by faces, blobs and key points
+    keypoints: SeenKeypoints | None = None  # detected points of this body, if any
     bare: float = 0.0  # probability that forearms are bare
-    # nats: log odds of an arm's colour, half as large as the image; `None` where clothes are not known
+    # nats: log odds of an arm's colour, half as large as the image; `None` without known clothes
     arms: NDArray[np.float32] | None = None
     _made: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def once(self, key: Hashable, make: Callable[["BodyImage"], Made]) -> Made:
-        """`make(self)`, or what it was for an equal `key`: a filter and its hindsight ask for the same."""
+        """Return `make(self)`, cached by `key`: a filter and its smoother need the same."""
         if key not in self._made:
             self._made[key] = make(self)
         made: Made = self._made[key]
@@ -202,13 +200,13 @@ class BodyImage:
 
 
 def edge_distances(image: NDArray[np.uint8], reach: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Distance to the nearest edge, and which way that edge faces.
+    """Return distance and direction of the nearest edge.
 
-    What counts as an edge depends on the image's own gradients: dim and soft pictures have edges, too.
+    The threshold depends on the image's own gradients: dim and soft images have edges, too.
 
-    `image` `(height, width)` or `(height, width, 3)` BGR; `reach` px: distances are capped here. Returns
-    `distances`, `directions`: both `(height, width)` float32: px; rad from 0 to pi, the angle from x to y of
-    the edge's normal (that of the gradient). Without any edge, the cap and 0.
+    `image` `(height, width)` or `(height, width, 3)` BGR; `reach` px: cap of the distances. Returns
+    `distances`, `directions`, both `(height, width)` float32: px; rad from 0 to pi, the angle from x to y of
+    the edge's normal (the gradient's). Without any edge, the cap and 0.
     """
     smooth = cv2.GaussianBlur(grey_of(image), (0, 0), BLUR)
     right, down = (cv2.Sobel(smooth, cv2.CV_16S, *order, ksize=3) for order in ((1, 0), (0, 1)))
@@ -222,12 +220,12 @@ def edge_distances(image: NDArray[np.uint8], reach: float) -> tuple[NDArray[np.f
     )
     rows, columns = np.nonzero(edges)
     angles = np.zeros(len(rows) + 1, np.float32)
-    # in float64: the angle of float32 is another one on other CPUs
+    # in float64: the angle of float32 differs between CPUs
     normals = np.arctan2(down[rows, columns], right[rows, columns], dtype=np.float64)
     angles[nearest[rows, columns]] = normals % np.pi
     return np.minimum(distances, np.float32(reach)), angles[nearest]
 
 
 def _off_ties(threshold: float) -> float:
-    """A threshold that no gradient equals (squares are whole): about ties OpenCV's two codes differ."""
+    """Return a threshold that no gradient equals (squares are whole): OpenCV's codes differ in ties."""
     return float(np.sqrt(np.floor(threshold**2) + 0.5))

@@ -1,4 +1,4 @@
-"""Points of a person that a detector has found, as evidence of a body's pose."""
+"""Key points of persons from a detector, as evidence of a body's pose."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from .upper_body import JOINTS, PARTS, PROPORTIONS, UpperBody
 Array = NDArray[np.float64]
 
 DEVIATIONS = {"head": 0.12, "neck": 0.15, "shoulder": 0.15, "elbow": 0.12, "hand": 0.12, "wrist": 0.15}
-"""Head heights: standard deviation of a point that was found about that of the model. Networks err by about
-0.05 to 0.1 of these; the rest is what people mean by a shoulder, a turned head, and wrists that are bent."""
+"""Head heights: standard deviation of a detected point about that of the model. Networks err by about 0.05 to
+0.1 of these; the rest is the definition of a shoulder, a turned head, and bent wrists."""
 
 BEYOND = PROPORTIONS["hand"] / (PROPORTIONS["forearm"] - PROPORTIONS["hand"])
 """A hand's centre is beyond the wrist by half a hand: this share of the way from the elbow to the wrist. In
@@ -27,42 +27,42 @@ FROM_ELBOW, WITHOUT_ELBOW = 0.22, 0.28
 """Head heights: standard deviations of a hand's centre of which the wrist is known, with the elbow and
 without: a wrist that is bent by half a rad takes the hand 0.15 off, one that points anywhere by 0.2."""
 
-SURE = 0.9  # probability that a wholly sure point is right: a network's errors last for many frames
+SURE = 0.9  # probability that a point of score 1 is right: a network's errors last for many frames
 
 EXCHANGED = (0.95, 0.03, 0.02)
-"""Probability that sides are told rightly, that arms are exchanged below the shoulders, and that all are."""
+"""Probability that sides are right, that arms are exchanged below the shoulders, and that all points are."""
 
-SOMEBODY_ELSE = 0.05  # probability that all points are another person's
+OTHER_PERSON = 0.05  # probability that all points are another person's
 AROUND = 4.0  # head heights: side of the square of false points, which are mostly the same person's
 
 KEPT = (("shoulder", "elbow", "hand", "wrist"), ("shoulder",), ())
-"""Kinds of points whose sides are told rightly, in the order of `EXCHANGED`."""
+"""Kinds of points whose sides are right, in the order of `EXCHANGED`."""
 
-SAME_THING = 0.3  # head heights: so near to each other a point and a blob of skin, or a face, are one
+SAME_BLOB = 0.3  # head heights: a point within this distance of a blob of skin, or a face, has its label
 
 OTHER = {"left": "right", "right": "left"}
 
-SAME_HEAD = 0.6  # head heights: so far from where the head is known to be is that of another person
+SAME_HEAD = 0.6  # head heights: distance between heads from which they are different persons'
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class SeenKeypoints:
-    """Points that are taken for this body's.
+    """Detected key points of this body.
 
-    Each is where the pose has it, with a normal error, or false; sides may be exchanged, of the arms or of
-    all; and all may be another person's. A score says how probable a point is: 1 is `SURE`, 0.5 half of that.
+    Each has a normal error, or is false; sides may be exchanged, of the arms or of all; and all points may be
+    another person's. A point of score s is right with probability s `SURE`.
     """
 
-    positions: Array  # `(10, 2)` px in the order of `KEYPOINTS`, NaN where a point was not found
-    probabilities: Array  # `(10,)`: that a point is what it says; 0 where it was not found
+    positions: Array  # `(10, 2)` px in the order of `KEYPOINTS`, NaN where a point was not detected
+    probabilities: Array  # `(10,)`: that a point is right; 0 where it was not detected
     head_height: float  # px
 
     @classmethod
     def of(cls, given: GivenKeypoints, heads: Array, head_height: float) -> Self | None:
-        """The points of the person whose head is nearest to one of `heads` `(k, 2)` px.
+        """Select the person whose head is nearest to one of `heads` `(k, 2)` px.
 
-        Where no head is known, those of the largest person; `None` if nobody is near enough.
+        The largest person without `heads`; `None` if no person is near enough.
         """
         if not len(given):
             return None
@@ -79,27 +79,23 @@ class SeenKeypoints:
         return cls(given.positions[person], SURE * scores, head_height)
 
     def mixtures(self, hands: Array, heads: Array) -> GaussianMixtures:
-        """What they say of head, left and right hand: ratios of probabilities, as of blobs of skin.
+        """Return likelihood ratios of head, left and right hand, as of blobs; sides may be exchanged.
 
-        Sides may be exchanged.
-
-        `hands`, `heads` `(k, 2)`, `(m, 2)` px: other things in the picture that hands and heads may be, whose
-        labels are 0 to k + m - 1. A point that is as near to one of them as `SAME_THING` has its label,
-        others have labels of their own.
+        `hands`, `heads` `(k, 2)`, `(m, 2)` px: other detections of hands and heads, whose labels are 0 to
+        k + m - 1. A point within `SAME_BLOB` of one has its label, others have labels of their own.
         """
         head = KEYPOINTS.index("head")
         own_hands = [self._hand(side) for side in ("left", "right")]
         unit = self.head_height
-        head_spread = DEVIATIONS["head"]
         places = [self.positions[head], *(place for place, _, _ in own_hands)]
-        spreads = np.square(np.array([head_spread, *(spread for _, spread, _ in own_hands)]) * unit)
+        variances = np.square(np.array([DEVIATIONS["head"], *(std for _, std, _ in own_hands)]) * unit)
         chances = np.array([self.probabilities[head], *(chance for _, _, chance in own_hands)])
-        chances *= 1 - SOMEBODY_ELSE
+        chances *= 1 - OTHER_PERSON
         exchanged = self._exchanged
         numbers = len(hands) + len(heads) + np.arange(len(PARTS))
         for thing, (others, first) in enumerate(((heads, len(hands)), (hands, 0), (hands, 0))):
             apart = np.linalg.norm(others - places[thing], axis=1)
-            if (apart < SAME_THING * unit).any():
+            if (apart < SAME_BLOB * unit).any():
                 numbers[thing] = first + apart.argmin()
         log_weights, means, covariances, labels, flat = [], [], [], [], []
         for part in range(len(PARTS)):
@@ -111,29 +107,29 @@ class SeenKeypoints:
             own = (shares * chances)[things]
             log_weights.append(np.log(own * (AROUND * unit) ** 2))
             means.append(np.array([places[thing] for thing in things]).reshape(-1, 2))
-            covariances.append(spreads[things, None, None] * np.eye(2))
+            covariances.append(variances[things, None, None] * np.eye(2))
             labels.append(numbers[things])
             flat.append(np.log(1 - own.sum()))
         return GaussianMixtures.of_parts(log_weights, means, covariances, flat, labels)
 
     def log_ratios(self, body: UpperBody, joints: Array) -> Array:
-        """`(n,)` nats: how much more probable points are if neck, shoulders and arms are there than anywhere.
+        """`(n,)` nats: log likelihood ratios of the points of neck, shoulders and arms against false points.
 
         The head is left to `mixtures`. `joints` are those of n poses, `(n, 8, 2)` or `(n, 8, 3)` px.
         """
         ratios = np.zeros(len(joints))
-        found = [name for name in self._counted if self.probabilities[KEYPOINTS.index(name)] > 0]
-        if not found:
+        names = [name for name in self._counted if self._is_detected(name)]
+        if not names:
             return ratios
-        rows = [KEYPOINTS.index(name) for name in found]
-        deviations = self.head_height * np.array([DEVIATIONS[name.rpartition("_")[2]] for name in found])
+        rows = [KEYPOINTS.index(name) for name in names]
+        deviations = self.head_height * np.array([DEVIATIONS[name.rpartition("_")[2]] for name in names])
         probable = self.probabilities[rows]
         wrist = 1 - body.hand / body.forearm
-        chances = np.append((1 - SOMEBODY_ELSE) * np.array(EXCHANGED), SOMEBODY_ELSE)
+        chances = np.append((1 - OTHER_PERSON) * np.array(EXCHANGED), OTHER_PERSON)
         keypoint_terms(
             joints, self.positions[rows],
-            np.array([[_ends(_mirrored(name, kept)) for name in found] for kept in KEPT]),
-            np.array([wrist if name.endswith("wrist") else 0.0 for name in found]),
+            np.array([[_ends(_mirrored(name, kept)) for name in names] for kept in KEPT]),
+            np.array([wrist if name.endswith("wrist") else 0.0 for name in names]),
             probable * (AROUND * self.head_height) ** 2 / (2 * np.pi * deviations**2), 0.5 / deviations**2,
             1 - probable, chances, ratios,
         )  # fmt: skip
@@ -158,18 +154,18 @@ class SeenKeypoints:
 
     @property
     def _counted(self) -> list[str]:
-        """Names of the points of neck and arms; where a hand is found, its wrist says nothing new."""
-        hands = {name for name in JOINTS if name.endswith("hand") and self._found(name)}
+        """Names of the points of neck and arms; the wrist of a detected hand is left out."""
+        hands = {name for name in JOINTS if name.endswith("hand") and self._is_detected(name)}
         return [
             name for name in KEYPOINTS[1:]
             if not (name.endswith("wrist") and name.replace("wrist", "hand") in hands)
         ]  # fmt: skip
 
-    def _found(self, name: str) -> bool:
+    def _is_detected(self, name: str) -> bool:
         return bool(self.probabilities[KEYPOINTS.index(name)] > 0)
 
     def _hand(self, side: str) -> tuple[Array, float, float]:
-        """A hand's centre px, its standard deviation in head heights, and the probability of it all."""
+        """Return a hand's centre px, its standard deviation in head heights, and its probability."""
         hand, wrist, elbow = (KEYPOINTS.index(f"{side}_{name}") for name in ("hand", "wrist", "elbow"))
         places, probable = self.positions, self.probabilities
         if probable[hand] > 0:
@@ -180,7 +176,7 @@ class SeenKeypoints:
 
 
 def head_places(given: GivenKeypoints, head_height: float) -> Array:
-    """`(n, 2)` px: heads of persons, as found, or above neck or shoulders; NaN where nothing says."""
+    """`(n, 2)` px: heads of persons, detected, or above neck or shoulders; NaN without any of these."""
     rows = {name: given.positions[:, place] for place, name in enumerate(KEYPOINTS)}
     between = 0.5 * (rows["left_shoulder"] + rows["right_shoulder"])
     places = rows["head"].copy()
@@ -191,7 +187,7 @@ def head_places(given: GivenKeypoints, head_height: float) -> Array:
 
 
 def joints_of(given: GivenKeypoints) -> Array:
-    """`(n, 8, 2)` px: `JOINTS` of persons; hands that were not found are beyond their wrists."""
+    """`(n, 8, 2)` px: `JOINTS` of persons; hands that were not detected are beyond their wrists."""
     joints = given.positions[:, : len(JOINTS)].copy()
     for side in ("left", "right"):
         hand, wrist, elbow = (KEYPOINTS.index(f"{side}_{name}") for name in ("hand", "wrist", "elbow"))
@@ -201,26 +197,26 @@ def joints_of(given: GivenKeypoints) -> Array:
 
 
 def beyond(elbow: Array, wrist: Array) -> Array:
-    """`(..., 2)` px: where the centre of a hand is whose wrist is straight."""
+    """`(..., 2)` px: centre of a hand with a straight wrist."""
     place: Array = wrist + BEYOND * (wrist - elbow)
     return place
 
 
 def largest(given: GivenKeypoints) -> int:
-    """Number of the person whose points reach over most of the picture."""
+    """Index of the person whose points have the largest extent."""
     low, high = (np.where(np.isnan(given.positions), bad, given.positions) for bad in (np.inf, -np.inf))
     reach = np.linalg.norm(np.maximum(high.max(axis=1) - low.min(axis=1), 0.0), axis=1)
     return int(reach.argmax())
 
 
 def _mirrored(name: str, kept: Collection[str]) -> str:
-    """The same point of the other side, unless it is of a kind that is kept."""
+    """Name of the same point of the other side, unless it is of a kind that is kept."""
     side, _, kind = name.partition("_")
     return name if not kind or kind in kept else f"{OTHER[side]}_{kind}"
 
 
 def _ends(name: str) -> tuple[int, int]:
-    """Between which joints a point is."""
+    """Indices of the joints that a point lies between."""
     if name.endswith("wrist"):
         side = name.partition("_")[0]
         return JOINTS.index(f"{side}_elbow"), JOINTS.index(f"{side}_hand")

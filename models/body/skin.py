@@ -1,7 +1,4 @@
-"""Colour of a person's skin, learned from the face, and skin-coloured regions that never move.
-
-No skin colour is built in.
-"""
+"""Colour of a person's skin, learned from the face (none is built in), and static skin-coloured regions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,26 +16,26 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Map = NDArray[np.float32]
 
-BINS = (8, 64, 64)  # of luma and two differences of colour: shades of one skin differ in luma first of all
+BINS = (8, 64, 64)  # of luma and two differences of colour: shades of one skin differ mostly in luma
 
 N_BINS = int(np.prod(BINS))
 
 SMOOTHING = (0.7, 1.5, 1.5)  # of the histograms, bins: one face has too few pixels for 32,768 of them
-FLOOR = 1 / 30  # added to both densities, in units of the uniform one: unseen colours say nothing
-HIGHEST = 4.0  # nats: as much as one pixel can say for or against skin
-LEAST_COLOUR = 4.0  # levels by which one pixel in a hundred differs from grey; compression makes 1 to 3
+FLOOR = 1 / 30  # added to both densities, in units of the uniform one: unseen colours have ratio 1
+HIGHEST = 4.0  # nats: bound of the log ratio
+LEAST_COLOUR = 4.0  # levels by which one pixel in a hundred differs from grey; compression causes 1 to 3
 
 FACE_CENTRE, FACE_AXES = 0.52, (0.33, 0.42)
 """In a detector's box: skin without the background beside the chin, and mostly without hair."""
 
 HEAD_AXES = (0.8, 0.95)  # about the box's centre: beyond it there is neither face nor neck
-BLUR = 0.8  # px: single pixels' noise is no colour
+BLUR = 0.8  # px: against noise of single pixels
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class SkinColour:
-    """How much more often colours are seen in a face than elsewhere."""
+    """Log ratio of colours in the face against elsewhere."""
 
     # `(8, 64, 64)` float32 nats, from -4 to 4, by Y, Cr, Cb: log of a colour's density in faces over others
     table: NDArray[np.float32]
@@ -47,12 +44,12 @@ class SkinColour:
     def learned(cls, images: Sequence[Image], boxes: Array) -> Self | None:
         """Learn from images in which the person's face was found.
 
-        The rest of the image holds the hands, too: where they cover a share s of it, the ratio stays below
-        1 / s, which the bounds of the table hide unless s is above 2 %.
+        The rest of the image includes the hands: where they cover a share s of it, the ratio stays below
+        1 / s, which the bound of the table hides unless s is above 2 %.
 
         `images`: n of them, `(height, width, 3)` uint8 BGR, or `(height, width)`; `boxes` `(n, 4)` px: x, y,
-        width, height of one face in each. Returns `None` if the images have no colour: grey tells nothing of
-        skin. Raises `ValueError` if there are no images, or not as many boxes.
+        width, height of one face in each. Returns `None` if the images have no colour. Raises `ValueError`
+        if there are no images, or not as many boxes.
         """
         if not len(images) or np.shape(boxes) != (len(images), 4):
             raise ValueError(
@@ -69,38 +66,37 @@ class SkinColour:
         return cls(log_count_ratio(face, rest))
 
     def log_odds(self, image: Image) -> NDArray[np.float32]:
-        """Log odds of skin against anything else, where both are as likely without the colour.
+        """Return the log odds of skin, of even prior: `(height, width)` float32 nats, from -4 to 4.
 
-        `image` `(height, width, 3)` uint8 BGR. Returns `(height, width)` float32 nats, from -4 to 4. Raises
-        `ValueError` if the image has one channel.
+        `image` `(height, width, 3)` uint8 BGR. Raises `ValueError` if it has one channel.
         """
         return self.log_odds_of(smoothed(image))
 
     def log_odds_of(self, colours: Image) -> NDArray[np.float32]:
-        """The same, of what `smoothed` gives."""
+        """Return the log odds of skin of a `smoothed` image."""
         return look_up(self.table, colours)
 
 
 def count_colours(image: Image, where: NDArray[np.bool_]) -> Array:
-    """How often colours are seen in an image `where` `(height, width)`, by bins."""
+    """Count colours of an image `where` `(height, width)`, by bins."""
     return np.asarray(np.bincount(_bins(smoothed(image))[where], minlength=N_BINS), np.float64)
 
 
 def log_count_ratio(some: Array, others: Array) -> NDArray[np.float32]:
-    """Table of nats over `BINS`: how much more often colours are among some counts than among others."""
+    """Return the log ratio of two densities of colours from counts, a table of nats over `BINS`."""
     ratio = np.log(_density(some) / _density(others))
     return np.asarray(np.clip(ratio, -HIGHEST, HIGHEST), np.float32)
 
 
 def look_up(table: NDArray[np.float32], colours: Image) -> NDArray[np.float32]:
-    """`(height, width)` nats: what a table over `BINS` says of the colours that `smoothed` gives."""
+    """`(height, width)` nats: values of a table over `BINS` at the colours of a `smoothed` image."""
     out = np.empty(colours.shape[:2], np.float32)
     look_up_colours(colours.reshape(-1, 3), table.reshape(-1), out.reshape(-1))
     return out
 
 
 def has_colour(image: Image) -> bool:
-    """Whether an image differs from a grey one by more than compression makes it."""
+    """Whether an image differs from a grey one by more than compression causes."""
     if image.ndim == 2:
         return False
     some = image[::4, ::4].astype(np.int16)
@@ -108,7 +104,7 @@ def has_colour(image: Image) -> bool:
 
 
 def smoothed(image: Image) -> Image:
-    """`(height, width, 3)` Y, Cr, Cb of a BGR image, as tables of colours are asked for them.
+    """Return the smoothed Y, Cr, Cb `(height, width, 3)` of a BGR image, for tables of colours.
 
     Raises `ValueError` if the image has one channel.
     """
@@ -139,15 +135,15 @@ def _regions(shape: tuple[int, ...], box: Array) -> tuple[NDArray[np.bool_], NDA
     return face, ~head
 
 
-AWAY = 0.2  # share of a clip in which a pixel has to be without skin, so that skin there says anything
-LEAST_FRAMES = 8  # frames, spread over a clip, from which this can be learned
-LEVELS = 16  # steps of the log odds per nat, so that many frames fit into memory
+AWAY = 0.2  # quantile of a pixel's log odds over a clip that counts as static
+LEAST_FRAMES = 8  # frames, spread over a clip, that this needs
+LEVELS = 16  # steps of the log odds per nat: 8 bits of memory a pixel
 
 
 def static_skin(colour: SkinColour, images: Sequence[NDArray[np.uint8]]) -> Map | None:
-    """`(height, width)` nats: log odds of skin that a pixel has in nearly all frames, 0 if it has none.
+    """Return the log odds of skin that a pixel has in nearly all frames, `(height, width)` nats, 0 at least.
 
-    How much a skin-coloured pixel speaks for a hand is its log odds less this.
+    They are subtracted from the log odds in a frame, as evidence of hands.
 
     `images`: of one clip with a camera at rest, spread over its length; `None` of fewer than `LEAST_FRAMES`.
     Raises `ValueError` if they are of different sizes.

@@ -24,9 +24,8 @@ class BodyPoses(Rows):
     """Poses of an upper body with 16 degrees of freedom, one an entry (RSMCM paper §4.1 has 13).
 
     x is to the right, y down and z away from the viewer; "left" is the person's own. The elbow is a hinge,
-    so the directions of upper arm and forearm hold all four angles of an arm, without jumps. Everything is
-    said in the picture's axes and not in those of the torso: who leans keeps the head up, and hands where
-    they are.
+    so the directions of upper arm and forearm determine all four angles of an arm, without jumps. All is in
+    the image's axes, not the torso's: people who lean keep their head up, and their hands in place.
 
     Parameters
     ----------
@@ -51,16 +50,16 @@ class BodyPoses(Rows):
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """All of them, in this order."""
+        """Roots, torsos, necks and arms."""
         return self.roots, self.torsos, self.necks, self.arms
 
     @classmethod
     def concatenated(cls, parts: Sequence[Self]) -> Self:
-        """All poses of `parts`, one after the other."""
+        """Concatenate poses."""
         return parts[0].joined(parts[1:])
 
     def take(self, chosen: Any) -> Self:
-        """The poses chosen by a slice, a mask or indices."""
+        """Select poses by a slice, a mask or indices."""
         if isinstance(chosen, slice):
             return self.only(chosen)
         rows = np.asarray(chosen)
@@ -69,14 +68,14 @@ class BodyPoses(Rows):
         return type(self)(*(each.take(rows, 0) for each in self.arrays))  # several times faster than `[rows]`
 
     def replaced(self, where: NDArray[np.bool_], others: "BodyPoses") -> Self:
-        """The same, but for poses `where` `(n,)`, which are those of `others`."""
+        """Replace the poses `where` `(n,)` by those of `others`."""
         pairs = zip(self.arrays, others.arrays, strict=True)
         return type(self)(
             *(np.where(where.reshape(-1, *[1] * (own.ndim - 1)), new, own) for own, new in pairs)
         )
 
     def with_rows(self, rows: NDArray[np.intp], others: "BodyPoses") -> Self:
-        """The same, but for poses `rows` `(k,)`, which are `others`, k of them."""
+        """Replace the poses `rows` `(k,)` by k `others`."""
         changed = type(self)(*(each.copy() for each in self.arrays))
         for own, new in zip(changed.arrays, others.arrays, strict=True):
             own[rows] = new
@@ -92,7 +91,7 @@ class BodyPoses(Rows):
         """`(n, 16)`: root, torso, neck, of each arm rotation vector of the shoulder and flexion of the elbow.
 
         A shoulder at zero lets the arm hang, and the elbow bends the forearm towards the viewer. The twist of
-        a straight arm cannot be seen from its directions: it is taken from `transport`.
+        a straight arm, which its directions leave open, is that of `transport`.
         """
         rotations, flexions = shoulder_rotations(self.arms)
         n = len(self)
@@ -105,7 +104,7 @@ class BodyPoses(Rows):
 
 
 def shoulder_rotations(arms: Array) -> tuple[Array, Array]:
-    """Rotations of the shoulders and flexions of the elbows of `arms` `(..., 2, 3)` [upper arm, forearm].
+    """Return rotations of shoulders and flexions of elbows of `arms` `(..., 2, 3)` [upper arm, forearm].
 
     Returns `rotations` `(..., 3, 3)`: their second column is the upper arm, their first the elbow's axis;
     `flexions` `(...)` rad, from 0 (straight) to pi.
@@ -122,7 +121,7 @@ def shoulder_rotations(arms: Array) -> tuple[Array, Array]:
 
 
 def transport(upper: Array) -> Array:
-    """`(..., 3, 3)`: the shortest rotations that lead a hanging arm (0, 1, 0) to `upper` `(..., 3)`."""
+    """`(..., 3, 3)`: the smallest rotations from a hanging arm (0, 1, 0) to `upper` `(..., 3)`."""
     x, y, z = upper[..., 0], upper[..., 1], upper[..., 2]
     square = x * x + z * z
     turned_over = (square < 1e-28) & (y < 0)
@@ -137,18 +136,17 @@ def transport(upper: Array) -> Array:
     return rotations
 
 
-_SPREAD = 0.15  # standard deviation of log lengths of people about the usual proportions
-_NOISE = 0.03  # usual error of a joint along a segment, over the height of the head; known to a factor of two
-_WRONG = 0.05  # share of joints that are somewhere else
+_LENGTH_STD = 0.15  # of log lengths of people about the usual proportions
+_NOISE = 0.03  # head heights: usual error of a joint along a segment, known to a factor of two
+_WRONG = 0.05  # share of outliers
 
 
 def projected_length(apparent: Array, usual: float, noise: float) -> float:
-    """The likeliest length (px) of a segment that is seen from all sides as long as `apparent` `(n,)` px.
+    """Estimate the length (px) of a segment from its projected lengths `apparent` `(n,)` px.
 
-    At the angle a to the line of sight it is seen L sin(a) long, plus normal errors. All angles are taken as
-    equally frequent; of directions at random, fewer would point to the viewer, but arms do more often than
-    that. The density is greatest just below L, so that a few pictures suffice. The length is expected about
-    `usual` px, the errors about `noise` px.
+    At the angle a to the line of sight it appears L sin(a) long, plus normal errors. Angles are uniform:
+    arms point to the viewer more often than random directions do. The density peaks just below L, so a few
+    images suffice. Priors: length about `usual` px, errors about `noise` px.
     """
     from scipy.optimize import minimize
 
@@ -161,8 +159,8 @@ def projected_length(apparent: Array, usual: float, noise: float) -> float:
         distance = (apparent[:, None] - length * sines) / deviation
         density = np.exp(-0.5 * distance**2).mean(1) / (np.sqrt(2 * np.pi) * deviation)
         likelihood = np.log((1 - _WRONG) * density + _WRONG / (3 * usual)).sum()
-        # heavy tails (Student's t, three degrees of freedom): what is seen all the time wins in the end
-        prior = -2 * np.log1p(((logs[0] - np.log(usual)) / _SPREAD) ** 2 / 3)
+        # heavy tails (Student's t, three degrees of freedom): many observations outweigh the prior
+        prior = -2 * np.log1p(((logs[0] - np.log(usual)) / _LENGTH_STD) ** 2 / 3)
         prior -= 0.5 * ((logs[1] - np.log(noise)) / np.log(2)) ** 2
         return float(-prior - likelihood)
 
@@ -176,14 +174,14 @@ def projected_length(apparent: Array, usual: float, noise: float) -> float:
 
 
 def _apparent(first: Array, second: Array) -> Array:
-    """Distances in the picture of `(n, 2)` px, where both are known."""
+    """Distances between `(n, 2)` px, where both are known."""
     distance: Array = np.hypot(*(first - second).T)
     known: Array = distance[~np.isnan(distance)]
     return known
 
 
 def _head_height(seen: dict[str, Array], head_heights: Array | None) -> float:
-    """Height of the head: given, or by usual proportions from the surest segment that was seen."""
+    """Height of the head: given, or by usual proportions from the most reliable segment."""
     given = np.array([] if head_heights is None else head_heights, np.float64).ravel()
     given = given[~np.isnan(given)]
     known = [(given, 0.5, 1.0)]
@@ -193,10 +191,10 @@ def _head_height(seen: dict[str, Array], head_heights: Array | None) -> float:
         if len(lengths):
             height = float(np.quantile(lengths, quantile) / share)
             if not (np.isfinite(height) and height > 0):
-                raise ValueError(f"joints lead to a head of {height:g} px, expected a positive height")
+                raise ValueError(f"joints: got a head of {height:g} px, expected a positive height")
             return height
     raise ValueError(
-        "joints tell of no length: no picture has both ends of a segment, nor is any head's height given"
+        "joints: got no length, expected both ends of a segment in one image, or a head's height"
     )
 
 
@@ -210,10 +208,9 @@ JOINTS = (
 
 @dataclass(frozen=True)
 class JointLimits:
-    """How far the joints turn, in rad; of the right arm everything is mirrored.
+    """Limits of the joints, in rad, of the left arm; those of the right one are mirrored.
 
-    The limits are wide: they are to exclude what no person does, not to tell what is usual. Head and arms
-    are limited by the torso, in whose axes their limits are said.
+    They are wide, to exclude impossible poses only. Limits of head and arms are in the torso's axes.
     """
 
     torso: float = np.radians(45)  # largest rotation of the torso, from upright
@@ -227,12 +224,12 @@ class JointLimits:
     outwards: float = np.radians(-100)
     inwards: float = np.radians(100)
     elbow: float = 2.6  # greatest flexion: muscles meet
-    # flexion below which the turn of the upper arm cannot be told, so that it is not tested
+    # flexion below which the turn of the upper arm is undetermined, and not tested
     straight: float = 0.15
 
     @cached_property
     def numbers(self) -> Array:
-        """`(10,)`: the limits as `within_limits` takes them."""
+        """`(10,)`: the limits for `within_limits`."""
         centre = np.array(self.swing_centre) / np.linalg.norm(self.swing_centre)
         middle, half = 0.5 * (self.inwards + self.outwards), 0.5 * (self.inwards - self.outwards)
         bends = np.cos([self.elbow, self.straight])
@@ -267,7 +264,7 @@ class UpperBody:
     Raises
     ------
     ValueError
-        for a length that is no positive number or that no person has beside the others.
+        for a length that is not positive, or more than four times off the proportions.
     """
 
     head_height: float
@@ -287,47 +284,47 @@ class UpperBody:
         for field in fields(self):
             length = getattr(self, field.name)
             if not (np.isfinite(length) and length > 0):
-                raise ValueError(f"{field.name} must be a positive length in px, got {length}")
+                raise ValueError(f"{field.name}: got {length} px, expected more than 0")
             usual = PROPORTIONS.get(field.name, 1.0) * self.head_height
             if not usual / 4 < length < 4 * usual:
                 raise ValueError(
-                    f"{field.name} is impossible: {length:g} px beside a head of "
-                    f"{self.head_height:g} px, where about {usual:.3g} px are usual"
+                    f"{field.name}: got {length:g} px beside a head of {self.head_height:g} px, "
+                    f"expected about {usual:.3g} px"
                 )
 
     @classmethod
     def from_head(cls, head_height: float) -> Self:
-        """A body of usual proportions with a head of `head_height` px, chin to top of the skull."""
+        """Return a body of usual proportions with a head of `head_height` px, chin to top of the skull."""
         if not (np.isfinite(head_height) and head_height > 0):
-            raise ValueError(f"head_height must be a positive length in px, got {head_height}")
+            raise ValueError(f"head_height: got {head_height} px, expected more than 0")
         lengths = {name: float(share * head_height) for name, share in PROPORTIONS.items()}
         return cls(head_height=float(head_height), **lengths)
 
     @classmethod
     def fit(cls, joints: Array, head_heights: Array | None = None) -> Self:
-        """A body from joints seen in a few pictures: what they do not tell has usual proportions.
+        """Fit a body to joints in a few images; what they leave open has usual proportions.
 
-        Shoulders and neck mostly face the camera, so that their medians are taken: of somebody who turns by
-        17 degrees as a rule the shoulders come out 2 % too narrow. Arms point anywhere and are seen at most
-        as long as they are, see `projected_length`. Left and right have equal lengths.
+        Shoulders and neck mostly face the camera, so medians are taken: with typical turns of 17 degrees the
+        shoulders are 2 % too narrow. Arms point anywhere, see `projected_length`. Left and right have equal
+        lengths.
 
         Parameters
         ----------
         joints
-            `(n_frames, 8, 2)` px: the `JOINTS` in each picture, clicked or detected, NaN where they are not.
+            `(n_frames, 8, 2)` px: the `JOINTS` in each image, NaN where unknown.
         head_heights
-            `(n_frames,)` px, chin to top of the skull, NaN where unknown; None: from the place of the head.
+            `(n_frames,)` px, chin to top of the skull, NaN where unknown; `None`: from the joints.
 
         Raises
         ------
         ValueError
-            if the joints have another shape, tell of no length, or lead to lengths that no person has.
+            if the joints have another shape, or give no length or an impossible one.
         """
         joints = np.asarray(joints, np.float64)
         if joints.ndim != 3 or joints.shape[1:] != (len(JOINTS), 2):
-            raise ValueError(f"joints must be (n_frames, {len(JOINTS)}, 2) px, got {joints.shape}")
+            raise ValueError(f"joints: got shape {joints.shape}, expected (n_frames, {len(JOINTS)}, 2)")
         if np.isinf(joints).any():
-            raise ValueError("joints must be px in the picture or NaN where they are not seen, got infinity")
+            raise ValueError("joints: got infinity, expected px, or NaN where a joint is not seen")
         head, root, left, left_elbow, left_hand, right, right_elbow, right_hand = joints.transpose(1, 0, 2)
         root = np.where(np.isnan(root), (left + right) / 2, root)
         seen = {
@@ -351,7 +348,7 @@ class UpperBody:
         return cls(**lengths)
 
     def joints(self, poses: BodyPoses) -> Array:
-        """`(n, 8, 3)` px: where the `JOINTS` are; z is 0 at the root and grows away from the viewer."""
+        """`(n, 8, 3)` px: positions of the `JOINTS`; z is 0 at the root and grows away from the viewer."""
         joints = np.empty((len(poses), 8, 3))
         place_joints(
             *poses.arrays,
@@ -360,7 +357,7 @@ class UpperBody:
         return joints
 
     def parts(self, poses: BodyPoses) -> Array:
-        """`(n, 3, 2)` px: where head, left hand and right hand are seen."""
+        """`(n, 3, 2)` px: head, left hand and right hand in the image."""
         parts = np.empty((len(poses), 3, 2))
         place_parts(
             *poses.arrays,
@@ -369,11 +366,11 @@ class UpperBody:
         return parts
 
     def shoulders(self, poses: BodyPoses) -> Array:
-        """`(n, 2, 3)` px: where left and right shoulder are, as in `joints`."""
+        """`(n, 2, 3)` px: left and right shoulder, as in `joints`."""
         return self.joints(poses).take([2, 5], 1)
 
     def allowed(self, poses: BodyPoses) -> Mask:
-        """`(n,)`: whether every joint is within its limits and no arm goes through or behind the torso."""
+        """`(n,)`: whether every joint is within its limits and no arm is in or behind the torso."""
         allowed = np.empty(len(poses), np.bool_)
         torso = np.array([self.shoulder_width, self.torso_width, self.torso_height, 0.45 * self.head_height])
         within_limits(
@@ -396,21 +393,20 @@ PROPORTIONS = {
     "torso_height": 2.0,
     "torso_width": 1.25,
 }
-"""Lengths of a usual body over the height of its head."""
+"""Lengths of an average body over the height of its head."""
 
 
 REFERENCE = np.array([0.7, -0.7, 0.1]) / np.sqrt(0.99)
-"""Swivel 0 of the left arm: the elbow lies outwards and up. Hands are seldom on this line from a shoulder."""
+"""Direction of swivel 0 of the left elbow: outwards and up, where hands seldom are."""
 
 
 def arm_at(body: "UpperBody", side: int, offsets: Array, swivels: Array) -> tuple[Array, Mask]:
-    """Arms that bring their hands to given places, by the law of cosines.
+    """Solve the inverse kinematics of arms by the law of cosines.
 
     `side`: 0 for the left arm, 1 for the right one; `offsets` `(n, 3)` px: hand minus shoulder; `swivels`
-    `(n,)` rad: where on its circle the elbow is, from the direction nearest to `REFERENCE`; arms that are
-    mirror images of each other have equal swivels. Returns `arms` `(n, 2, 3)`: unit vectors along upper arm
-    and forearm; `reachable` `(n,)`: whether hands can be there; the other arms are stretched, or folded,
-    along the line to it.
+    `(n,)` rad: angle of the elbow on its circle, from the direction nearest to `REFERENCE`; mirrored arms
+    have equal swivels. Returns `arms` `(n, 2, 3)`: unit vectors along upper arm and forearm; `reachable`
+    `(n,)`: whether hands reach there; other arms are stretched, or folded, along the line to it.
     """
     arms, reachable = np.empty((len(offsets), 2, 3)), np.empty(len(offsets), np.bool_)
     reach(

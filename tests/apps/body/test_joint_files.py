@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 from rsmcm.apps.body.joint_files import read_joints
 from rsmcm.models.body.upper_body import JOINTS
@@ -32,22 +31,6 @@ def test_joints_of_some_frames(tmp_path: Path) -> None:
 
 
 places = st.floats(-1e6, 1e6, allow_nan=False)
-
-
-@given(
-    joints=st.dictionaries(
-        st.tuples(st.integers(1, 99), st.sampled_from(JOINTS)), st.tuples(places, places), min_size=1
-    )
-)
-def test_what_is_written_is_read(
-    joints: dict[tuple[int, str], tuple[float, float]], tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    lines = [f"{frame},{joint},{x!r},{y!r}" for (frame, joint), (x, y) in joints.items()]
-    clicked = read_joints(write(tmp_path_factory.mktemp("joints"), "\n".join(["frame,joint,x,y", *lines])))
-    assert np.count_nonzero(np.isfinite(clicked.places)) == 2 * len(joints)
-    for (frame, joint), place in joints.items():
-        row = clicked.frames.tolist().index(frame)
-        assert tuple(clicked.places[row, JOINTS.index(joint)]) == place
 
 
 @pytest.mark.parametrize(

@@ -124,20 +124,6 @@ def test_a_stationary_chain_still_hears_the_others():
     assert moved.mean() > 1.5
 
 
-def test_detections_out_of_reach_leave_the_prediction():
-    """All of them have failed, by however small a chance: 1e-12 each."""
-    chain = a_chain()
-    state, _ = started(chain)
-    prediction = chain.predict(state, DT)
-    far = seen([[20.0, 20.0], [20.0, 340.0], [620.0, 20.0]], 1.0, chance=1 - 1e-12)
-    after = chain.update(prediction, Incoming({NODE: PartMessage(NOTHING, picture(far))}))
-    assert after.log_evidence == pytest.approx(3 * np.log(1e-12), abs=1e-3)
-    before, found = body_moments(BODY, prediction), body_moments(BODY, after)
-    spread = np.sqrt(before.joint_covariances.diagonal(axis1=1, axis2=2))
-    # hundreds of effective samples on either side
-    assert (np.abs(found.joints - before.joints) < 0.3 * spread + 0.1).all()
-
-
 def test_where_nothing_is_possible_the_prediction_stays():
     """Nothing is known of the past, and poses are drawn from detections that no body reaches."""
     chain = a_chain()

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from rsmcm.chains.body.dynamics import (
@@ -63,15 +61,6 @@ def test_mixture_is_that_of_the_plain_formula():
             poses, DT
         )
         assert found == pytest.approx(plain_log_density(dynamics, poses, ancestors, weights, DT), abs=2e-3)
-
-
-def test_nothing_underflows_far_from_all_ancestors():
-    random = np.random.default_rng(2)
-    dynamics = BodyDynamics(BODY, jumps=0.0)
-    ancestors = some_poses(20, random)
-    poses = some_poses(30, random)
-    poses.roots[:] += 1e4
-    assert np.isfinite(dynamics.log_density(poses, Ancestors(ancestors, np.full(20, 0.05), DT))).all()
 
 
 def test_draws_have_the_density_that_is_evaluated():
@@ -139,17 +128,6 @@ def test_ten_steps_have_the_moments_of_one():
         assert (np.abs(covariances[0] - covariances[1]) < bar).all()
     for each in (once, stepwise):
         assert each.arms.mean(axis=0) == pytest.approx(directions, abs=6 * 0.6 / np.sqrt(n))
-
-
-def test_anywhere_is_within_the_limits_and_the_picture():
-    random = np.random.default_rng(5)
-    dynamics = BodyDynamics(BODY)
-    poses = dynamics.draw_anywhere(200, (360, 640), random)
-    assert BODY.allowed(poses).all()
-    assert ((poses.roots >= 0) & (poses.roots <= (640, 360))).all()
-    density = dynamics.log_density_anywhere(poses, (360, 640))
-    rest = replace(poses, torsos=np.zeros((200, 3)), necks=np.zeros((200, 3)))
-    assert (dynamics.log_density_anywhere(rest, (360, 640)) >= density).all()
 
 
 def test_ancestors_are_drawn_in_proportion_to_their_terms():

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from rsmcm.chains.body.flesh_assignment import MovingParts
-from rsmcm.chains.body.flesh_state import HEAD, LEFT, MOST_HYPOTHESES, RIGHT, FleshTracks
+from rsmcm.chains.body.flesh_state import HEAD, LEFT, RIGHT, FleshTracks
 from rsmcm.chains.body.flesh_tracker import FleshTracker
 from rsmcm.inference import Incoming
 from rsmcm.models.body.image_features import BodyImage
@@ -206,19 +206,6 @@ def test_clean_single_detections_are_filterpys_up_to_the_doubt() -> None:
 # --- which thing is which part ---
 
 
-def test_two_hands_may_be_one_blob() -> None:
-    """Both are somewhere in it, less surely than a hand of its own."""
-    together = [CENTRE, at((0.0, 1.6))[0]]
-    coming = [seen([CENTRE, *at((part, 1.6), (-part, 1.6))], faces=[0]) for part in np.linspace(0.8, 0.25, 8)]
-    state = followed([*coming, *[seen(together, faces=[0])] * 5])[-1]
-    assert state.labels[LEFT] == state.labels[RIGHT] == 1
-    np.testing.assert_array_equal(state.unseen, 0.0)
-    assert off(state, [CENTRE, together[1], together[1]]).max() < 0.3
-    alone = standing()
-    spreads = [np.linalg.det(each.position_covariances[HEAD + 1 :]) ** 0.25 for each in (state, alone)]
-    assert (spreads[0] > 1.5 * spreads[1]).all()
-
-
 def test_a_hand_that_is_not_seen_does_not_jump_onto_the_other_one() -> None:
     states = followed([seen(REST[:2], faces=[0])] * 15, standing())
     assert all(state.labels[RIGHT] == NO_LABEL for state in states)
@@ -246,30 +233,6 @@ def test_hands_that_met_may_be_exchanged_until_somebody_knows() -> None:
         assert after.positions[upper, 1] < after.positions[lower, 1]
         assert exchanged(after, at(*truth)) < 0.05
         assert off(after, at(*truth)).max() < 0.15
-
-
-def test_a_hypothesis_of_one_percent_survives_and_wins_when_others_know_better() -> None:
-    """That the hands are exchanged, for 15 frames in which nothing tells but the sides they are on."""
-    state = standing().take(np.array([0]))
-    both = replace(state, log_weights=np.log([0.99])).joined(
-        replace(state.exchanged(), log_weights=np.log([0.01]))
-    )
-    states = followed([seen(REST, faces=[0])] * 15, both)
-    assert all(1e-4 < exchanged(each, REST) < 0.05 for each in states)
-    assert all(len(each.weights) <= MOST_HYPOTHESES for each in states)
-    other_way = REST[[HEAD, RIGHT, LEFT]]
-    knowing = told((0, 0), (-0.8, 1.6), (0.8, 1.6), spread=0.2)
-    after = followed([seen(REST, faces=[0]) * knowing] * 3, states[-1])[-1]
-    assert off(after, other_way).max() < 0.1
-
-
-def test_others_may_overrule_tracks_that_seemed_sure() -> None:
-    """A chain that knows better than the tracker exchanges the hands, though their motion speaks for them."""
-    state = standing()
-    for _ in range(3):
-        look = seen(REST, faces=[0]) * told((0, 0), (-0.8, 1.6), (0.8, 1.6), spread=0.3)
-        state = stepped(state, look)
-    assert off(state, REST[[HEAD, RIGHT, LEFT]]).max() < 0.1
 
 
 # --- what is wrong or missing ---
@@ -353,18 +316,6 @@ def test_what_others_say_is_not_followed_itself() -> None:
     np.testing.assert_allclose(hearing.unseen, 10 * DT)
 
 
-@pytest.mark.parametrize("right_one", [2, 3])
-def test_others_decide_what_is_taken_for_a_hand(right_one: int) -> None:
-    """Of two things on either side of where it was."""
-    sides = at((0.8, 1.35), (0.8, 1.85))
-    look = seen([CENTRE, REST[RIGHT], *sides], faces=[0])
-    place = sides[right_one - 2]
-    others = told((0, 0), *((place - CENTRE) / HEIGHT)[None], (-0.8, 1.6), spread=0.15)
-    helped = followed([look * others] * 4, standing())[-1]
-    assert helped.labels[LEFT] == right_one
-    assert off(helped, REST[[HEAD, LEFT, RIGHT]] + [[0, 0], place - REST[LEFT], [0, 0]]).max() < 0.1
-
-
 # --- what any filter must keep ---
 
 
@@ -401,77 +352,7 @@ def test_covariances_stay_positive_definite_and_messages_integrate_to_one(seed: 
         assert message.log_mass == pytest.approx(0, abs=1e-5)
 
 
-@given(SEEDS)
-@settings(max_examples=8, deadline=None)
-def test_numbers_and_order_of_blobs_do_not_matter(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    state = TRACKER.predict(standing(), DT)
-    blobs = np.concatenate([REST + random.normal(0, 20, (3, 2)), random.uniform(0, 300, (3, 2))])
-    order = random.permutation(6)
-    ordered, shuffled = seen(blobs).mixtures, seen(blobs[order]).mixtures
-    renamed = replace(shuffled, labels=np.where(shuffled.labels == NO_LABEL, NO_LABEL, 40 - shuffled.labels))
-    first, *others = (updated(state, picture(each)) for each in (ordered, shuffled, renamed))
-    for other in others:
-        np.testing.assert_allclose(other.log_weights[:3], first.log_weights[:3], rtol=1e-6, atol=1e-6)
-        np.testing.assert_allclose(other.positions, first.positions, rtol=1e-6)
-        np.testing.assert_allclose(other.position_covariances, first.position_covariances, rtol=1e-4)
-
-
 # --- in an engine ---
-
-
-@pytest.mark.slow
-def test_robustness_pays_in_clutter() -> None:
-    """Against the same filters if each simply takes the nearest blob there is, on three sequences."""
-    errors: dict[str, list[float]] = {"robust": [], "nearest": []}
-    for seed in range(3):
-        random = np.random.default_rng(seed)
-        truth = wave(random, 120)
-        hidden = bursts(random, truth.shape[:2])
-        looks = []
-        for places, out in zip(truth, hidden, strict=True):
-            shown = places[~out] + random.normal(0, NOISE, ((~out).sum(), 2))
-            clutter = random.uniform((60, 20), (580, 340), (random.poisson(1.0), 2))
-            looks.append(np.concatenate([shown, clutter]))
-        faces = [[0] if not out[HEAD] else [] for out in hidden]
-        states = followed(
-            [seen(*each, faces=face) for *each, face in zip(looks, faces, strict=True)], near(truth[0])
-        )
-        errors["robust"].extend(np.concatenate([off(*pair) for pair in zip(states, truth, strict=True)]))
-        parts = MovingParts(near(truth[0]).means[0], near(truth[0]).covariances[0])
-        speeds = HEIGHT * np.array([TRACKER.head_speed, TRACKER.hand_speed, TRACKER.hand_speed])
-        for blobs, places in zip(looks, truth, strict=True):
-            parts = parts.predict(DT, speeds, TRACKER.velocity_time)
-            if len(blobs):
-                apart = np.linalg.norm(parts.means[:, None, :2] - blobs, axis=2)
-                nearest = blobs[apart.argmin(axis=1)][:, None]
-                spread = parts.covariances[:, :2, :2]
-                gain = spread @ np.linalg.inv(spread + NOISE**2 * np.eye(2))
-                off_by = (nearest[:, 0] - parts.means[:, :2])[..., None]
-                parts = parts.with_positions(parts.means[:, :2] + (gain @ off_by)[..., 0], NOISE**2 * gain)
-            errors["nearest"].extend(np.linalg.norm(parts.means[:, :2] - places, axis=1) / HEIGHT)
-    robust, nearest = (float(np.sqrt(np.mean(np.square(errors[name])))) for name in ("robust", "nearest"))
-    assert robust < 0.35
-    assert nearest > 2 * robust
-
-
-def wave(random: np.random.Generator, frames: int) -> Array:
-    """`(frames, 3, 2)`: a head that nods, hands that move to and fro on their own sides."""
-    time = DT * np.arange(frames)[:, None, None]
-    pace, phase = random.uniform(3, 6, (3, 2)), random.uniform(0, 6, (3, 2))
-    reach = HEIGHT * np.array([[0.1], [0.5], [0.5]])
-    return np.asarray(REST + reach * np.sin(pace * time + phase))
-
-
-def bursts(random: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """A fifth of the frames, in which a part is not seen, in runs of about 5; none of the first five."""
-    share, length = 0.2, 5.0
-    hidden = np.zeros(shape, np.bool_)
-    for frame in range(5, shape[0]):
-        begins = random.random(shape[1]) < share / (1 - share) / length
-        goes_on = random.random(shape[1]) > 1 / length
-        hidden[frame] = np.where(hidden[frame - 1], goes_on, begins)
-    return hidden
 
 
 def near(places: Array) -> FleshTracks:

@@ -98,25 +98,6 @@ def test_weighted_draws_are_of_the_prediction(case: str) -> None:
     assert np.median(bar) < 4.0, "px: else it would say nothing"
 
 
-@pytest.mark.parametrize("case", ["none", "near", "far away"])
-def test_ancestors_are_drawn_together_with_poses(case: str) -> None:
-    """Those of a posture weigh what they do by themselves, but for what of their draws the joints allow."""
-    past, dynamics = past_of(3), BodyDynamics(BODY)
-    said, n, tries = targets_of(case, past), len(past.poses), 2000
-    drawn = dynamics.draw(past.poses.take(np.repeat(np.arange(n), tries)), DT, np.random.default_rng(4))
-    usual = np.exp(dynamics.log_posture(drawn, DT)) * BODY.allowed(drawn)
-    expected = past.weights * usual.reshape(n, tries).mean(axis=1)
-    expected = expected.reshape(3, -1).sum(axis=1) / expected.sum()
-    runs = []
-    for run in range(RUNS):
-        found = draw_guided(dynamics, past, said, 3000, np.random.default_rng(run))
-        each = np.bincount(found.ancestors, np.exp(found.log_weights), n)
-        runs.append(each.reshape(3, -1).sum(axis=1))
-    bar = SIGMAS * np.std(runs, axis=0, ddof=1) / np.sqrt(RUNS) + 0.02 * expected
-    assert (np.abs(np.mean(runs, axis=0) - expected) < bar).all()
-    assert (bar < 0.2).all()
-
-
 def density(
     draws: Guided, past: Ancestors, dynamics: BodyDynamics, target: tuple[int, Array, float]
 ) -> Array:

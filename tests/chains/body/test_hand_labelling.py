@@ -60,13 +60,6 @@ def test_nothing_is_exchanged_before_it_is_sure():
         assert (found.shares[60:] > 0.9).all() if exchanged else (found.shares[60:] < 0.5).all()
 
 
-def test_frames_of_one_look_say_one_thing():
-    apart, log_odds = np.zeros(40), np.full(40, 1.0)
-    slow, fast = (label_hands(np.arange(40), dt * np.arange(40), log_odds, apart) for dt in (1e-3, 1e-4))
-    assert abs(slow.filtered_log_odds[-1] - slow.filtered_log_odds[0]) < 40 * 1e-3 / CORRELATION_TIME
-    assert abs(fast.filtered_log_odds[-1] - fast.filtered_log_odds[0]) < 40 * 1e-4 / CORRELATION_TIME
-
-
 def test_labels_go_on_from_what_is_known():
     random = np.random.default_rng(9)
     times, log_odds, confusable = np.arange(9) * 0.1, 3 * random.standard_normal(9), random.random(9)

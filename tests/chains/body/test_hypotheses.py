@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.body.samples import ENOUGH, WORTH_SAYING, BodySamples, Hypotheses, hypotheses
+from rsmcm.chains.body.samples import WORTH_SAYING, BodySamples, Hypotheses, hypotheses
 from rsmcm.models.body.upper_body import BodyPoses, UpperBody
 
 from ...support.body_poses import resting
@@ -61,17 +61,3 @@ def test_a_region_is_one_answer() -> None:
 def test_what_is_worth_saying(second: float, shown: bool) -> None:
     found = answers(reaching(np.array([0.2, 1.2]), np.zeros(2)), np.array([1 - second, second]))
     assert (found.second is not None) == shown
-
-
-def test_of_many_samples_some_are_drawn() -> None:
-    """Their shares are right within what the number of draws allows."""
-    n = 10 * ENOUGH
-    left = np.where(np.random.default_rng(2).random(n) < 0.25, 0.2, 1.3)
-    found = answers(reaching(left, np.zeros(n)), np.full(n, 1 / n))
-    share = np.mean(left == 0.2)
-    error = np.sqrt(share * (1 - share) / ENOUGH)
-    np.testing.assert_allclose(found.weights, [1 - share, share, 0, 0], atol=3 * error)
-    for place, turn in enumerate((1.3, 0.2)):
-        np.testing.assert_allclose(
-            found.joints[place], BODY.joints(reaching(np.array([turn]), np.zeros(1)))[0]
-        )

@@ -44,16 +44,6 @@ def test_weighted_proposals_are_draws_of_the_static_prior():
     ).all()
 
 
-def test_hands_are_where_the_mixtures_say():
-    random = np.random.default_rng(8)
-    dynamics = BodyDynamics(BODY)
-    places = np.array([[[320.0, 90.0], [370.0, 200.0], [270.0, 220.0]]])
-    mixtures = mixtures_about(np.repeat(places, 3, axis=0), 2.0)
-    proposal = draw_from_likelihood(dynamics, mixtures, 500, random)
-    assert len(proposal.poses) == 500
-    assert np.abs(BODY.parts(proposal.poses) - places).max() < 2.0 * 6
-
-
 def test_out_of_reach_there_are_no_poses():
     random = np.random.default_rng(9)
     places = np.array([[[320.0, 90.0], [900.0, 200.0], [270.0, 220.0]]])

@@ -14,7 +14,6 @@ from rsmcm.chains.body.samples import (
     initial_samples,
     part_message,
     predict_samples,
-    stationary_samples,
 )
 from rsmcm.models.body.upper_body import JOINTS, BodyPoses, UpperBody
 
@@ -60,19 +59,6 @@ def test_message_integrates_to_one_and_has_the_moments_of_the_parts(n: int, grou
         np.testing.assert_allclose(covariances[part], expected, rtol=1e-8, atol=1e-8)
 
 
-def test_message_shows_both_places_of_a_hand() -> None:
-    """Half of the samples have it elsewhere: it is not in between."""
-    poses = some(1).take(np.zeros(400, np.int64))
-    roots = poses.roots.copy()
-    roots[200:, 0] += 150.0
-    poses = replace(poses, roots=roots)
-    message = part_message(BODY, poses, np.full(400, 1 / 400), 4)
-    places = BODY.parts(poses)[[0, 200]]
-    at = message.predicted.log_values(np.concatenate([places, places.mean(axis=0, keepdims=True)]))
-    assert (at[:2] > at[2] + 1).all()
-    np.testing.assert_allclose(at[0], at[1], atol=0.01)
-
-
 def test_moments_are_those_of_weighted_joints_and_angles() -> None:
     state = samples(some(80))
     found = body_moments(BODY, state)
@@ -107,27 +93,7 @@ def test_weights_after_a_look_and_the_evidence() -> None:
     assert after.ancestors is None
 
 
-def test_a_stationary_frame_hears_others_but_has_no_evidence() -> None:
-    state = samples(some(30))
-    factors = np.linspace(-2, 0, 30)
-    after = stationary_samples(state, factors)
-    np.testing.assert_allclose(after.weights, state.reweighed(factors).weights)
-    assert after.stationary
-    assert after.log_evidence == 0.0
-
-
 # --- first frame, next frame ---
-
-
-def test_first_samples_of_an_unknown_person_are_anywhere() -> None:
-    state = initial_samples(DYNAMICS, 500, SIZE, np.random.default_rng(0))
-    assert BODY.allowed(state.poses).all()
-    roots = state.poses.roots
-    bar = 5 / np.sqrt(12 * 500)
-    assert (np.abs(roots.mean(axis=0) / (SIZE[1], SIZE[0]) - 0.5) < bar).all()
-    assert state.ancestors is None
-    assert state.stationary
-    np.testing.assert_allclose(state.weights, 1 / 500)
 
 
 def test_first_samples_are_a_moment_from_the_start() -> None:
@@ -161,15 +127,6 @@ def test_predictions_are_draws_of_the_mixture_around_their_ancestors() -> None:
     bar = 5 * np.sqrt(np.diag(covariance) / 20_000)
     assert (np.abs(after.poses.roots.mean(axis=0) - mean) < bar).all()
     np.testing.assert_allclose(np.cov(after.poses.roots.T), covariance, atol=0.05 * covariance.max())
-
-
-def test_ancestors_are_all_poses_of_the_frame_before() -> None:
-    """With their weights, where none are exchanged: what is improbable now may turn out to be right."""
-    state = samples(some(3000))
-    past = predict_samples(replace(DYNAMICS, exchanges=0.0), state, 100, DT).ancestors
-    assert past is not None
-    assert past.poses is state.poses
-    np.testing.assert_array_equal(past.weights, state.weights)
 
 
 def test_predicting_in_steps_is_predicting_at_once() -> None:

@@ -32,14 +32,6 @@ def allowed_poses(n: int, seed: int) -> BodyPoses:
     return poses
 
 
-def with_arm(upper: Array, forearm: Array) -> BodyPoses:
-    """One body whose left arm is like this, while the right one hangs a little aside."""
-    poses = resting(np.array([[280.0, 200.0]]))
-    poses.arms[0, 0] = upper / np.linalg.norm(upper), forearm / np.linalg.norm(forearm)
-    poses.arms[0, 1] = np.array([-0.6, 0.8, 0.0])
-    return poses
-
-
 def spheres(poses: BodyPoses, part: int) -> tuple[Array, Array]:
     """Centres `(k, 3)` and radii `(k,)` of spheres that fill a limb or a hand of the first pose."""
     joints = BODY.joints(poses)[0]
@@ -83,7 +75,7 @@ def of_part(outline: Silhouettes, part: int) -> tuple[Array, Array]:
     return outline.points[0, mine].astype(np.float64), outline.normals[0, mine].astype(np.float64)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_pictures_show_the_nearest_of_all_solids(seed: int) -> None:
     poses = allowed_poses(1, seed)
     labels = masks(BODY, poses, SIZE)[0]
@@ -142,7 +134,7 @@ def test_the_head_is_the_outline_of_a_turned_ellipsoid(seed: int) -> None:
     np.testing.assert_allclose((points * normals).sum(1), farthest, atol=0.1)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_points_are_visible_where_the_picture_shows_their_part(seed: int) -> None:
     poses = allowed_poses(8, seed)
     outline = silhouettes(BODY, poses)
@@ -161,72 +153,6 @@ def test_points_are_visible_where_the_picture_shows_their_part(seed: int) -> Non
     assert (beyond != own)[seen].mean() > 0.97
     assert (beyond != own)[~seen].mean() > 0.97
     assert (shown != own)[~seen].mean() > 0.8
-
-
-def test_a_forearm_towards_the_viewer_is_the_disc_of_its_larger_end() -> None:
-    poses = with_arm(np.array([1.0, 0.0, 0.0]), np.array([0.02, 0.0, -1.0]))
-    points, _ = of_part(silhouettes(BODY, poses), OUTLINE_PARTS.index("left_forearm"))
-    elbow = BODY.joints(poses)[0, 3, :2]
-    radius = np.linalg.norm(points - elbow, axis=1)
-    np.testing.assert_allclose(radius, BODY.forearm_width / 2, atol=0.1)
-    # evenly spread
-    gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    np.testing.assert_allclose(gaps, gaps.mean(), rtol=0.02)
-
-
-@given(seeds)
-def test_foreshortening_moves_the_outline_without_jumps(seed: int) -> None:
-    # through the angle at which one end of the forearm begins to hold the other
-    random = np.random.default_rng(seed)
-    limit = (BODY.forearm_width - BODY.wrist_width) / 2 / BODY.forearm
-    turn = random.uniform(0, 2 * np.pi)
-    outlines = []
-    for shift in (-1e-3, 1e-3):
-        aside = (limit + shift) * np.array([np.cos(turn), np.sin(turn)])
-        poses = with_arm(np.array([0.9, 0.1, -0.2]), np.array([*aside, -np.sqrt(1 - aside @ aside)]))
-        outlines.append(of_part(silhouettes(BODY, poses), OUTLINE_PARTS.index("left_forearm"))[0])
-    apart = np.linalg.norm(outlines[0][:, None] - outlines[1], axis=-1).min(1)
-    assert apart.max() < 0.3 * BODY.forearm_width
-
-
-@pytest.mark.parametrize("depth", [-1, 1])
-def test_a_hand_hides_a_face_or_the_face_hides_the_hand(depth: int) -> None:
-    from rsmcm.models.body.upper_body import arm_at
-
-    poses = resting(np.array([[280.0, 200.0]]))
-    joints = BODY.joints(poses)[0]
-    place = joints[0] + [8, 20, depth * 0.8 * BODY.head_height] - joints[2]
-    arms, reachable = arm_at(BODY, 0, place[None], np.array([2.5]))
-    assert reachable.all()
-    poses.arms[0, 0] = arms[0]
-    outline = silhouettes(BODY, poses)
-    hand, head = outline.part == HANDS[0], outline.part == HEAD
-    within = np.linalg.norm(outline.points[0] - (joints[0, :2] + [8, 20]), axis=1) < 0.9 * BODY.hand
-    if depth < 0:
-        assert outline.visible[0, hand].all()
-        assert not outline.visible[0, head & within].any()
-        assert masks(BODY, poses, SIZE)[0, 134, 288] == HANDS[0] + 1
-    else:
-        assert outline.visible[0, head].sum() >= 17
-        assert outline.visible[0, hand].sum() <= 4
-        assert masks(BODY, poses, SIZE)[0, 134, 288] == HEAD + 1
-
-
-def test_torso_has_shoulders_sides_and_a_neck_that_goes_with_the_head() -> None:
-    poses = resting(np.tile([280.0, 200.0], (3, 1)))
-    poses.necks[1:, 2] = [0.6, -0.6]
-    outline = silhouettes(BODY, poses)
-    mine = outline.part == TORSO
-    points, normals = outline.points[0, mine], outline.normals[0, mine]
-    assert points[:, 1].max() < 200 + BODY.torso_height
-    assert abs(points[:, 0] - 280).max() < BODY.shoulder_width / 2 + 1
-    assert ((points[:, 0] - 280) * normals[:, 0] > 0).all()
-    labels = masks(BODY, poses, SIZE)
-    # between the root and the head there is always something of the body
-    heads = BODY.joints(poses)[:, 0, :2]
-    for share in np.linspace(0, 1, 12):
-        places = np.rint((1 - share) * poses.roots + share * heads).astype(int)
-        assert (labels[np.arange(3), places[:, 1], places[:, 0]] > 0).all()
 
 
 @settings(max_examples=15, deadline=None)

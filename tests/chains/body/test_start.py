@@ -11,7 +11,6 @@ from rsmcm.apps.io import read_keypoints
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.chains.body.start import MOST_FRAMES, follow_person
 from rsmcm.models import GivenKeypoints
-from rsmcm.models.body.upper_body import JOINTS
 
 from ...conftest import Command, summary_of
 from ...support.keypoints import found_in, write_csv
@@ -23,7 +22,6 @@ complaint = run.complaint
 
 N_FRAMES = 12
 FEW = ("--samples", "100")
-HEAD = JOINTS.index("head")
 
 
 @pytest.fixture(scope="module")
@@ -72,31 +70,6 @@ def test_a_person_is_found_without_a_detector_of_faces(
     assert json.loads((out / "manifest.json").read_text())["application"] == "body"
 
 
-def test_beside_a_marked_head_they_are_evidence(
-    film: Path, scene: SignerScene, found: list[GivenKeypoints], tmp_path: Path
-) -> None:
-    """The person whose head it is is followed, and the lengths are those of the points."""
-    path = write_csv(tmp_path / "k.csv", found)
-    x, y = scene.joints[0, HEAD, :2] - 0.5 * np.array([scene.body.head_width, scene.body.head_height])
-    head = f"{x:.0f},{y:.0f},{scene.body.head_width:.0f},{scene.body.head_height:.0f}"
-    assert run(film, "--out", tmp_path / "out", "--keypoints", path, "--head", head, "--stop", 3, *FEW) == 0
-    summary = summary_of(tmp_path / "out")
-    assert summary["keypoints"] == {"persons": 6, "frames": 3}
-    assert summary["body"]["origin"].startswith(f"Fitted to keypoints in {N_FRAMES} frames")
-    assert summary["body"]["lengths"]["head_height"] == round(scene.body.head_height)
-
-
-def test_a_run_is_resumed_only_with_the_same_file(
-    film: Path, found: list[GivenKeypoints], tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    path, out = write_csv(tmp_path / "k.csv", found), tmp_path / "out"
-    options = (film, "--out", out, "--keypoints", path, "--stop", 2, *FEW)
-    assert run(*options) == 0
-    assert run(*options, "--resume") == 0
-    write_csv(path, found[:-1])
-    assert "keypoints" in complaint(capfd, *options, "--resume")
-
-
 def test_files_that_do_not_fit(
     film: Path, found: list[GivenKeypoints], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -112,7 +85,7 @@ def test_files_that_do_not_fit(
     path.write_text("frame,joint,x,y\n1,left_wrist,50,60\n")
     assert "holds no frame in which a head or shoulders were found" in said()
     path.write_text("frame,joint,x,y\n1,head,50,60\n")
-    assert "joints tell of no length" in said()
+    assert "joints: got no length" in said()
     path.write_text("frame,joint,x,y\n1,head,50,60\n1,neck,50,9000\n")
     assert f"{path}" in said()
     path.write_text("frame,joint,x,y\n1,paw,50,60\n")

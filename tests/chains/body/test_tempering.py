@@ -238,19 +238,6 @@ def test_sums_over_preselected_poses_have_the_same_expectation(kind: str) -> Non
     assert bar[-1] < expected[-1]
 
 
-def test_a_good_first_look_saves_samples() -> None:
-    """The mean of the likelihood has less variance than over as many poses drawn by their weights."""
-    poses, log_weights = scene_of_hands(12)
-    likelihood = looks(np.median(BODY.parts(poses)[:, 1:], axis=0), 15.0)(poses)
-    means: list[list[float]] = [[], []]
-    for run in range(40):
-        for kind, first_look in enumerate((nothing(poses), likelihood)):
-            chosen, after = preselect(BODY, poses, log_weights, first_look, 300, np.random.default_rng(run))
-            means[kind].append(np.exp(after) @ np.exp(likelihood[chosen]))
-    blind, good = np.std(means, axis=1)
-    assert good < 0.7 * blind
-
-
 @dataclass(frozen=True)
 class InStages:
     """A likelihood of which one hand is looked at first."""

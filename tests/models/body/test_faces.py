@@ -41,7 +41,7 @@ def test_the_largest_is_not_a_false_one() -> None:
     found = [faces(other, own), faces(false, own, other), NONE, faces(own, other), faces(other)]
     picture, face = find_largest_face(found)
     np.testing.assert_array_equal(found[picture][face], faces(own)[0])
-    with pytest.raises(ValueError, match="found: got no face in 2 pictures"):
+    with pytest.raises(ValueError, match="faces: got none in 2 images"):
         find_largest_face([NONE, NONE])
 
 
@@ -49,7 +49,7 @@ def test_the_face_that_is_pointed_at() -> None:
     found = [NONE, faces((100, 80, 60), (300, 80, 40)), faces((300, 80, 40))]
     assert find_face_at(found, faces((280, 100, 80))[0]) == (1, 1)
     assert find_face_at(found, faces((130, 60, 20))[0]) == (1, 0)
-    with pytest.raises(ValueError, match="found: got no face in 1 pictures"):
+    with pytest.raises(ValueError, match="faces: got none in 1 images"):
         find_face_at([NONE], faces((0, 0, 1))[0])
 
 

@@ -3,8 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.body.image_features import edge_distances
 from rsmcm.models.numerics.threads import set_threads, thread_count
@@ -56,16 +54,6 @@ def test_noise_is_hardly_an_edge() -> None:
     noise = np.random.default_rng(0).normal(100, 6, (200, 300))
     distances, _ = edge_distances(noise.clip(0, 255).astype(np.uint8), 15.0)
     assert (distances == 0).mean() < 0.03
-
-
-@settings(max_examples=10, deadline=None)
-@given(st.integers(1, 20), st.integers(1, 20))
-def test_shifted_picture_shifted_distances(right: int, down: int) -> None:
-    image = np.full((160, 200), 60, np.uint8)
-    image[50:90, 60:100] = 180
-    one, _ = edge_distances(image, 10.0)
-    two, _ = edge_distances(np.roll(image, (down, right), (0, 1)), 10.0)
-    np.testing.assert_array_equal(two, np.roll(one, (down, right), (0, 1)))
 
 
 def hills(seed: int) -> Image:

@@ -89,7 +89,7 @@ def plain_circle(side: int, along: Array) -> tuple[Array, Array]:
 
 
 @given(SEEDS)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_joints_and_parts_are_those_of_plain_arrays(seed: int) -> None:
     given_ones = poses(seed)
     given_ones.necks[:3] = [[0, 0, 0], [1e-10, 0, 0], [3.0, -2.0, 1.0]]
@@ -100,7 +100,7 @@ def test_joints_and_parts_are_those_of_plain_arrays(seed: int) -> None:
 
 
 @given(SEEDS)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_the_same_poses_are_allowed_as_by_plain_arrays(seed: int) -> None:
     given_ones = poses(seed)
     expected = plain_allowed(given_ones)
@@ -117,7 +117,7 @@ def test_limits_hold_for_arms_that_point_straight_up() -> None:
 
 
 @given(SEEDS, st.sampled_from([0, 1]))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_arms_and_swivels_are_those_of_plain_arrays(seed: int, side: int) -> None:
     random = np.random.default_rng(seed)
     offsets = units((100,), random) * random.uniform(10, 330, (100, 1))
@@ -145,7 +145,7 @@ def test_arms_and_swivels_are_those_of_plain_arrays(seed: int, side: int) -> Non
 
 
 @given(SEEDS)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_leaning_vectors_have_the_given_angle_and_go_round(seed: int) -> None:
     random = np.random.default_rng(seed)
     directions, cosines = units((100,), random), random.uniform(-1, 1, 100)

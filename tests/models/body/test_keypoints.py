@@ -13,10 +13,9 @@ from rsmcm.models.body.keypoints import (
     BEYOND,
     DEVIATIONS,
     EXCHANGED,
-    SOMEBODY_ELSE,
+    OTHER_PERSON,
     SURE,
     SeenKeypoints,
-    head_places,
     joints_of,
 )
 from rsmcm.models.core.frame import KEYPOINTS
@@ -56,9 +55,9 @@ def plain_ratios(places: Array, probability: float) -> Array:
     orders = [list(range(len(KEYPOINTS))), list(range(len(KEYPOINTS))), MIRRORED]
     for row in arms:
         orders[1] = [MIRRORED[row] if place == row else old for place, old in enumerate(orders[1])]
-    ratios = np.full(len(POINTS), SOMEBODY_ELSE)
+    ratios = np.full(len(POINTS), OTHER_PERSON)
     for chance, order in zip(EXCHANGED, orders, strict=True):
-        product = np.full(len(POINTS), chance * (1 - SOMEBODY_ELSE))
+        product = np.full(len(POINTS), chance * (1 - OTHER_PERSON))
         for row in (1, *SHOULDERS, *arms):
             if not np.isnan(places[row, 0]):
                 deviation = UNIT * DEVIATIONS[KEYPOINTS[row].rpartition("_")[2]]
@@ -90,7 +89,7 @@ def test_a_point_far_off_costs_no_more_than_one_that_was_not_found() -> None:
     assert (apart >= np.log(1 - SURE) - 1e-3).all()
     assert (apart <= 1e-3).all()
     everything = seen(places + 9 * UNIT).log_ratios(BODY, SCENE.joints)
-    np.testing.assert_allclose(everything, np.log(SOMEBODY_ELSE), atol=1e-3)
+    np.testing.assert_allclose(everything, np.log(OTHER_PERSON), atol=1e-3)
 
 
 def values(found: SeenKeypoints, places: Array) -> Array:
@@ -162,14 +161,6 @@ def test_the_person_nearest_to_the_head_counts() -> None:
     found = SeenKeypoints.of(larger, NOBODY, UNIT)
     assert found is not None
     np.testing.assert_array_equal(found.positions, 2 * POINTS[0])
-
-
-def test_heads_of_which_only_shoulders_are_known() -> None:
-    upright = POINTS[0].copy()
-    upright[0] = upright[1] - (0, 0.89 * UNIT)
-    for gone in ([0], [0, 1]):
-        np.testing.assert_allclose(head_places(given_of(without(upright, gone)), UNIT)[0], upright[0], atol=1)
-    assert np.isnan(head_places(given_of(without(upright, [0, 1, SHOULDERS[0]])), UNIT)).all()
 
 
 def test_evidence_of_an_image_holds_them() -> None:

@@ -64,7 +64,7 @@ def brute_force(said: PartMessage, places: Array) -> float:
 
 
 @given(SEEDS, st.integers(1, 4))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_values_are_sums_over_hypotheses(seed: int, n_hypotheses: int) -> None:
     random = np.random.default_rng(seed)
     said, places = message(random, n_hypotheses), random.normal(0, 10, (5, 3, 2))
@@ -74,7 +74,7 @@ def test_values_are_sums_over_hypotheses(seed: int, n_hypotheses: int) -> None:
 
 
 @given(SEEDS, st.integers(1, 4), st.integers(1, 4))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_products_are_products_of_values_and_commute(seed: int, n_ours: int, n_theirs: int) -> None:
     random = np.random.default_rng(seed)
     ours, theirs = message(random, n_ours), message(random, n_theirs)

@@ -1,6 +1,5 @@
 """What images say of head and hands."""
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -8,10 +7,7 @@ from rsmcm.models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts, PartM
 from rsmcm.models.body.skin import SkinColour
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
-from rsmcm.models.face.detectors import HaarFaces
 from scipy.special import logsumexp
-
-from ...support.signer_clip import signer_clip
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -84,14 +80,6 @@ def test_evidence_is_a_ratio_of_probabilities() -> None:
     assert average == pytest.approx(np.log(0.8 / 0.05 + 0.2), abs=1e-9)
 
 
-def test_head_turned_away() -> None:
-    """A detector finds the face at one side of the head; the skin says where its middle is."""
-    node = learned(BOX - (10, 0, 0, 0))
-    seen = node.evidence(Frame(picture(), 0.0, 1), node.uniform()).image
-    assert seen is not None
-    np.testing.assert_allclose(heaviest(seen.mixtures, 0), HEAD, atol=3)
-
-
 def test_no_face_detected() -> None:
     """The head is where a head's size of skin is, less surely."""
     node, other = learned(), learned(BOX)
@@ -162,27 +150,6 @@ def test_learned_from_a_clip() -> None:
 
 
 # hand-marked centres, px, of the right and the left hand in every 16th frame of a film of 125
-HANDS = {
-    0: ((249, 210), (311, 193)), 16: ((293, 201), (324, 134)), 32: ((237, 150), (310, 149)),
-    48: ((256, 196), (314, 149)), 64: ((313, 336), (286, 176)), 80: ((310, 336), (296, 173)),
-    96: ((314, 337), (306, 173)), 112: ((284, 287), (314, 167)),
-}  # fmt: skip
-
-
-@pytest.mark.skipif(not hasattr(cv2, "CascadeClassifier"), reason="OpenCV 5 has no cascades")
-def test_a_real_signer() -> None:
-    """Both hands have a blob of their own in all frames, also on the face and on trousers of its colour."""
-    images = signer_clip()
-    node = BodyParts.learned(images[::6], HaarFaces())
-    errors = []
-    for number, hands in HANDS.items():
-        seen = node.evidence(Frame(images[number], 0.0, number + 1), node.uniform()).image
-        assert seen is not None
-        apart = np.hypot(*(seen.blobs[:, None] - np.array(hands)).transpose(2, 0, 1))
-        assert len(set(apart.argmin(axis=0))) == 2
-        errors.extend(apart.min(axis=0))
-    assert np.median(errors) < 10
-    assert max(errors) < 25
 
 
 def two_people(order: int = 0) -> tuple[Image, Array, Array]:

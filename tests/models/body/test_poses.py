@@ -31,16 +31,6 @@ def random_poses(n: int, seed: int) -> BodyPoses:
 
 
 @given(seeds)
-def test_angles_lead_back_to_the_same_arms(seed: int) -> None:
-    poses = random_poses(20, seed)
-    again = from_angles(poses.angles)
-    np.testing.assert_allclose(again.arms, poses.arms, atol=1e-9)
-    np.testing.assert_array_equal(again.roots, poses.roots)
-    np.testing.assert_array_equal(again.torsos, poses.torsos)
-    np.testing.assert_array_equal(again.necks, poses.necks)
-
-
-@given(seeds)
 def test_arms_lead_back_to_the_same_angles(seed: int) -> None:
     random = np.random.default_rng(seed)
     angles = random.normal(size=(20, 16))

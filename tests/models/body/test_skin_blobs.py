@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.body.image_features import MOST_BLOBS, SkinBlobs, skin_blobs
+from rsmcm.models.body.image_features import SkinBlobs, skin_blobs
 from scipy.ndimage import gaussian_filter
 
 Map = NDArray[np.float32]
@@ -28,7 +28,7 @@ def nearest(blobs: SkinBlobs, x: float, y: float) -> tuple[int, float]:
     return int(distance.argmin()), float(distance.min())
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.floats(60, 260), st.floats(60, 180), st.floats(0.6, 1.0), st.floats(0.6, 1.3))
 def test_a_lone_hand(x: float, y: float, across: float, down: float) -> None:
     """Its middle is found to within a sixth of its radius, and nothing as strong elsewhere."""
@@ -84,15 +84,3 @@ def test_hand_on_cloth_of_nearly_its_colour() -> None:
 def test_no_skin_no_blobs() -> None:
     assert len(skin_blobs(np.full(SHAPE, -3, np.float32), RADIUS).means) == 0
     assert len(skin_blobs(np.full(SHAPE, 3, np.float32), RADIUS).means) == 0
-
-
-def test_not_too_many() -> None:
-    noise = gaussian_filter(np.random.default_rng(0).normal(0, 60, SHAPE), 8).astype(np.float32)
-    blobs = skin_blobs(noise.clip(-4, 4), 12.0)
-    assert len(blobs.means) == MOST_BLOBS
-
-
-def test_tiny_hands() -> None:
-    """Below the coarse radius the picture is searched as it is."""
-    blobs = skin_blobs(odds((100.5, 80.5, 4, 4)), 5.0)
-    np.testing.assert_allclose(blobs.means[0], (100.5, 80.5), atol=0.6)

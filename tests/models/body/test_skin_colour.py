@@ -6,12 +6,9 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.models.body.skin import (
     BINS,
-    HIGHEST,
-    N_BINS,
     SkinColour,
     count_colours,
     has_colour,
-    log_count_ratio,
     look_up,
     smoothed,
 )
@@ -46,13 +43,6 @@ def test_the_hand_has_the_colour_of_the_face(skin: NDArray[np.int64]) -> None:
     assert np.median(odds[20:, :30]) < -3
     assert np.median(odds[150:, 100:180]) < -3
     assert np.abs(odds).max() <= 4
-
-
-def test_colours_that_nobody_has_seen_say_nothing() -> None:
-    skin = SkinColour.learned([picture()], BOX[None])
-    assert skin is not None
-    odds = skin.log_odds(np.full((20, 20, 3), (250, 10, 240), np.uint8))
-    assert np.abs(odds).max() < 0.1
 
 
 def test_the_ratio_is_that_of_the_counts() -> None:
@@ -102,18 +92,3 @@ def test_pixels_are_counted_by_luma_and_the_two_differences_of_colour() -> None:
     table = np.zeros(BINS, np.float32)
     table[place] = 2.5
     np.testing.assert_array_equal(look_up(table, smoothed(image)), np.full((30, 40), 2.5, np.float32))
-
-
-def test_the_log_ratio_changes_its_sign_with_the_counts() -> None:
-    """It depends on shares and not on numbers, is bounded, and 0 where both or neither are."""
-    random = np.random.default_rng(0)
-    some, others = np.zeros((2, N_BINS))
-    some[random.integers(N_BINS, size=300)] = 1000.0
-    others[random.integers(N_BINS, size=300)] = 1000.0
-    ratio = log_count_ratio(some, others)
-    assert ratio.shape == BINS
-    assert np.abs(ratio).max() == HIGHEST
-    np.testing.assert_allclose(log_count_ratio(others, some), -ratio, atol=1e-6)
-    np.testing.assert_allclose(log_count_ratio(7 * some, others), ratio, atol=1e-5)
-    np.testing.assert_allclose(log_count_ratio(some, some), 0.0, atol=1e-6)
-    np.testing.assert_allclose(log_count_ratio(np.zeros(N_BINS), np.zeros(N_BINS)), 0.0)

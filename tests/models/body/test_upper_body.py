@@ -4,17 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from rsmcm.models.body.upper_body import JOINTS, PROPORTIONS, BodyPoses, UpperBody
-from scipy.spatial.transform import Rotation
+from rsmcm.models.body.upper_body import PROPORTIONS, BodyPoses, UpperBody
 
-from ...support.body_poses import from_angles, resting
+from ...support.body_poses import resting
 
 Direction = tuple[float, float, float]
 
 BODY = UpperBody.from_head(90)
-seeds = st.integers(0, 10**6)
 
 
 def posed(upper: Direction, forearm: Direction) -> BodyPoses:
@@ -24,24 +20,6 @@ def posed(upper: Direction, forearm: Direction) -> BodyPoses:
     poses = resting(np.full((2, 2), 200.0))
     poses.arms[0, 0], poses.arms[1, 1] = arm, arm * [-1, 1, 1]
     return poses
-
-
-@given(seeds)
-def test_joints_are_where_a_chain_of_rotations_leads(seed: int) -> None:
-    angles = np.random.default_rng(seed).uniform(-1.5, 1.5, (1, 16))
-    joints = BODY.joints(from_angles(angles))[0]
-    root = np.array([*angles[0, :2], 0.0])
-    torso, neck = (Rotation.from_rotvec(angles[0, run]) for run in (slice(2, 5), slice(5, 8)))
-    head = root + neck.apply([0, -BODY.neck, 0])
-    expected = [head, root]
-    for first, sign in ((8, 1), (12, -1)):
-        shoulder = Rotation.from_rotvec(angles[0, first : first + 3])
-        elbow = shoulder * Rotation.from_rotvec([-angles[0, first + 3], 0, 0])
-        expected.append(root + torso.apply([sign * BODY.shoulder_width / 2, 0, 0]))
-        expected.append(expected[-1] + shoulder.apply([0, BODY.upper_arm, 0]))
-        expected.append(expected[-1] + elbow.apply([0, BODY.forearm, 0]))
-    np.testing.assert_allclose(joints, expected, atol=1e-10)
-    assert len(JOINTS) == len(expected)
 
 
 @pytest.mark.parametrize(
@@ -94,19 +72,6 @@ def test_necks_turn_half_way_to_the_shoulder() -> None:
     np.testing.assert_array_equal(BODY.allowed(poses), [True, True, False])
 
 
-@given(seeds)
-def test_limits_do_not_depend_on_side_nor_place_nor_size(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    arms = random.normal(size=(50, 2, 2, 3))
-    arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
-    turns = random.normal(size=(2, 50, 3)) * [[[0.2]], [[0.4]]]
-    poses = BodyPoses(np.zeros((50, 2)), turns[0], turns[1], arms)
-    mirrored = BodyPoses(poses.roots + 70, *(turns * [1, -1, -1]), arms[:, ::-1] * [-1, 1, 1])
-    allowed = BODY.allowed(poses)
-    np.testing.assert_array_equal(BODY.allowed(mirrored), allowed)
-    np.testing.assert_array_equal(UpperBody.from_head(33).allowed(poses), allowed)
-
-
 def test_torsos_lean_half_way_to_the_side_and_heads_go_with_them() -> None:
     poses = resting(np.zeros((4, 2)))
     poses.torsos[:, 1] = np.radians([44, -44, 46, 44])
@@ -114,22 +79,16 @@ def test_torsos_lean_half_way_to_the_side_and_heads_go_with_them() -> None:
     np.testing.assert_array_equal(BODY.allowed(poses), [True, True, False, False])
 
 
-@given(seeds)
-def test_the_turn_of_a_straight_arm_is_not_judged(seed: int) -> None:
-    upper = np.array([0.4, 0.5, -0.7]) / np.linalg.norm([0.4, 0.5, -0.7])
-    forearm = upper + 0.02 * np.random.default_rng(seed).normal(size=3)
-    assert BODY.allowed(posed((upper[0], upper[1], upper[2]), (forearm[0], forearm[1], forearm[2]))).all()
-
-
-@pytest.mark.parametrize("name", ["head_height", *PROPORTIONS])
-@pytest.mark.parametrize("length", [0, -1, float("nan"), float("inf")])
-def test_segments_without_a_length_are_refused(name: str, length: float) -> None:
-    with pytest.raises(ValueError, match=f"{name} must be a positive length in px, got"):
+@pytest.mark.parametrize(
+    ("name", "length"),
+    [
+        ("head_height", 0.0),
+        ("neck", -1.0),
+        ("hand", np.nan),
+        ("forearm", np.inf),
+        *zip(PROPORTIONS, [900.0, 1.0] * 6, strict=False),
+    ],
+)
+def test_lengths_that_no_person_has_are_one_line(name: str, length: float) -> None:
+    with pytest.raises(ValueError, match=f"^{name}.*{length:g}"):
         replace(BODY, **{name: length})
-
-
-@pytest.mark.parametrize("factor", [10, 0.1])
-@pytest.mark.parametrize("name", list(PROPORTIONS))
-def test_lengths_that_no_person_has_are_refused(name: str, factor: float) -> None:
-    with pytest.raises(ValueError, match=f"{name} is impossible: .* px beside a head of 90 px"):
-        replace(BODY, **{name: getattr(BODY, name) * factor})

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import signer
-from rsmcm.apps.scenes.rendering_kernels import draw_mesh
 from rsmcm.apps.scenes.signing.faults import BOX_NOISE, FACE_BELOW, FACE_BOX, MISSING, bursts
 from rsmcm.models.core.frame import Frame
 
@@ -125,15 +124,6 @@ def test_any_frame_can_be_rendered_on_its_own():
         scene.image(6)
 
 
-@pytest.mark.parametrize("size", [(160, 120), (640, 360), (480, 480)])
-def test_sizes(size):
-    scene = signer(3, 1, size=size)
-    image = scene.image(1)
-    assert image.shape == (size[1], size[0], 3)
-    assert image.dtype == np.uint8
-    assert image.std() > 15
-
-
 # Faults
 
 
@@ -150,17 +140,6 @@ def test_features_are_missing_in_bursts_as_often_as_asked_for(share):
     assert lengths.max() <= MISSING[1]
 
 
-def test_no_and_full_dropout():
-    assert not signer(200, 1, detector_dropout=0.0).hidden.any()
-    assert signer(200, 1, detector_dropout=1.0).hidden.all()
-
-
-def test_a_short_scene_has_nearly_its_share():
-    shares = [signer(120, seed).hidden.mean() for seed in range(30)]
-    assert np.mean(shares) == pytest.approx(0.2, abs=0.03)
-    assert np.std(shares) < 0.05
-
-
 def test_detector_finds_the_face_unless_it_is_hidden():
     scene = signer(1000, 3, clutter=0.0)
     boxes = [scene.detector(Frame(np.zeros((360, 640, 3), np.uint8), 0.0, k + 1)) for k in range(1000)]
@@ -175,15 +154,6 @@ def test_detector_finds_the_face_unless_it_is_hidden():
     n = len(found)
     np.testing.assert_allclose(errors.mean(axis=0) / side, 0, atol=4 * BOX_NOISE / np.sqrt(n))
     np.testing.assert_allclose(errors.std(axis=0) / side, BOX_NOISE, rtol=4 / np.sqrt(2 * n))
-
-
-def test_false_alarms_grow_with_clutter():
-    counts = [
-        sum(len(boxes) for boxes in signer(1000, 1, 1.0, clutter).detector.boxes) for clutter in (0, 1, 2.5)
-    ]
-    assert counts[0] == 0
-    assert counts[1] == pytest.approx(40, abs=4 * np.sqrt(40))
-    assert counts[2] == pytest.approx(100, abs=40)
 
 
 def test_detector_of_another_scene_and_of_no_picture():
@@ -234,49 +204,6 @@ def test_hands_are_skin_where_the_truth_says_unless_they_are_hidden(seed):
     assert np.median(shown) > 0.25
     assert max(gone) < 0.02
     assert np.median(np.linalg.norm(off, axis=1)) < 0.09 * body.head_height
-
-
-def test_head_is_skin_and_false_skin_is_too():
-    scene = signer(200, 3, detector_dropout=0.0)
-    thing = next(each for each in scene.distractors if each.in_front)
-    index = (thing.first + thing.last) // 2
-    image = scene.image(index)
-    head = disc(scene.size, scene.joints[index, 0, :2], 0.25 * scene.body.head_height)
-    assert skin(scene, image)[head].mean() > 0.5
-    false = disc(scene.size, thing.place(index), 0.7 * thing.radius)
-    assert skin(scene, image)[false].mean() > 0.5
-
-
-def test_clutter_and_noise_do_what_they_say():
-    plain, full = (
-        signer(2, 1, clutter=clutter, noise=0.0).image(0).astype(float)[:40, :640] for clutter in (0.0, 2.0)
-    )
-    assert np.abs(np.diff(plain, axis=1)).mean() < 0.5 * np.abs(np.diff(full, axis=1)).mean()
-    calm, noisy = (signer(2, 1, noise=noise).image(0).astype(float) for noise in (0.0, 2.5))
-    assert np.std(noisy - calm) == pytest.approx(2.5, rel=0.05)
-
-
-def test_near_triangles_hide_far_ones():
-    colours, depths = np.zeros((20, 30, 3), np.float32), np.full((20, 30), 1e30, np.float32)
-    nearer = np.array([0.0, 0.0, -1.0])
-    corners = np.array([[2.0, 2.0, 5.0], [27.0, 3.0, 5.0], [10.0, 18.0, 5.0]])
-    texture = np.full((4, 4, 3), 100, np.float32)
-    attributes = np.column_stack([np.full((3, 2), 1.5), [1.0, 0.5, 0.5]])
-    one = np.array([[0, 1, 2]])
-    draw_mesh(colours, depths, corners, attributes, one, texture)
-    columns, rows = np.meshgrid(np.arange(30), np.arange(20))
-    # shares of the corners from the linear equations they obey
-    system = np.vstack([corners[:, :2].T, np.ones(3)])
-    shares = np.linalg.solve(system, np.stack([columns, rows, np.ones((20, 30))]).reshape(3, -1))
-    inside = (shares >= -1e-9).all(axis=0).reshape(20, 30)
-    np.testing.assert_array_equal(depths < 1e30, inside)
-    light = (shares.T @ attributes[:, 2]).reshape(20, 30)
-    np.testing.assert_allclose(colours[inside], 100 * light[inside][:, None].repeat(3, axis=1), rtol=1e-5)
-    before = colours.copy()
-    draw_mesh(colours, depths, corners - nearer, attributes, one, 2 * texture)
-    np.testing.assert_array_equal(colours, before)
-    draw_mesh(colours, depths, corners + nearer, attributes, one, 2 * texture)
-    np.testing.assert_allclose(colours, 2 * before, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
