@@ -3,6 +3,11 @@
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
+# what a target needs beside what running needs: an extra of pyproject.toml
+TEST := .venv/with-test
+DOCS := .venv/with-docs
+CHECK := .venv/with-check
+DEV := .venv/with-dev
 PACKAGES := models inference chains apps
 MODULES := $(sort $(shell find $(PACKAGES) -type f -not -path '*/__pycache__/*'))
 # Shows all that pyenv has, where there is one.
@@ -33,42 +38,42 @@ help:
 demo: $(INSTALLED)
 	$(BIN)/rsmcm demo
 
-docs: $(INSTALLED)
+docs: $(DOCS)
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs docs/_build/html
 
-docs-links: $(INSTALLED)
+docs-links: $(DOCS)
 	$(BIN)/sphinx-build --quiet --keep-going -b linkcheck docs docs/_build/links
 
-test: $(INSTALLED)
+test: $(TEST)
 	$(BIN)/python -m pytest -n 2 -m "not slow"
 
-test-all: $(INSTALLED)
+test-all: $(TEST)
 	$(BIN)/python -m pytest -n 2
 
-test-versions: $(INSTALLED)
+test-versions: $(DEV)
 	$(NOX)
 
-test-newest: $(INSTALLED)
+test-newest: $(DEV)
 	$(NOX) --session newest_first_met
 
-test-processors: $(INSTALLED)
+test-processors: $(DEV)
 	$(NOX) --session processor
 
-test-oldest-processor: $(INSTALLED)
+test-oldest-processor: $(DEV)
 	$(NOX) --session "processor(nehalem)"
 
-check: $(INSTALLED)
+check: $(CHECK)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy $(addprefix -p rsmcm.,$(PACKAGES))
 
 # OpenCV 5 has no Haar cascades, so faces would be tested with a model file only.
-constraints: $(INSTALLED)
+constraints: $(DEV)
 	echo 'opencv-python-headless<5' | $(BIN)/uv pip compile --quiet --universal --upgrade --no-annotate \
 		--custom-compile-command 'make constraints' --extra dev --constraint - \
 		--output-file constraints.txt pyproject.toml
 
-bench: $(INSTALLED)
+bench: $(TEST)
 	$(BIN)/python -m rsmcm.apps.experiments.bench
 
 reproduce: $(INSTALLED)
@@ -79,10 +84,10 @@ results: $(INSTALLED)
 	$(BIN)/python -m rsmcm.apps.experiments.results
 	$(BIN)/python docs/pictures/figures.py
 
-fuzz: $(INSTALLED)
+fuzz: $(TEST)
 	$(BIN)/python -m tests.fuzz
 
-dist: $(INSTALLED)
+dist: $(TEST)
 	git diff --quiet HEAD || (echo "make dist: commit first: there are changes" >&2; exit 2)
 	rm -rf dist
 	mkdir -p dist/committed
@@ -96,13 +101,19 @@ clean:
 	find $(PACKAGES) tests -name __pycache__ -prune -exec rm -rf {} +
 
 # The strict form of an editable install, of links to all modules, is one that type checkers can follow. It
-# does not know of a module that came later, so the list of modules is kept, and another one installs anew.
+# does not contain modules that were added later, so the list of modules is kept, and another list installs it again.
+# What pip does not compile to bytecode, Python does when it is imported.
+INSTALL := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt \
+	setuptools --config-settings editable_mode=strict --editable
 ifneq ($(MODULES),$(shell cat $(INSTALLED) 2>/dev/null))
 .PHONY: $(INSTALLED)
 endif
 $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("Python 3.11 or newer is needed; name it: make PYTHON=python3.11")'
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt setuptools \
-		--config-settings editable_mode=strict --editable '.[dev]'
+	$(INSTALL) .
 	@echo $(MODULES) > $@
+
+.venv/with-%: $(INSTALLED)
+	$(INSTALL) '.[$*]'
+	@touch $@
