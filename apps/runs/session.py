@@ -1,28 +1,57 @@
 """A run in its folder of results: what all applications have in common there, and versions."""
 
 import importlib.metadata
+import logging
 import platform
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import cv2
+from numba.core import event
+from tqdm import tqdm
 
 from ..io.files import segment_pattern
 from ..options.job import Job
 from ..view.film import FILM, ROWS
 from ..view.page import VIEW
-from .first_use import compiling_ahead
 from .interruption import Interrupted, Interruption, Outcome
 from .output_folder import OutputFolder, output_folder
 from .saved_run import STATE
 
 OVERLAY = "overlay.mp4"
 
+COMPILING = 20  # s that a first run takes to compile, measured on two cores of an AMD EPYC
+
 _GROWING = (OVERLAY, FILM, ROWS)
 ALWAYS = (STATE, "summary.json", VIEW, *_GROWING, *map(segment_pattern, _GROWING))
 """Files that every run may leave."""
+
+
+_COMPILES = "numba:compile"
+"""numba's event: a function that is not in its cache is compiled."""
+
+_log = logging.getLogger(__name__)
+
+
+class _Announcement(event.Listener):
+    """Writes a line when a function is compiled for the first time."""
+
+    def __init__(self, application: str) -> None:
+        self._application = application
+        self._is_due = _log.isEnabledFor(logging.WARNING)
+
+    def on_start(self, _: Any) -> None:
+        """Write the line, once."""
+        if self._is_due:
+            self._is_due = False
+            once = f"which is done once and takes about {COMPILING} s"
+            tqdm.write(f"{self._application}: compiling for this machine, {once}", file=sys.stderr)
+
+    def on_end(self, _: Any) -> None:
+        """Do nothing."""
 
 
 class Session:
@@ -72,7 +101,7 @@ class Session:
                 output_folder(
                     job.out, self.application, overwrite=job.overwrite, resume=job.resume
                 ) as self._folder,
-                compiling_ahead(self.application),
+                event.install_listener(_COMPILES, _Announcement(self.application)),
             ):
                 yield
         except Interrupted as stop:

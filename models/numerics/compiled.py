@@ -3,18 +3,20 @@
 Also what loops need that numba does not have: logarithms and exponentials that are vector code, and whole
 vectors where a compiler that cannot tell arrays apart would go number by number.
 
-Of compiled code on disk there is one copy for all processes. What a loop is compiled to may depend on which
-of the loops that it calls were on disk by then: sums are ordered in another way. So the first process
-compiles, and those who come meanwhile wait for what it leaves. And what a loop calls becomes part of its
-code, as do the constants that it names, in whatever file they are, while numba looks at the loop's own file
-alone.
+Functions that a loop calls become part of its code, as do constants that it names, in whatever file they are,
+while numba looks at the loop's own file alone. Therefore compiled code is kept in a folder that is named by a
+digest of the loop's module and of all modules that it imports from the package.
 """
 
 import hashlib
 import os
+import re
+import shutil
+import threading
 from collections.abc import Callable
 from contextlib import suppress
-from types import CodeType, FunctionType, ModuleType
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -23,109 +25,8 @@ from llvmlite import ir
 from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic
+from numba.misc.appdirs import user_cache_dir
 from numba.np.numpy_support import carray
-
-PATIENCE = 120.0
-"""s for which another process is waited for; one that has failed to compile keeps its lock until it ends."""
-
-
-class CodeCache(FunctionCache):
-    """numba's cache of a function, of which one process at a time fills in what is missing."""
-
-    def __init__(self, function: Any) -> None:
-        super().__init__(function.py_func)  # type: ignore[no-untyped-call]
-        self._function = function
-        self._lock: Any = None  # held while this process compiles
-        self._stamped = False
-
-    def load_overload(self, signature: Any, context: Any) -> Any:
-        """What is kept for these types; where nothing is, the caller compiles it and nobody else does."""
-        if not self._stamped:  # only now: what a function calls may come after it in its file
-            self._cache_file._source_stamp = digest_of(self._function)
-            self._stamped = True
-        found = self._found(signature, context)
-        if found is None and self._lock is None:
-            from filelock import FileLock  # which takes a while to import
-
-            path = os.path.join(self.cache_path, f"{self._impl.filename_base}.lock")
-            self._lock = FileLock(path, PATIENCE, 0o666)
-            with suppress(OSError):  # also where it takes too long: on without the lock
-                self._impl.locator.ensure_cache_path()
-                self._lock.acquire()
-            found = self._found(signature, context)
-            if found is not None:
-                self._release()
-        return found
-
-    def _found(self, signature: Any, context: Any) -> Any:
-        try:
-            return super().load_overload(signature, context)  # type: ignore[no-untyped-call]
-        except (AttributeError, ImportError):  # it was made for types that an upgrade has taken away
-            self._cache_file.flush()  # type: ignore[no-untyped-call]
-            return None
-
-    def save_overload(self, signature: Any, made: Any) -> None:
-        """Keep what was compiled."""
-        try:
-            super().save_overload(signature, made)  # type: ignore[no-untyped-call]
-        finally:
-            self._release()
-
-    def _release(self) -> None:
-        if self._lock is not None:
-            self._lock.release()
-            self._lock = None
-
-
-def digest_of(function: Any) -> str:
-    """What a function is compiled from, in short: code, options, what it calls, and constants that it names.
-
-    Comments, docstrings and places in the file are left out.
-    """
-    digest, seen = hashlib.sha256(), set[int]()
-
-    def note(*facts: object) -> None:
-        digest.update(repr(facts).encode() + b"\0")
-
-    def add_code(code: CodeType, named: dict[str, Any], text: str | None) -> None:
-        note(code.co_code, code.co_varnames, code.co_names)
-        for constant in code.co_consts:
-            if isinstance(constant, CodeType):
-                add_code(constant, named, None)
-            elif constant != text:
-                note(constant)
-        modules = [value for name in code.co_names if isinstance(value := named.get(name), ModuleType)]
-        ours = [
-            vars(module) for module in modules if module.__name__.startswith(__package__.partition(".")[0])
-        ]
-        for name in code.co_names:
-            for names in (named, *ours):
-                if name in names:
-                    add(names[name])
-
-    def add(value: Any) -> None:
-        note(sorted(getattr(value, "targetoptions", {}).items()))
-        value = getattr(value, "py_func", getattr(value, "_defn", value))  # as numba wraps it
-        if isinstance(value, FunctionType):
-            if id(value) not in seen:
-                seen.add(id(value))
-                add_code(value.__code__, value.__globals__, value.__doc__)
-                add(value.__defaults__)
-                add(tuple(cell.cell_contents for cell in value.__closure__ or ()))
-        elif isinstance(value, np.ndarray):
-            note(value.dtype, value.shape, value.tobytes())
-        elif isinstance(value, type):
-            note(value.__qualname__, getattr(value, "_fields", ()))
-        elif isinstance(value, tuple):
-            note(type(value).__qualname__, len(value))
-            for each in value:
-                add(each)
-        elif not isinstance(value, ModuleType):
-            note(value)
-
-    add(function)
-    return digest.hexdigest()
-
 
 Function = Callable[..., Any]
 
@@ -147,13 +48,76 @@ def inlined(function: Function) -> Function:
     return _kept(numba.njit(fastmath=True, error_model="numpy", inline="always")(function))
 
 
+class _Cache(FunctionCache):
+    """numba's cache of a function, whose index one process at a time changes."""
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        from filelock import FileLock  # which takes a while to import
+
+        with suppress(OSError):  # full or read-only: it is compiled again next time
+            os.makedirs(self.cache_path, exist_ok=True)
+            with FileLock(os.path.join(self.cache_path, "lock"), timeout=10.0, mode=0o666):
+                super().save_overload(signature, result)  # type: ignore[no-untyped-call]
+
+
+_IMPORT = re.compile(rb"^from (\.+)([\w.]*) import", re.MULTILINE)
+_cache_dir = threading.Lock()
+
+
 def _kept(function: Any) -> Function:
-    """Have what a function is compiled to kept on disk."""
-    is_compiled = isinstance(function, Dispatcher)  # it is none where numba is told to compile nothing
-    if is_compiled:
-        function._cache = CodeCache(function)
-    kept: Function = function
-    return kept
+    """Have what a function is compiled to kept on disk, if there is a folder for it."""
+    config: Any = numba.config
+    kept: Any = function
+    if isinstance(function, Dispatcher):  # it is none where numba is told to compile nothing
+        with _cache_dir:
+            usual = config.CACHE_DIR
+            folder = cache_folder(Path(function.py_func.__code__.co_filename), usual)
+            if folder is not None:
+                try:
+                    config.CACHE_DIR = str(folder)
+                    kept._cache = _Cache(function.py_func)  # type: ignore[no-untyped-call]
+                finally:
+                    config.CACHE_DIR = usual
+    return kept  # type: ignore[no-any-return]
+
+
+@cache
+def cache_folder(module: Path, usual: str) -> Path | None:
+    """Return the folder of the compiled code of a module: in numba's `usual` one, if it is set.
+
+    Otherwise beside the module, or where the user's caches are. `None` if none of them can be written to.
+    """
+    if not module.exists():  # of a notebook
+        return None
+    module = module.resolve()
+    name = f"{module.stem}-{_digest(module)}"
+    beside = module.parent / "__pycache__"
+    of_user = Path(user_cache_dir("rsmcm", False))  # type: ignore[no-untyped-call]
+    for base in (Path(usual), beside) if usual else (beside, of_user):
+        folder = base / name
+        with suppress(OSError):
+            if base == beside and not folder.exists():  # of earlier states of the sources
+                for old in base.glob(f"{module.stem}-{'[0-9a-f]' * 16}"):
+                    shutil.rmtree(old, ignore_errors=True)
+            folder.mkdir(parents=True, exist_ok=True)
+            if os.access(folder, os.W_OK):
+                return folder
+    return None
+
+
+def _digest(module: Path) -> str:
+    """Return a digest of a module's source and of all modules that it imports by relative imports."""
+    sources: dict[Path, bytes] = {}
+    waiting = [module]
+    while waiting:
+        path = waiting.pop()
+        if path in sources or not path.exists():
+            continue
+        sources[path] = path.read_bytes()
+        for dots, name in _IMPORT.findall(sources[path]):
+            target = path.parents[len(dots) - 1].joinpath(*name.decode().split("."))
+            waiting.extend(target.glob("*.py") if target.is_dir() else [target.with_suffix(".py")])
+    return hashlib.sha256(b"\0".join(sources[path] for path in sorted(sources))).hexdigest()[:16]
 
 
 @compiled
