@@ -25,6 +25,7 @@ from ..inference.sfm.perspective.structure import (
 )
 from ..models.core.checks import Array, Positive, checked
 from ..models.core.frame import Frame
+from ..models.core.identities import find, places_of
 from ..models.core.short_repr import short_repr
 from ..models.points.point_tracks import PointTracks, frames_of_tracks, noise_of_tracks
 from .points.feature_matcher import FeatureMatcher
@@ -213,7 +214,7 @@ def tracks_of(solution: Solution) -> Numbers:
     identities = np.unique(np.concatenate([each for each, _, _ in moments]))
     tracks = np.full((len(moments), len(identities), 2), np.nan)
     for row, (of_frame, means, _) in zip(tracks, moments, strict=True):
-        row[np.searchsorted(identities, of_frame)] = means
+        row[places_of(identities, of_frame)] = means
     return tracks
 
 
@@ -432,9 +433,7 @@ def _observations_of_points(
     counts = np.zeros((len(solution.frames), n_points))
     for time, evidence in enumerate(solution.evidence("points")):
         identities, means, _ = evidence.positions.moments
-        place = np.searchsorted(structure.identities, identities)
-        has_point = place < len(structure.identities)
-        has_point[has_point] = structure.identities[place[has_point]] == identities[has_point]
+        place, has_point = find(structure.identities, identities)
         points = np.full(len(identities), -1)
         points[has_point] = np.where(
             structure.trusted[time, place[has_point]], structure.point_of_track[place[has_point]], -1

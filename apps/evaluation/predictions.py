@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ...inference.validity import RecordedPredictions
 from ...models.array_files import read_arrays
 from ...models.core.gaussian_message import GaussianMessage
+from ...models.core.identities import places_of
 from ...models.files import write_atomically
 from ...models.numerics.evenly_spaced import evenly_spread
 
@@ -104,7 +105,7 @@ class PairRecorder:
             return
         arrays = []
         for identities, means, covariances in messages:
-            place = np.searchsorted(identities, common)
+            place = places_of(identities, common)
             arrays += [means[place], covariances[place]]
         self._frames.append((number, common, arrays))
         if sum(len(identities) for _, identities, _ in self._frames) > self.most:

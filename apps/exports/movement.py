@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ...models.body.upper_body import PARTS
 from ...models.core.checks import checked
+from ...models.core.identities import places_of
 from ...models.files import MOST_NUMBERS, write_atomically
 from ..options.libraries import needed
 from .finished_run import FinishedRun, read_tracks_table
@@ -87,7 +88,7 @@ def _boxes(run: FinishedRun) -> "xarray.Dataset":
             f"{run.folder}: got {len(names)} objects in {len(numbers)} frames, expected at most "
             f"{MOST_NUMBERS} numbers in movement's dense arrays; tracks.csv holds them row by row"
         )
-    row, column = (table["frame"] - numbers.start) // numbers.step, np.searchsorted(names, table["id"])
+    row, column = (table["frame"] - numbers.start) // numbers.step, places_of(names, table["id"])
     if not ((row >= 0) & (row < len(numbers))).all():
         raise ValueError(f"{run.folder}: got objects in frames that are none of the run's")
     position, size, confidence = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape[::2], np.nan)

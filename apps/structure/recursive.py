@@ -12,6 +12,7 @@ from ...chains.reconstruction import Numbers, Reconstruction, recursive_reconstr
 from ...chains.structure.recursive_structure import RecursiveStructure, Structure
 from ...inference import Belief, MultiChain
 from ...models.core.frame import Frame
+from ...models.core.identities import find
 from ...models.points.point_tracks import NO_POINTS, PointTracks
 from ..io.row_log import RowLog
 from ..io.sources.open_source import Source
@@ -135,8 +136,8 @@ def _view_row(structure: Structure | None, identities: NDArray[np.int64], places
 def _of_identities(log: RowLog, identities: NDArray[np.int64]) -> tuple[Numbers, NDArray[np.uint8]]:
     """Places `(n_frames, n, 2)` px of points, NaN where not seen, and their median colours `(n, 3)`."""
     frame = np.repeat(np.arange(len(log)), log["objects"])
-    known = np.isin(log.objects("id"), identities)
-    point = np.searchsorted(identities, log.objects("id")[known])
+    point, known = find(identities, log.objects("id"))
+    point = point[known]
     tracks = np.full((len(log), len(identities), 2), np.nan)
     tracks[frame[known], point] = log.objects("place")[known]
     colours = np.full((len(identities), 3), GREY, np.uint8)

@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.identities import find
 from ...models.numerics.compiled import compiled, exponential, put
 from ...models.numerics.threads import side_by_side, thread_count
 from ...models.objects.box_message import HEIGHT, WIDTH, BoxMessage
@@ -578,11 +579,7 @@ class BlobScene:
         if self._objects is None or not len(self._objects.identities) or not len(blobs):
             return sizes
         identities, means, covariances = self._objects.moments
-        order = np.argsort(identities)
-        place = order[
-            np.searchsorted(identities, blobs.table["identity"], sorter=order).clip(max=len(order) - 1)
-        ]
-        known = identities[place] == blobs.table["identity"]
+        place, known = find(identities, blobs.table["identity"])
         sides = [HEIGHT, WIDTH]
         expected, variance = means[place][:, sides], covariances[place][:, sides, sides]
         own, others = 1 / (0.15 * sizes) ** 2, 1 / np.maximum(variance, 1.0)

@@ -23,6 +23,7 @@ from ...inference.kalman import kinematic
 from ...models.core.bounds import POSITIVE, SHARE, check_bounds
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
+from ...models.core.identities import Turnover, find, places_of
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage, Newcomers
 from ...models.objects.object_boxes import ObjectBoxes
@@ -227,7 +228,7 @@ class GroundPlane:
         state = self._joined(state, identities, boxes)
         if not len(identities):
             return state
-        places = np.searchsorted(state.identities, identities)
+        places = places_of(state.identities, identities)
         exists = 1 / (1 + np.exp(-message.existence.of(identities))) if len(message.existence) else 1.0
         return self._observed(state, places, boxes, covariances, exists)
 
@@ -318,18 +319,14 @@ class GroundPlane:
 
     def _joined(self, state: GroundState, identities: NDArray[np.int64], boxes: Numbers) -> GroundState:
         """The state without who was not heard of for long, and with who is new."""
-        place = np.searchsorted(state.identities, identities)
-        known = np.zeros(len(identities), np.bool_)
-        inside = place < len(state.identities)
-        known[inside] = state.identities[place[inside]] == identities[inside]
-        stays, new = state.unseen <= self.patience, ~known
-        stays[place[known]] = True
+        place, is_known = find(state.identities, identities)
+        stays, new = state.unseen <= self.patience, ~is_known
+        stays[place[is_known]] = True
         if stays.all() and not new.any():
             return state
+        turnover = Turnover.between(state.identities, stays, identities[new])
         heights, n_new, n_stay = boxes[new, HEIGHT], int(new.sum()), int(stays.sum())
         heights = np.maximum(heights, 1.0)
-        numbers = np.concatenate([state.identities[stays], identities[new]])
-        order = np.argsort(numbers)
         feet = np.zeros((n_new, 2, 2))
         feet[:, :, 0] = boxes[new, :WIDTH]
         feet_covariance = np.zeros((n_new, 2, 2, 2))
@@ -340,24 +337,19 @@ class GroundPlane:
         covariance = np.zeros((2 + n_stay + n_new, 2 + n_stay + n_new))
         covariance[: 2 + n_stay, : 2 + n_stay] = state.scene_covariance[np.ix_(among, among)]
         covariance[range(2 + n_stay, len(scene)), range(2 + n_stay, len(scene))] = self.stature**2
-        kept = np.concatenate([[0, 1], 2 + order])
-
-        def sorted_with(old: Numbers, added: Numbers) -> Numbers:
-            together: Numbers = np.concatenate([old[stays], added])[order]
-            return together
-
+        kept = np.concatenate([[0, 1], 2 + turnover.order])
         return replace(
             state,
             scene=scene[kept],
             scene_covariance=covariance[np.ix_(kept, kept)],
-            identities=numbers[order],
-            feet=sorted_with(state.feet, feet),
-            feet_covariance=sorted_with(state.feet_covariance, feet_covariance),
-            heights=sorted_with(state.heights, heights),
-            aspects=sorted_with(state.aspects, boxes[new, WIDTH] / heights),
-            aspect_variances=sorted_with(state.aspect_variances, np.full(n_new, 0.1**2)),
-            trust=sorted_with(state.trust, np.full(n_new, FIRST_TRUST)),
-            unseen=sorted_with(state.unseen, np.full(n_new, self.observation_time)),
+            identities=turnover.identities,
+            feet=turnover.rows(state.feet, feet),
+            feet_covariance=turnover.rows(state.feet_covariance, feet_covariance),
+            heights=turnover.rows(state.heights, heights),
+            aspects=turnover.rows(state.aspects, boxes[new, WIDTH] / heights),
+            aspect_variances=turnover.rows(state.aspect_variances, 0.1**2),
+            trust=turnover.rows(state.trust, FIRST_TRUST),
+            unseen=turnover.rows(state.unseen, self.observation_time),
         )
 
 

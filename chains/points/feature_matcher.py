@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 from ...inference.engine.protocols import BatchIncoming, Port, Smoothed
 from ...models.core.checks import Count, checked
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
+from ...models.core.identities import find, places_of
 from ...models.core.pictures import grey_of
 from ...models.core.short_repr import Rows, short_repr
 from ...models.numerics.compiled import compiled
@@ -421,7 +422,7 @@ class FeatureTracks:
             if self.areas[frame] == 1 or not known.any():
                 continue
             identities, mean, covariance = expected.only(known).moments
-            point = np.searchsorted(self.identities, identities)
+            point = places_of(self.identities, identities)
             here = np.flatnonzero(self.matched.frame == frame)
             stays[here] = self._is_plausible(here, point, mean, covariance)
             absent = np.isin(point, self.matched.point[here[stays[here]]], invert=True)
@@ -431,17 +432,16 @@ class FeatureTracks:
             patches = Patches(identities[absent], self.patches[nearest[absent]])
             found = incoming.search(PointTracks, PointMessage(positions, patches)).positions
             names, places, spreads = found.moments
-            points = np.searchsorted(self.identities, names)
+            points = places_of(self.identities, names)
             more.append(Observations(np.full(len(names), frame), points, places, spreads))
         return replace(self, seen=self.matched.only(stays).joined(more))
 
     def _is_plausible(self, here: Indices, point: Indices, mean: Array, covariance: Array) -> Mask:
         """Return which of the matches `here` agree with others' predictions of the points, `(k,)`."""
-        place = np.minimum(np.searchsorted(point, self.matched.point[here]), len(point) - 1)
+        place, is_expected = find(point, self.matched.point[here])
         off = self.matched.positions[here] - mean[place]
         spread = self.matched.covariances[here] + covariance[place]
-        unknown = point[place] != self.matched.point[here]
-        plausible: Mask = unknown | (squared_distances(off, spread) <= GATE**2)
+        plausible: Mask = ~is_expected | (squared_distances(off, spread) <= GATE**2)
         return plausible
 
     def _nearest(self, frame: int, point: Indices) -> Indices:

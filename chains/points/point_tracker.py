@@ -26,6 +26,7 @@ from ...inference.kalman import STATE, PointStates
 from ...models.core.checks import Count, Positive, checked
 from ...models.core.frame import Frame, GivenPoints
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
+from ...models.core.identities import places_of
 from ...models.core.short_repr import Rows, short_repr
 from ...models.points.patches import Patches, find_corners, match_light, ncc
 from ...models.points.point_tracks import PointMessage, PointTracks, View
@@ -90,10 +91,6 @@ class PointTable(Rows):
             return self if len(self) else others
         together = self.joined([others])
         return together.only(np.argsort(together.identities))
-
-    def places_of(self, identities: Identities) -> NDArray[np.intp]:
-        """Return the rows of these identities, `(m,)`, all of which must be in the table."""
-        return np.searchsorted(self.identities, identities)
 
     def without_oldest(self, most: int) -> "PointTable":
         """Return the points that are alive and, of the others, the `most` that were seen last."""
@@ -315,7 +312,7 @@ def _update_patches(state: TrackerState, view: View, elapsed: float) -> TrackerS
     seen = np.flatnonzero(known.alive & (known.unseen == 0))
     if not len(seen):
         return state
-    place = np.searchsorted(view.points.identities, known.identities[seen])
+    place = places_of(view.points.identities, known.identities[seen])
     now = view.patches_at(view.points.positions[place])
     expected = match_light(known.patches[seen], now)
     teaches = (ncc(now, expected) < LIKE_EXPECTED) & (ncc(now, known.first[seen]) > LIKE_FIRST)
@@ -349,7 +346,7 @@ def find_duplicates(trajectory: PointTrajectory, others: Sequence[PointMessage])
         return same
     pairs = np.array(sorted(said), np.int64)
     pairs = pairs[np.isin(pairs, seen.identities).all(axis=1)]
-    one, other = np.searchsorted(seen.identities, pairs.T)
+    one, other = places_of(seen.identities, pairs.T)
     alike = np.max(
         [ncc(a[one], b[other]) for a in (seen.first, seen.last) for b in (seen.first, seen.last)],
         axis=0,
@@ -509,10 +506,11 @@ class FilmSearch:
         names, once = np.unique(smallest_identities(current.identities[first], self.same), return_index=True)
         points = first[once]
         position = current.position[number, points]
-        begins = ~known.alive[known.places_of(names)] & _is_plausible(others.positions, names, position)
-        points, places, position = points[begins], known.places_of(names[begins]), position[begins]
+        places, seen = places_of(known.identities, names), current.appearances
+        begins = ~known.alive[places] & _is_plausible(others.positions, names, position)
+        points, places, position = points[begins], places[begins], position[begins]
         patches = known.patches.copy()
-        patches[places] = current.appearances.first[current.appearances.places_of(current.identities[points])]
+        patches[places] = seen.first[places_of(seen.identities, current.identities[points])]
         states = initial_states(state, view, position, NEW_POINT_STD**2 * np.eye(2))
         return replace(state, known=replace(known, patches=patches).with_states(places, states))
 
@@ -528,7 +526,7 @@ def _without(message: PointMessage, alone: Identities) -> PointMessage:
 def _is_plausible(others: GaussianMessage, identities: Identities, positions: Array) -> Mask:
     """Return whether points may be at `positions` `(n, 2)` px by the others' messages, `(n,)`."""
     known, mean, covariance = others.only(np.isin(others.identities, identities)).moments
-    place = np.searchsorted(identities, known)
+    place = places_of(identities, known)
     off = positions[place] - mean
     spread = covariance + NEW_POINT_STD**2 * np.eye(2)
     plausible = np.ones(len(identities), np.bool_)

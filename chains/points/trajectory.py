@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...inference.kalman import PointStates, cavity, filter_tracks, smooth
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
+from ...models.core.identities import find
 from ...models.core.short_repr import short_repr
 
 Array = NDArray[np.float64]
@@ -152,10 +153,6 @@ class Appearances:
     first: NDArray[np.float32]
     last: NDArray[np.float32]
 
-    def places_of(self, identities: Identities) -> NDArray[np.intp]:
-        """Return the rows of these identities, `(m,)`."""
-        return np.searchsorted(self.identities, identities)
-
 
 @short_repr
 @dataclass(frozen=True, eq=False)
@@ -204,8 +201,8 @@ class StackedMessages:
         shape = (len(messages), len(identities))
         information, vector, log_scale = np.zeros((*shape, 2, 2)), np.zeros((*shape, 2)), np.zeros(shape)
         for t, message in enumerate(messages):
-            among = np.isin(message.identities, identities)
-            place = np.searchsorted(identities, message.identities[among])
+            place, among = find(identities, message.identities)
+            place = place[among]
             information[t, place] = message.information[among]
             vector[t, place] = message.vector[among]
             log_scale[t, place] = message.log_scale[among]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ...inference.engine.protocols import BatchIncoming, Cavity, Port, Smoothed
 from ...inference.sfm.factor_analysis.factorisation import Factorisation, factorise_robustly, predicted
 from ...models.core.gaussian_message import GaussianMessage
+from ...models.core.identities import common, places_of
 from ...models.core.short_repr import short_repr
 from ...models.points.point_tracks import PointMessage, PointTracks
 from .track_association import associate_tracks
@@ -27,11 +28,11 @@ def observations(incoming_over_time: Sequence[BatchIncoming]) -> tuple[NDArray[n
     weights = np.zeros((len(messages), len(identities)))
     for time, message in enumerate(messages):
         known, means, covariances = message.moments
-        place = np.searchsorted(identities, known)
+        place = places_of(identities, known)
         positions[time, place] = means
         weights[time, place] = 2 / np.trace(covariances, axis1=1, axis2=2)
         half = message.only(_told(message) & ~message.proper)
-        place = np.searchsorted(identities, half.identities)
+        place = places_of(identities, half.identities)
         information = half.information.diagonal(axis1=1, axis2=2)
         positions[time, place] = np.where(information > 0, half.vector, np.nan) / np.where(
             information > 0, information, 1.0
@@ -170,7 +171,7 @@ def without_observations(
     """
     identities, mean, covariance = shape.moments
     seen, observed, noise = evidence.moments
-    common, here, there = np.intersect1d(identities, seen, assume_unique=True, return_indices=True)
+    both, here, there = common(identities, seen)
     mean, covariance, observed = mean[here], covariance[here], observed[there]
     about = structure.scatter * np.eye(2)  # by which features scatter about the shape, eq. (20)
     fitted = structure.factorisation.noise_variance * np.trace(noise[there], axis1=1, axis2=2) / 2
@@ -181,4 +182,4 @@ def without_observations(
     left = np.linalg.eigvalsh(information)[:, 0] > 1e-3 * np.linalg.eigvalsh(of_shape)[:, 0]
     rest = np.linalg.inv(information[left])
     vector = of_shape[left] @ mean[left][:, :, None] - of_observation[left] @ observed[left][:, :, None]
-    return GaussianMessage.from_moments(common[left], (rest @ vector)[:, :, 0], rest + about)
+    return GaussianMessage.from_moments(both[left], (rest @ vector)[:, :, 0], rest + about)

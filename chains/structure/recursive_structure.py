@@ -8,7 +8,7 @@ show, whose errors are not its own: so covariances stay consistent.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from ...inference.sfm.factor_analysis.em import CameraPrior, estimate_cameras, h
 from ...inference.sfm.factor_analysis.factorisation import Factorisation, factorise, projected
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
+from ...models.core.identities import Turnover, common, find, union
 from ...models.core.short_repr import short_repr
 from ...models.points.point_tracks import NO_POINTS, PointMessage, PointTracks
 
@@ -250,8 +251,8 @@ class Registration:
 
 def register(structure: Structure, seen: ObservedPoints) -> Registration:
     """The camera that fits a frame's points but for outliers; for each point also the camera without it."""
-    known = np.isin(seen.identities, structure.identities)
-    places = np.searchsorted(structure.identities, seen.identities[known])
+    places, known = find(structure.identities, seen.identities)
+    places = places[known]
     positions, variances = seen.positions[known], structure.noise_scale * seen.variances[known]
     before, all_points, spreads = structure.motion, homogeneous(structure.shape), structure.shape_covariance
     points = all_points[places]
@@ -325,7 +326,7 @@ def updated(structure: Structure, found: Registration, elapsed: float, time: flo
 
 def add_points(structure: Structure, seen: ObservedPoints) -> Structure:
     """The structure with the points that are new in a frame, whose camera is known."""
-    new = ~np.isin(seen.identities, structure.identities)
+    new = ~find(structure.identities, seen.identities)[1]
     count, motion = int(new.sum()), structure.motion
     if not count:
         return structure
@@ -335,9 +336,9 @@ def add_points(structure: Structure, seen: ObservedPoints) -> Structure:
     cameras = np.tile(motion.camera, (count, 1, 1))
     shape, covariance = intersect(shape, covariance, cameras, seen.positions[new], noise)
     added = seen.identities[new], shape, covariance, np.zeros(count), np.zeros((count, 2))
+    turnover = Turnover.between(structure.identities, np.ones(len(structure), np.bool_), added[0])
     parts = zip(PER_POINT, added, strict=True)
-    whole: dict[str, Any] = {name: np.concatenate([getattr(structure, name), part]) for name, part in parts}
-    return replace(structure, **whole).only(np.argsort(whole["identities"]))
+    return replace(structure, **{name: turnover.rows(getattr(structure, name), new) for name, new in parts})
 
 
 def intersect(
@@ -478,10 +479,9 @@ class Window:
             return replace(self, skipped=self.skipped + 1)
         every, stride = (2, 2 * self.stride) if len(self.times) == MOST_FRAMES else (1, self.stride)
         times = np.append(self.times[::every], time)
-        identities = np.union1d(self.identities, seen.identities)
+        identities, old, new = union(self.identities, seen.identities)
         positions = np.zeros((len(times), len(identities), 2))
         variances = np.zeros((len(times), len(identities)))
-        old, new = (np.searchsorted(identities, part) for part in (self.identities, seen.identities))
         positions[:-1, old], variances[:-1, old] = self.positions[::every], self.variances[::every]
         positions[-1, new], variances[-1, new] = seen.positions, seen.variances
         counts = (variances > 0).sum(axis=0)
@@ -711,12 +711,10 @@ def _seen(state: StructureState, others: PointMessage) -> ObservedPoints:
     found = others.view.points
     if state.time - others.view.time > 0.5 * state.elapsed:  # a tracker's view of an earlier frame
         found = NO_POINTS
-    common, here, there = np.intersect1d(
-        identities, found.identities, assume_unique=True, return_indices=True
-    )
+    both, here, there = common(identities, found.identities)
     whole = ~np.isnan(found.positions[there]).any(axis=1)
-    common, here, there = common[whole], here[whole], there[whole]
-    return ObservedPoints(common, found.positions[there], variances[here])
+    both, here, there = both[whole], here[whole], there[whole]
+    return ObservedPoints(both, found.positions[there], variances[here])
 
 
 def _registered(structure: Structure, state: StructureState, others: PointMessage) -> Registration:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.compiled import compiled, inlined
+from .identities import Identities, Places, find, places_of, union
 from .short_repr import Rows, short_repr
 
 Numbers = NDArray[np.float64]
@@ -83,8 +84,8 @@ class GaussianMessage(Rows):
             return other if other.identities.size else self
         one, two = self, other
         if self.identities is not other.identities and not np.array_equal(self.identities, other.identities):
-            union = np.union1d(self.identities, other.identities)
-            one, two = self.among(union), other.among(union)
+            both, here, there = union(self.identities, other.identities)
+            one, two = self._spread(both, here), other._spread(both, there)
         return type(self)(
             one.identities,
             one.information + two.information,
@@ -144,14 +145,16 @@ class GaussianMessage(Rows):
     def marginal(self, identity: int) -> tuple[Numbers, Numbers]:
         """Mean `(d,)` px and covariance `(d, d)` px^2 of one thing; a `KeyError` if they are not known."""
         identities, means, covariances = self.moments
-        place = int(np.searchsorted(identities, identity))
-        if place == len(identities) or identities[place] != identity:
+        place, is_proper = find(identities, identity)
+        if not is_proper:
             raise KeyError(f"{identity}: nothing that fixes it is known")
         return means[place], covariances[place]
 
     def among(self, identities: NDArray[np.int64]) -> Self:
         """The same function, which also mentions things of which it says nothing."""
-        place = np.searchsorted(identities, self.identities)
+        return self._spread(identities, places_of(identities, self.identities))
+
+    def _spread(self, identities: Identities, place: Places) -> Self:
         count, dimension = len(identities), self.dimension
         information, vector = np.zeros((count, dimension, dimension)), np.zeros((count, dimension))
         log_scale = np.zeros(count)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.bounds import POSITIVE, PROBABILITY, check_bounds
 from ..core.gaussian_message import GaussianMessage
+from ..core.identities import find, union
 from ..core.short_repr import short_repr
 
 Numbers = NDArray[np.float64]
@@ -97,17 +98,16 @@ class LogOdds:
     def __mul__(self, other: Self) -> Self:
         if not self.identities.size or not other.identities.size:
             return self if self.identities.size else other
-        union = np.union1d(self.identities, other.identities)
-        return type(self)(union, self.of(union) + other.of(union))
+        both, _, _ = union(self.identities, other.identities)
+        return type(self)(both, self.of(both) + other.of(both))
 
     def of(self, identities: ArrayLike) -> Numbers:
         """Log odds of objects, in their order."""
-        asked = np.asarray(identities, np.int64)
+        place, is_mentioned = find(self.identities, identities)
         if not len(self):
-            return np.zeros(asked.shape)
-        place = np.minimum(np.searchsorted(self.identities, asked), len(self) - 1)
-        known: Numbers = np.where(self.identities[place] == asked, self.values[place], 0.0)
-        return known
+            return np.zeros(place.shape)
+        log_odds: Numbers = np.where(is_mentioned, self.values[place], 0.0)
+        return log_odds
 
 
 @short_repr

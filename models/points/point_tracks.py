@@ -15,6 +15,7 @@ from ..core.checks import Array as Shape
 from ..core.checks import Positive, Share, at_least, checked
 from ..core.frame import Frame, GivenPoints
 from ..core.gaussian_message import GaussianMessage
+from ..core.identities import find, places_of
 from ..core.pictures import draw_region, grey_of
 from ..core.short_repr import short_repr
 from .patches import Patches, sample_patches
@@ -121,7 +122,7 @@ def _grouped(
     groups = identities.copy()
     for message in (one, other):
         if message.same_as is not None:
-            place = np.searchsorted(identities, message.positions.identities)
+            place = places_of(identities, message.positions.identities)
             groups[place] = np.minimum(groups[place], message.same_as)
     return groups
 
@@ -182,12 +183,12 @@ class PointTracks:
         identities, mean, covariance = prior.positions.moments
         if prior.patches is None:
             return GaussianMessage.uniform(PLANE), NO_POINTS
-        known = np.isin(identities, prior.patches.identities)
+        patch, known = find(prior.patches.identities, identities)
         known &= 0.5 * np.trace(covariance, axis1=1, axis2=2) <= self.search_radius**2
         if not known.any():
             return GaussianMessage.uniform(PLANE), NO_POINTS
         identities, mean, covariance = identities[known], mean[known], covariance[known]
-        patches = prior.patches.pixels[np.searchsorted(prior.patches.identities, identities)]
+        patches = prior.patches.pixels[patch[known]]
         found = find_points(
             grey,
             patches,
@@ -226,9 +227,9 @@ def _previous_view(view: View | None, identities: NDArray[np.int64]) -> Previous
     """Return the positions of points in the last picture; `None` without one."""
     if view is None or view.grey is None:
         return None
-    shown = np.isin(identities, view.points.identities)
+    place, shown = find(view.points.identities, identities)
     position = np.zeros((len(identities), PLANE))
-    position[shown] = view.points.positions[np.searchsorted(view.points.identities, identities[shown])]
+    position[shown] = view.points.positions[place[shown]]
     return PreviousView(view.grey, shown, position)
 
 
@@ -281,7 +282,7 @@ def noise_of_tracks(frames: Iterable[Frame]) -> float:
         common = four[0].identities
         for points in four[1:]:
             common = np.intersect1d(common, points.identities, assume_unique=True)
-        a, b, c, d = (points.positions[np.searchsorted(points.identities, common)] for points in four)
+        a, b, c, d = (points.positions[places_of(points.identities, common)] for points in four)
         off.append(np.abs(d - a + 3 * (b - c)).ravel())
     thirds = np.concatenate(off) if off else np.zeros(0)
     thirds = thirds[~np.isnan(thirds)]
