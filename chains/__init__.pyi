@@ -6,6 +6,7 @@ from .body.flesh_tracker import FleshTracker
 from .body.hand_labelling import Labelling
 from .body.samples import BodySamples, body_moments
 from .face.gflow import GFlow
+from .generic import DiscreteChain, LinearGaussianChain, ParticleChain
 from .objects.blob_tracker import BlobTracker
 from .objects.detector_rates import DetectorRates
 from .objects.ground_plane import GroundPlane
@@ -30,6 +31,7 @@ __all__ = [
     "CameraMotion",
     "Condensation",
     "DetectorRates",
+    "DiscreteChain",
     "FactorStructure",
     "FeatureMatcher",
     "FixedLag",
@@ -37,9 +39,11 @@ __all__ = [
     "GFlow",
     "GroundPlane",
     "Labelling",
+    "LinearGaussianChain",
     "MixtureBackground",
     "NonrigidStructure",
     "ObjectTrajectories",
+    "ParticleChain",
     "PointTracker",
     "Reconstruction",
     "RecursiveStructure",

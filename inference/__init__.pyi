@@ -14,6 +14,7 @@ from .engine.protocols import (
     Trajectory,
 )
 from .engine.recursive_bp import Belief, RecursiveBP, RunState
+from .kalman import kinematic
 from .validity import (
     PredictionErrors,
     RecordedPredictions,
@@ -46,5 +47,6 @@ __all__ = [
     "compare_predictions",
     "compare_scores",
     "cost",
+    "kinematic",
     "product_of",
 ]

@@ -2,7 +2,7 @@ from .body.parts import BodyParts, PartMessage
 from .body.upper_body import BodyPoses, UpperBody
 from .core.categorical import Categorical, CategoricalMessage
 from .core.frame import KEYPOINTS, Frame, GivenBoxes, GivenKeypoints
-from .core.gaussian_message import GaussianMessage
+from .core.gaussian_message import GaussianFeature, GaussianMessage
 from .core.gaussian_mixtures import GaussianMixtures
 from .face.detectors import HaarFaces, YuNetFaces
 from .face.morphable_model import MorphableModel, Poses
@@ -21,6 +21,7 @@ __all__ = [
     "Categorical",
     "CategoricalMessage",
     "Frame",
+    "GaussianFeature",
     "GaussianMessage",
     "GaussianMixtures",
     "GivenBoxes",

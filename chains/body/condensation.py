@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...inference.engine.generic_chains import ParticleChain, ParticleState
 from ...inference.engine.protocols import Incoming, Port
-from ...inference.smc import copied, normalised, systematic
 from ...models.body.parts import BodyParts, PartMessage
 from ...models.body.upper_body import BodyPoses, UpperBody
 from ...models.core.frame import Frame
@@ -72,45 +72,76 @@ class Condensation:
     def _dynamics(self) -> BodyDynamics:
         return self.dynamics or BodyDynamics(self.body)
 
+    @property
+    def _filter(self) -> ParticleChain:
+        """The particle filter, of poses alone."""
+        return ParticleChain(
+            self._moved,
+            lambda poses, weights, feature: part_message(self.body, poses, weights, GROUPS),
+            self._log_likelihood,
+            self._first,
+            features=BodyParts,
+            count=self.samples,
+            resampling_share=1.0,
+            seed=self.seed,
+        )
+
+    def _first(self, count: int, frame: Frame, random: np.random.Generator) -> BodyPoses:
+        """The poses to start from, each as often as the others."""
+        if self.start is None:
+            return self._dynamics.draw_anywhere(count, _size(frame), random)
+        return self.start.take(np.arange(count) * len(self.start) // count)
+
+    def _moved(self, poses: BodyPoses, dt: float, random: np.random.Generator) -> tuple[BodyPoses, Array]:
+        """Poses moved at random, and logs of how usual they are; none that joints forbid."""
+        moved = self._dynamics.draw(poses, dt, random)
+        posture = self._dynamics.log_posture(moved, dt)
+        return moved, np.where(self.body.allowed(moved), posture, -np.inf)
+
+    def _log_likelihood(self, poses: BodyPoses, message: PartMessage, feature: BodyParts) -> Array:
+        """What the image and other chains say of poses."""
+        log_factors = np.zeros(len(poses))
+        if message.stacked.informative.any():
+            log_factors += message.log_values(self.body.parts(poses))
+        if message.image is not None:
+            likelihood = self.likelihood or BodyLikelihood(self.body)
+            log_factors += likelihood(message.image)(poses)
+        return log_factors
+
     def initial(self, frame: Frame) -> BodySamples:
         """The poses to start from, of equal weight."""
-        if frame.image is None:
-            raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
-        height, width = frame.image.shape[:2]
-        random = np.random.Generator(np.random.SFC64(self.seed))  # numpy's fastest: most of a step is noise
-        if self.start is None:
-            poses = self._dynamics.draw_anywhere(self.samples, (height, width), random)
-        else:
-            poses = self.start.take(np.arange(self.samples) * len(self.start) // self.samples)
-        return BodySamples.even(poses, (height, width), random)
+        first = self._filter.initial(frame)
+        return BodySamples(first.particles, first.log_weights, _size(frame), first.random)
 
     def predict(self, state: BodySamples, dt: float) -> BodySamples:
         """As many draws of each pose as its weight says, each moved at random; none that joints forbid."""
         state, dt = state.origin(dt)
-        random = copied(state.random)
-        chosen = systematic(state.log_weights, self.samples, random)
-        poses = self._dynamics.draw(state.poses.take(chosen), dt, random)
-        allowed = self.body.allowed(poses)
-        some = np.count_nonzero(allowed) or self.samples
-        log_weights = np.full(self.samples, -np.log(some))
-        if some < self.samples:
-            log_weights[~allowed] = -np.inf
-        log_weights = normalised(log_weights + self._dynamics.log_posture(poses, dt))
-        return BodySamples(poses, log_weights, state.size, random, before=state, elapsed=dt)
+        moved = self._filter.predict(_particles(state), dt)
+        return BodySamples(
+            moved.particles, moved.log_weights, state.size, moved.random, before=state, elapsed=dt
+        )
 
     def message(self, state: BodySamples, feature: BodyParts, incoming: Incoming) -> PartMessage:
         """What the predicted poses say of head and hands, as mixtures with the samples' moments."""
-        return part_message(self.body, state.poses, state.weights, GROUPS)
+        message: PartMessage = self._filter.message(_particles(state), feature, incoming)
+        return message
 
     def update(self, state: BodySamples, incoming: Incoming) -> BodySamples:
         """Weights times the likelihood of the image; as they are where there is none."""
         message = incoming[BodyParts]
-        log_factors = np.zeros(len(state.poses))
-        if message.stacked.informative.any():
-            log_factors += message.log_values(self.body.parts(state.poses))
-        if message.image is not None:
-            likelihood = self.likelihood or BodyLikelihood(self.body)
-            log_factors += likelihood(message.image)(state.poses)
-        if message.image is None and not log_factors.any():
+        if message.image is None and not message.stacked.informative.any():
             return replace(state, before=None, elapsed=0.0, stationary=True)
-        return state.reweighed(log_factors)
+        after = self._filter.update(_particles(state), incoming)
+        return BodySamples(
+            state.poses, after.log_weights, state.size, state.random, log_evidence=after.log_evidence
+        )
+
+
+def _particles(state: BodySamples) -> ParticleState:
+    return ParticleState(state.poses, state.log_weights, state.random)
+
+
+def _size(frame: Frame) -> tuple[int, int]:
+    """`(height, width)` px of the picture."""
+    height, width = frame.required_image().shape[:2]
+    return height, width

@@ -18,8 +18,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...inference.engine.generic_chains import LinearGaussianChain, LinearGaussianState
 from ...inference.engine.protocols import Incoming, Port
-from ...models.camera.moving_camera import UNKNOWNS, View
+from ...models.camera.moving_camera import UNKNOWNS, AffineMap, View
 from ...models.core.bounds import POSITIVE, check_bounds
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
@@ -37,11 +38,20 @@ FIRST_VARIANCE = 1e-6  # px^2: the first frame is the scene's picture, by defini
 class CameraState:
     """Where the camera looks, and at what."""
 
-    mean: NDArray[np.float64]  # (6,) px: parameters of the map from scene to frame
-    covariance: NDArray[np.float64]  # (6, 6) px^2
+    where: LinearGaussianState  # of one thing, the map from scene to frame
     # (height, width[, 3]): the scene under today's light, in the first frame's places
     picture: NDArray[np.float32]
     elapsed: float  # s since the last frame with an image
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """`(6,)` px: parameters of the map from scene to frame."""
+        return self.where.mean[0]
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """`(6, 6)` px^2, of these."""
+        return self.where.covariance[0]
 
 
 @short_repr
@@ -72,19 +82,25 @@ class CameraMotion:
     def initial(self, frame: Frame) -> CameraState:
         """The first image is the scene's picture."""
         picture = frame.required_image().astype(np.float32)
-        return CameraState(np.zeros(UNKNOWNS), FIRST_VARIANCE * np.eye(UNKNOWNS), picture, 0.0)
+        return CameraState(self._motion(picture).initial(frame), picture, 0.0)
+
+    def _motion(self, picture: NDArray[np.float32]) -> LinearGaussianChain:
+        """The map's own chain, an Ornstein-Uhlenbeck process."""
+        variance = (self.reach * math.hypot(*picture.shape[:2]) / 2) ** 2
+        return LinearGaussianChain(
+            lambda dt: math.exp(-dt / self.time) * np.eye(UNKNOWNS),
+            lambda dt: -math.expm1(-2 * dt / self.time) * variance * np.eye(UNKNOWNS),
+            None,
+            None,
+            features=ScenePixels,
+            initial_covariance=FIRST_VARIANCE * np.eye(UNKNOWNS),
+            identities=(0,),
+        )
 
     def predict(self, state: CameraState, dt: float) -> CameraState:
         """The camera returns to where it rests, but for what shakes it."""
-        stays = math.exp(-dt / self.time)
-        widest = self.reach * math.hypot(*state.picture.shape[:2]) / 2
-        shaken = (1 - stays**2) * widest**2 * np.eye(UNKNOWNS)
-        return replace(
-            state,
-            mean=stays * state.mean,
-            covariance=stays**2 * state.covariance + shaken,
-            elapsed=state.elapsed + dt,
-        )
+        where = self._motion(state.picture).predict(state.where, dt)
+        return replace(state, where=where, elapsed=state.elapsed + dt)
 
     def message(self, state: CameraState, feature: ScenePixels, incoming: Incoming) -> PixelMessage:
         """Where the camera may look (mu_{C -> F})."""
@@ -95,12 +111,11 @@ class CameraMotion:
         others = incoming[ScenePixels]
         if others.image is None:
             return state
-        mean, covariance, picture = state.mean, state.covariance, state.picture.copy()
+        where, picture = state.where, state.picture.copy()
         seen = np.asarray(others.foreground() == 0, np.uint8)
         if others.view is not None:
-            view = View.predicted(state.mean, state.covariance, state.picture) * others.view
-            mean, covariance = view.map.parameters, view.covariance
-            seen[view.hidden] = 0
+            where = self._motion(picture).condition(where, others.view.where)
+            seen[~AffineMap(where.mean[0], others.view.size).shown] = 0
         share = -math.expm1(-state.elapsed / PICTURE_TIME)
         cv2.accumulateWeighted(others.image, picture, share, mask=seen)
-        return CameraState(mean, covariance, picture, 0.0)
+        return CameraState(where, picture, 0.0)

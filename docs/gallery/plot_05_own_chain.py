@@ -3,39 +3,42 @@ A chain of your own
 ===================
 
 A door that opens is foreground at first, and after some seconds it *is* the background; when it closes, the
-closed door is foreground. But somebody may know better. A chain is a state with a port and four methods:
-here the state is P(door is open), and what it says to the pixels is "with this probability something that I
-know covers you, in whatever colour".
+closed door is foreground. A second chain of two states, closed and open, solves it. What it says to the
+pixels is "with this probability something that I know covers you, in whatever colour".
 """
 
 import matplotlib.pyplot as plt
 import numpy as np
-from rsmcm.chains import AdaptiveBackground
-from rsmcm.inference import MultiChain, Port, RecursiveBP
+from rsmcm.chains import AdaptiveBackground, DiscreteChain
+from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import Layer, LayerStack, PixelLabels, PixelMessage
+from scipy.linalg import expm
+
+box = (40, 70, 28, 16)  # top, left, height, width, px
+rates = np.array([[-1, 1], [1, -1]]) / 20  # per second: it opens and closes about once in 20 s
 
 
-class Door:
-    name, ports, box = "door", (Port(PixelLabels),), (40, 70, 28, 16)  # top, left, height, width, px
+def message_of(probabilities, pixels):
+    mask = np.full(box[2:], probabilities[1], np.float32)
+    return PixelMessage(layers=LayerStack([Layer(*box[:2], mask, appearance=None)]))
 
-    def initial(self, frame):
-        return 0.0
 
-    def predict(self, state, dt):
-        return 0.5 + (state - 0.5) * np.exp(-dt / 10)  # it opens and closes once in 20 s or so
+def log_likelihood(message, pixels):
+    nats = message.log_likelihood_ratio(box).mean()  # for the closed door, a pixel
+    return [3 * nats, 0]  # neighbours are alike: worth three of them
 
-    def message(self, state, feature, incoming):
-        mask = np.full(self.box[2:], state, np.float32)
-        return PixelMessage(layers=LayerStack([Layer(*self.box[:2], mask, appearance=None)]))
 
-    def update(self, state, incoming):
-        nats = incoming[PixelLabels].log_likelihood_ratio(self.box).mean()  # for the closed door, a pixel
-        closed_over_open = np.exp(3 * nats)  # neighbours are alike: worth three of them
-        return state / (state + (1 - state) * closed_over_open)
-
+door = DiscreteChain(
+    lambda dt: expm(dt * rates),
+    message_of,
+    log_likelihood,
+    features=PixelLabels,
+    initial_probabilities=[1, 0],
+    name="door",
+)
 
 # %%
-# ``incoming`` is the product of the image and of what all *other* chains say: a chain never hears itself.
+# ``message`` is the product of the image and of what all *other* chains say: a chain never hears itself.
 # Now a street whose door stands open, and shows a dark hall, from 10 s to 50 s.
 
 random = np.random.default_rng(0)
@@ -55,7 +58,7 @@ def image(time):
 
 pixels, times = PixelLabels(), np.arange(0, 60, 0.2)
 alone = MultiChain().connect(AdaptiveBackground(follow_light=False), pixels)
-both = alone.copy().connect(Door(), pixels)
+both = alone.copy().connect(door, pixels)
 runs = [list(RecursiveBP(model).run(map(image, times), dt=0.2)) for model in (alone, both)]
 pictures = [beliefs[245]["background"].picture() for beliefs in runs]
 for name, picture in zip(("alone", "with the door"), pictures, strict=True):
@@ -70,5 +73,5 @@ figure, axes = plt.subplots(1, 3, figsize=(10, 2.8), layout="constrained")
 for axis, picture, title in zip(axes, pictures, ("background alone", "with the door's chain"), strict=False):
     axis.imshow(picture, cmap="gray", vmin=0, vmax=255)
     axis.set(title=title, xticks=[], yticks=[])
-axes[2].plot(times, [belief["door"] for belief in runs[1]])
+axes[2].plot(times, [belief["door"].probabilities[1] for belief in runs[1]])
 axes[2].set(title="P(door is open)", xlabel="s")

@@ -1,6 +1,7 @@
 """Independent Gaussians by identity: what is known of many things of one kind, each on its own."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.compiled import compiled, inlined
+from .frame import Frame
 from .identities import Identities, Places, find, places_of, union
 from .short_repr import Rows, short_repr
 
@@ -94,6 +96,15 @@ class GaussianMessage(Rows):
         )
 
     @property
+    def gaussians(self) -> Self:
+        """The message, as it is for messages of which Gaussians are a factor."""
+        return self
+
+    def with_gaussians(self, gaussians: Self) -> Self:
+        """Return the Gaussians."""
+        return gaussians
+
+    @property
     def dimension(self) -> int:
         """Numbers of each thing."""
         return int(self.vector.shape[1])
@@ -160,6 +171,45 @@ class GaussianMessage(Rows):
         log_scale = np.zeros(count)
         information[place], vector[place], log_scale[place] = self.information, self.vector, self.log_scale
         return type(self)(identities, information, vector, log_scale)
+
+
+@short_repr
+@dataclass(frozen=True)
+class GaussianFeature:
+    """Feature node of vectors by identity, of which an image says something by itself, or nothing.
+
+    Parameters
+    ----------
+    name
+        of the node.
+    dimension
+        numbers of a vector.
+    measure
+        likelihood of a frame that is not missing: `measure(frame)`. `None` for a feature of which images say
+        nothing.
+    """
+
+    name: str
+    dimension: int
+    measure: Callable[[Frame], GaussianMessage] | None = None
+
+    searches = False
+
+    def uniform(self) -> GaussianMessage:
+        """Return the constant 1."""
+        return GaussianMessage.uniform(self.dimension)
+
+    def evidence(self, frame: Frame, prior: GaussianMessage) -> GaussianMessage:
+        """Return the likelihood of the frame; a `ValueError` if `measure` gives another dimension."""
+        if self.measure is None:
+            return self.uniform()
+        message = self.measure(frame)
+        if message.dimension != self.dimension:
+            raise ValueError(
+                f"measure of {self.name!r}: got {message.dimension} numbers at frame {frame.number}, "
+                f"expected {self.dimension}"
+            )
+        return message
 
 
 def _inverted(

@@ -1,6 +1,6 @@
 """What chains and detectors say to each other about the boxes of objects, and how a detector behaves."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
@@ -223,6 +223,15 @@ class BoxMessage:
             # one without boxes, which is false, says that the detector has run
             other.association if self.association is None else self.association,
         )
+
+    @property
+    def gaussians(self) -> GaussianMessage:
+        """Boxes of objects that are seen or observed, px."""
+        return self.objects
+
+    def with_gaussians(self, gaussians: GaussianMessage) -> Self:
+        """Return the message with other Gaussians of boxes that are seen."""
+        return replace(self, objects=gaussians)
 
     @property
     def expected(self) -> GaussianMessage:

@@ -91,6 +91,15 @@ class PointMessage:
         return cls(GaussianMessage.uniform(PLANE))
 
     @property
+    def gaussians(self) -> GaussianMessage:
+        """Positions, px."""
+        return self.positions
+
+    def with_gaussians(self, gaussians: GaussianMessage) -> Self:
+        """Return the message with other Gaussians of positions."""
+        return replace(self, positions=gaussians)
+
+    @property
     def log_mass(self) -> float:
         """Return the log of the integral over all positions; see `GaussianMessage.log_mass`."""
         return self.positions.log_mass

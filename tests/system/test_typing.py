@@ -11,6 +11,12 @@ pytest.importorskip("mypy")
 
 PAGE = Path(__file__).parents[2] / "docs" / "own-chain.md"
 
+IMPORTS = """
+from collections.abc import Sequence
+import numpy as np
+from rsmcm.models import Layer, LayerStack, PixelLabels, PixelMessage
+"""
+
 CHAINS = """
 from typing import overload
 from rsmcm.inference import BatchIncoming, Belief, MultiChain, Smoothed, Solution
@@ -77,9 +83,9 @@ def asked(belief: Belief, solution: Solution) -> None:
 
 
 def test_a_checker_knows_what_is_said_to_which_feature(tmp_path: Path) -> None:
-    block = re.search(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
-    assert block is not None
-    source = "from collections.abc import Sequence\n" + block[1] + CHAINS
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    door = next(block for block in blocks if "class Door:" in block)
+    source = IMPORTS + door + CHAINS
     path = tmp_path / "user.py"
     path.write_text(source)
     command = [sys.executable, "-m", "mypy", "--strict", "--no-error-summary", str(path)]
