@@ -24,6 +24,19 @@ ALWAYS_TYPED = "Of a batch"
 
 SCALARS = (bool, int, float, str)
 
+RENAMED = {
+    "BlobTracker.smallest": "min_area",
+    "BlobTracker.spread": "colour_variance",
+    "BlobTracker.temper": "likelihood_power",
+    "BlobTracker.first_speed": "initial_velocity_std",
+    "BlobTracker.patience": "max_coast_time",
+    "BlobTracker.hidden_patience": "max_hidden_time",
+    "BlobTracker.confirmed_time": "confirmation_time",
+    "BlobTracker.ghost_evidence": "ghost_threshold",
+    "BlobTracker.parting_time": "split_time",
+}
+"""Present names of renamed parameters (`Class.old`) and of renamed options (`old`)."""
+
 
 def read_settings(path: Path) -> dict[str, Any]:
     """Read a TOML file; ValueError, naming the file, if it is none."""
@@ -48,7 +61,9 @@ def options_from_file(app: App, commands: tuple[str, ...], arguments: ArgumentCo
         known = [name.removeprefix("--").replace("-", "_") for name in names]
         for key in options:  # cyclopts would pass over those of every command
             if key.replace("-", "_") not in known:
-                expected = meant(key, known) or ", expected an option of the command, or a section"
+                new = RENAMED.get(key.replace("-", "_"))
+                expected = f", it is {new} now" if new in known else meant(key, known)
+                expected = expected or ", expected an option of the command, or a section"
                 raise ValueError(f"{path}: unknown key {key!r}{expected}")
         several = {name for each in arguments if each.token_count()[1] for name in each.names}
         for key, value in options.items():  # old versions of cyclopts take a list for any option
@@ -92,6 +107,8 @@ def read_fields(
     found = {}
     for name, value in values.items():
         if name not in kinds:
+            if new := RENAMED.get(f"{kind.__name__}.{name}"):
+                raise ValueError(f"{where}: unknown key {name!r}, it is {new} now")
             raise ValueError(
                 f"{where}: unknown key {name!r}, expected {', '.join(kinds)}{meant(name, kinds)}"
             )

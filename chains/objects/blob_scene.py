@@ -216,12 +216,12 @@ class Learning(NamedTuple):
     least_area: float  # px
     outliers: float
     strength: float
-    spread: float
-    temper: float
-    ghost_evidence: float
-    confirmed_time: float
-    patience: float
-    hidden_patience: float
+    colour_variance: float
+    likelihood_power: float
+    ghost_threshold: float
+    confirmation_time: float
+    max_coast_time: float
+    max_hidden_time: float
 
 
 @compiled
@@ -442,10 +442,10 @@ def _lives(blob, mask, inside, in_front, pools, rule, scratch):
     outside = not whole and _mass_inside(mask, inside) < LEAST_MASK * blob.mass
     if thin or outside or blob.mass < rule.least_area:
         return False
-    if blob.seen < rule.confirmed_time:
+    if blob.seen < rule.confirmation_time:
         return blob.unseen == 0.0
     hidden = blob.unseen > 0 and _is_hidden(blob, mask, in_front, pools, scratch)
-    return blob.unseen < (rule.hidden_patience if hidden else rule.patience)
+    return blob.unseen < (rule.max_hidden_time if hidden else rule.max_coast_time)
 
 
 @compiled
@@ -463,8 +463,8 @@ def weigh(blob, found, box, length, rule):
 def _note_seen(blob, variance, box, length, rule):
     """Spread, usual size, where it appeared, and times of a blob that was seen; `box` is as it was before."""
     speed = np.hypot(blob.velocity[0], blob.velocity[1])
-    spread = blob.spread + rule.colour_share * (2 * variance - blob.spread)
-    blob.spread = min(max(spread, 0.2 * rule.spread), rule.spread)
+    after = blob.colour_variance + rule.colour_share * (2 * variance - blob.colour_variance)
+    blob.colour_variance = min(max(after, 0.2 * rule.colour_variance), rule.colour_variance)
     grown = rule.mask_share if blob.seen < FRESH else rule.size_share
     blob.size[0] += grown * (box[3] - blob.size[0])
     blob.size[1] += grown * (box[2] - blob.size[1])
@@ -494,7 +494,7 @@ def learn_all(which, before, old, blobs, pools, picture, scene, rule, alive, scr
         covers, own, rest = _refitted(blob, before[k], old, channels, scratch)
         top, left = corner_of(blob)
         inside = _inside(top, left, blob.rows, blob.columns, height, width)
-        if is_ghost(before[k], rule.ghost_evidence):
+        if is_ghost(before[k], rule.ghost_threshold):
             put(covers.reshape(-1), mask.reshape(-1))
             colours = colours_of(blob, pools, channels).reshape(-1)
             put(own.reshape(-1)[: colours.size], colours)
@@ -537,7 +537,7 @@ def learn_all(which, before, old, blobs, pools, picture, scene, rule, alive, scr
             found = outline_evidence(
                 patch.planes, top, left, scene.background, patch.free, mask, within, rest
             )
-            weigh(blob, rule.temper * found, box, length, rule)
+            weigh(blob, rule.likelihood_power * found, box, length, rule)
             _note_seen(blob, variance, box, length, rule)
         else:
             blob.unseen += rule.elapsed
@@ -589,7 +589,7 @@ class BlobScene:
     def learned(self, blobs: Blobs, rule: Learning) -> tuple[Blobs, NDArray[np.bool_]]:
         """Blobs, given front to back, after the frame, and which of them live on."""
         before, table, channels = blobs.table, blobs.table.copy(), blobs.channels
-        total = fit(table, rule.ghost_evidence)
+        total = fit(table, rule.ghost_threshold)
         masks, colours = np.empty(total, np.float32), np.empty(channels * total, np.float32)
         alive = np.empty(len(table), np.uint8)
         after = replace(blobs.with_table(table), masks=masks, colours=colours)
@@ -630,15 +630,15 @@ class BlobScene:
         mask = np.minimum(0.9, free / (1 + np.exp(odds))).astype(np.float32)
         return np.array([float(top), float(left)]), mask, planes
 
-    def spots(self, blobs: Blobs, smallest: float) -> list[Spot]:
-        """Foreground of `smallest` px or more that does not touch a blob: top, left, bottom, right px."""
+    def spots(self, blobs: Blobs, min_area: float) -> list[Spot]:
+        """Foreground of `min_area` px or more that does not touch a blob: top, left, bottom, right px."""
         height, width = self.size
         scale = max(1, round(max(height, width) / BLOCKS))
         counts = np.empty((-(-height // scale), -(-width // scale)), np.int32)
         memory = np.empty(max(height * width // 64 + 1 + width, counts.size), np.int64)
         found = np.empty((MOST_SPOTS, 5), np.int64)
         count = find_spots(
-            self.picture.log_odds.reshape(-1), self.size, scale, blobs.table, blobs.pools, smallest, THINNEST,
+            self.picture.log_odds.reshape(-1), self.size, scale, blobs.table, blobs.pools, min_area, THINNEST,
             counts, memory, found,
         )  # fmt: skip
         spots: list[Spot] = found[:count, :4].tolist()

@@ -35,15 +35,16 @@ from .groups import alone, fragment_times, halves, merged, parting_columns, with
 from .registration import registered
 
 MORE_THAN_0 = (
-    "smallest", "mask_time", "colour_time", "spread", "strength", "temper", "acceleration", "first_speed",
-    "patience", "hidden_patience", "confirmed_time", "ghost_evidence", "parting_time", "size_time",
+    "min_area", "mask_time", "colour_time", "colour_variance", "strength", "likelihood_power", "acceleration",
+    "initial_velocity_std", "max_coast_time", "max_hidden_time", "confirmation_time", "ghost_threshold",
+    "split_time", "size_time",
 )  # fmt: skip
 """Parameters of `BlobTracker` that must be more than 0."""
 
 SWEEP = 0.8  # s after which a mask is freed of crumbs again
 OF_TRACKER = (
-    "outliers", "strength", "spread", "temper", "ghost_evidence", "confirmed_time", "patience",
-    "hidden_patience",
+    "outliers", "strength", "colour_variance", "likelihood_power", "ghost_threshold", "confirmation_time",
+    "max_coast_time", "max_hidden_time",
 )  # fmt: skip
 """Parameters of `BlobTracker` by which blobs are learned."""
 
@@ -59,50 +60,50 @@ class BlobTracker:
 
     Parameters
     ----------
-    smallest
+    min_area
         share of the picture's area below which a spot is no object.
     mask_time, colour_time
         s in which a mask and its colours follow what is seen.
-    spread
+    colour_variance
         squared grey levels: variance of a new blob's colours about the remembered ones, at most.
     outliers
         share of an object's pixels that look otherwise.
     strength
         how much likelier a known object is in front of the background than an unknown one.
-    temper
+    likelihood_power
         how many independent observations one pixel of a registration is worth.
     acceleration
         blob lengths/s^2, standard deviation of what moves a blob out of its straight way; it lasts half a
         second.
-    first_speed
+    initial_velocity_std
         blob lengths/s, standard deviation of a new blob's velocity.
-    patience, hidden_patience
+    max_coast_time, max_hidden_time
         s for which a blob that should be visible, or is hidden by another, may stay unseen.
-    confirmed_time
+    confirmation_time
         s for which an object must have been seen before it is reported, in every frame.
-    ghost_evidence
+    ghost_threshold
         nats from which on a blob is taken for a ghost: log ratio of an outline that is an edge of the
         background's picture and one that is an edge of the image (see `chains.objects.blob_scene`).
-    parting_time
+    split_time
         s for which a blob must have had a waist, or the width of two people, before it becomes two.
     size_time
         s in which a blob's usual size follows its box; its mask does not reach much further.
     """
 
-    smallest: float = 0.0003
+    min_area: float = 0.0003
     mask_time: float = 0.4
     colour_time: float = 0.4
-    spread: float = 300.0
+    colour_variance: float = 300.0
     outliers: float = 0.1
     strength: float = 10.0
-    temper: float = 0.15
+    likelihood_power: float = 0.15
     acceleration: float = 0.9
-    first_speed: float = 2.0
-    patience: float = 0.6
-    hidden_patience: float = 3.0
-    confirmed_time: float = 0.35
-    ghost_evidence: float = 5.0
-    parting_time: float = 0.4
+    initial_velocity_std: float = 2.0
+    max_coast_time: float = 0.6
+    max_hidden_time: float = 3.0
+    confirmation_time: float = 0.35
+    ghost_threshold: float = 5.0
+    split_time: float = 0.4
     size_time: float = 2.0
     name: str = "blobs"
 
@@ -115,7 +116,7 @@ class BlobTracker:
         """No objects: what is there from the first frame on is background until it moves."""
         image = frame.required_image()
         channels = 1 if image.ndim == 2 else image.shape[2]
-        return BlobState(Blobs.none(channels), 0, image.shape[:2], 0.0, self.confirmed_time)
+        return BlobState(Blobs.none(channels), 0, image.shape[:2], 0.0, self.confirmation_time)
 
     def predict(self, state: BlobState, dt: float) -> BlobState:
         """First-order dynamics: velocity stays, but for a random force."""
@@ -151,7 +152,7 @@ class BlobTracker:
         if pixels.subtraction is None:
             return state
         scene = BlobScene(pixels, layers, boxes, state.elapsed)
-        numbers, least_area = count(state.born + 1), self.smallest * scene.size[0] * scene.size[1]
+        numbers, least_area = count(state.born + 1), self.min_area * scene.size[0] * scene.size[1]
         kept = Blobs.none(blobs.channels)
         if len(blobs) or newborn:
             learned, alive = scene.learned(blobs, self._rule(blobs.channels, scene, least_area))
@@ -162,7 +163,9 @@ class BlobTracker:
         for spot in scene.spots(kept, least_area):
             corner, mask, planes = scene.shown_in(spot, kept)
             if float(mask.sum()) >= least_area:
-                new = Blob.newborn(next(numbers), corner, mask, planes, self.first_speed, self.spread)
+                new = Blob.newborn(
+                    next(numbers), corner, mask, planes, self.initial_velocity_std, self.colour_variance
+                )
                 kept = kept.and_also([new.changed(past_views=inherited(new, kept))])
         return replace(state, blobs=kept, born=next(numbers) - 1, elapsed=0.0)
 
@@ -193,11 +196,11 @@ class BlobTracker:
             return state.blobs, NO_LAYERS
         blobs = front_to_back(state.blobs)
         if pixels.subtraction is not None:
-            blobs = registered(blobs, pixels, self.outliers, self.temper, state.elapsed)
+            blobs = registered(blobs, pixels, self.outliers, self.likelihood_power, state.elapsed)
         return blobs, self._layers(blobs)
 
     def _layers(self, blobs: Blobs) -> LayerStack:
-        return LayerStack(layers_of(blobs, self.outliers, self.strength, self.ghost_evidence))
+        return LayerStack(layers_of(blobs, self.outliers, self.strength, self.ghost_threshold))
 
     def _rule(self, channels: int, scene: BlobScene, least_area: float) -> Learning:
         """How blobs follow what this frame shows."""
@@ -225,7 +228,7 @@ class BlobTracker:
         longer = np.where(waists < 0, 0.0, table["parting"] + scene.elapsed)
         table["parting"] = np.where(judged, longer, table["parting"])
         parted = {}
-        for k in np.flatnonzero((waists >= 0) & (longer >= self.parting_time)).tolist():
+        for k in np.flatnonzero((waists >= 0) & (longer >= self.split_time)).tolist():
             larger, smaller = halves(blobs[k], waists[k])
             if smaller.sum() >= max(least_area, 0.25 * larger.sum()):
                 blob, new = blobs[k].changed(parting=0.0, still=0.0), next(numbers)

@@ -81,13 +81,18 @@ class Blob:
 
     @classmethod
     def newborn(
-        cls, identity: int, corner: Pair, mask: Map, planes: Map, first_speed: float, spread: float
+        cls,
+        identity: int,
+        corner: Pair,
+        mask: Map,
+        planes: Map,
+        initial_velocity_std: float,
+        colour_variance: float,
     ) -> Self:
-        """An object that was never seen before, with `corner` `(2,)` px the top and left of its patch.
+        """Return an object that was never seen before, with `corner` `(2,)` px the top and left of its patch.
 
         Its mask `(height, width)` has a border of `MARGIN`; `planes` `(channels, height, width)` are the
-        image's there, `first_speed` is of its own lengths in a second, and `spread` squared grey levels of
-        its colours.
+        image's there. `initial_velocity_std` is in its own lengths/s, `colour_variance` in grey levels^2.
         """
         size = np.array(mask.shape) - 2.0 * MARGIN
         appearance = np.where(mask > 0.2, planes, np.float32(UNKNOWN_COLOUR))
@@ -95,9 +100,9 @@ class Blob:
             identity=identity,
             whole=identity,
             position=corner,
-            covariance=np.diag([1.0, (first_speed * size.max()) ** 2]),
+            covariance=np.diag([1.0, (initial_velocity_std * size.max()) ** 2]),
             mask=mask,
-            spread=spread,
+            colour_variance=colour_variance,
             confidence=1.0,
             origin=(float(corner[1]) + MARGIN, float(corner[0]) + MARGIN, float(size[1]), float(size[0])),
             size=size,
@@ -307,7 +312,7 @@ class BlobState:
     born: int  # how many there have been
     size: tuple[int, int]  # (height, width) px of the picture
     elapsed: float  # s since the last frame with an image
-    confirmed_time: float  # s for which an object must have been seen before it is reported
+    confirmation_time: float  # s for which an object must have been seen before it is reported
     detecting: bool = False  # whether a detector has run, which decides what is reported
 
     def tracks(self) -> list[Track]:
@@ -316,7 +321,7 @@ class BlobState:
         if not len(table):
             return []
         found = table["detected"] != 0
-        sure = blobs.are_likely if self.detecting else table["seen"] >= self.confirmed_time
+        sure = blobs.are_likely if self.detecting else table["seen"] >= self.confirmation_time
         parts: dict[int, list[int]] = {}
         for k in np.flatnonzero(sure & (found | ~blobs.are_fragments)).tolist():
             parts.setdefault(int(table["whole"][k]), []).append(k)
@@ -388,15 +393,15 @@ def front_to_back(blobs: Blobs) -> Blobs:
     return blobs.taken(np.lexsort((blobs.table["identity"], -blobs.feet)))
 
 
-def layers_of(blobs: Blobs, outliers: float, strength: float, ghost_evidence: float) -> LayerSheet:
+def layers_of(blobs: Blobs, outliers: float, strength: float, ghost_threshold: float) -> LayerSheet:
     """Blobs, front to back, as layers; a ghost says that there is no object where it is, nor beside it."""
     known, table = blobs.table, np.empty(len(blobs), LAYER)
     table["top"], table["left"] = np.floor(known["position"] + 0.5).T
-    for name in ("rows", "columns", "start", "coloured", "spread"):
+    for name in ("rows", "columns", "start", "coloured", "colour_variance"):
         table[name] = known[name]
-    table["log_ratio"] = log_density_ratio(blobs.channels, known["spread"])
+    table["log_ratio"] = log_density_ratio(blobs.channels, known["colour_variance"])
     table["outliers"], table["strength"] = outliers, strength
-    table["ghost"] = blobs.ghost_evidence >= ghost_evidence
+    table["ghost"] = blobs.ghost_evidence >= ghost_threshold
     masks = blobs.masks
     for k in np.flatnonzero(table["ghost"]).tolist():
         shape = _around(blobs[k].mask)

@@ -111,7 +111,7 @@ class Motion(NamedTuple):
 
     acceleration: float  # heights^2/s^3, spectral density of what moves feet out of their straight way
     growth: float  # heights^2/s^3, of what changes the growth of their width and height
-    first_speed: float  # heights/s, standard deviation of a velocity
+    initial_velocity_std: float  # heights/s, standard deviation of a velocity
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,8 +163,8 @@ def smoothed(track: Boxes, times: Numbers, motion: Motion) -> Smooth:
         both = smooth(filtered, seconds, density * height**2)
         return PointStates(both.mean[:, 0], both.covariance[:, 0])
 
-    feet = states((FOOT_X, FOOT_Y), motion.acceleration, motion.first_speed)
-    sizes = states((WIDTH, HEIGHT), motion.growth, 0.2 * motion.first_speed)
+    feet = states((FOOT_X, FOOT_Y), motion.acceleration, motion.initial_velocity_std)
+    sizes = states((WIDTH, HEIGHT), motion.growth, 0.2 * motion.initial_velocity_std)
     return Smooth(first, int(track.identities[0]), height, seen, feet, sizes)
 
 
@@ -174,7 +174,7 @@ class Comings:
 
     size: tuple[int, int]  # (height, width) px of the picture
     rate: float  # 1/s, at which new ones come
-    patience: float  # s, the longest time for which one may be out of sight and still be known
+    max_gap_time: float  # s, the longest time for which one may be out of sight and still be known
 
     def at_edge(self, track: Smooth, place: int) -> bool:
         """Whether the picture's edge cuts off a track's box, or nearly so, in its frame `place`."""
@@ -195,7 +195,7 @@ class Comings:
     def log_back(self, track: Smooth) -> float:
         """Log density (1/s) of a track that ends going on after a gap."""
         back = GOES_ON_AT_EDGE if self.at_edge(track, -1) else GOES_ON
-        return float(np.log(back / self.patience))
+        return float(np.log(back / self.max_gap_time))
 
 
 def joins(tracks: Sequence[Smooth], times: Numbers, motion: Motion, comings: Comings) -> dict[int, int]:
@@ -211,7 +211,7 @@ def joins(tracks: Sequence[Smooth], times: Numbers, motion: Motion, comings: Com
     for row, one in enumerate(tracks):
         for column, other in enumerate(tracks):
             gap = times[other.first] - times[one.last]
-            if row != column and 0 < gap <= comings.patience:
+            if row != column and 0 < gap <= comings.max_gap_time:
                 one_object = comings.log_back(one) + _log_same(one, other, gap, motion)
                 scores[row, column] = max(one_object - comings.log_new(other), 0.0)
     from scipy.optimize import linear_sum_assignment  # slow to import, and only whole films need it
@@ -225,13 +225,13 @@ def _log_same(one: Smooth, other: Smooth, gap: float, motion: Motion) -> float:
     height = 0.5 * (one.height + other.height)
     mean, covariance = one.feet.mean[-1], one.feet.covariance[-1]
     start, start_covariance = other.feet.mean[0], other.feet.covariance[0]
-    moved, spread = kinematic(2, gap).along(2).moved(mean, covariance, motion.acceleration * height**2)
-    speed = (motion.first_speed * height) ** 2
+    moved, covariance = kinematic(2, gap).along(2).moved(mean, covariance, motion.acceleration * height**2)
+    speed = (motion.initial_velocity_std * height) ** 2
     anybody = _log_gaussian(start[2:], np.eye(2) * speed + start_covariance[2:, 2:])
     sizes = np.log(other.sizes.mean[0, :2].clip(1) / one.sizes.mean[-1, :2].clip(1))
     same, any_size = np.diag([0.3**2, 0.15**2]), np.diag([0.6**2, 0.5**2])
     alike = _log_gaussian(sizes, same) - _log_gaussian(sizes, any_size)
-    return _log_gaussian(start - moved, spread + start_covariance) - anybody + alike
+    return _log_gaussian(start - moved, covariance + start_covariance) - anybody + alike
 
 
 def _log_gaussian(off: Numbers, covariance: Numbers) -> float:
@@ -307,19 +307,19 @@ class ObjectTrajectories:
         heights/s^2, standard deviation of what moves a foot out of its straight way; it lasts half a second.
     growth
         heights/s^2, the same of a width or height.
-    first_speed
+    initial_velocity_std
         heights/s, standard deviation of a velocity.
-    patience
+    max_gap_time
         s, for which somebody may be out of sight and still be the same.
-    least_seen
+    min_seen_time
         s for which an object must have been seen in all.
     """
 
     acceleration: float = 0.9
     growth: float = 0.5
-    first_speed: float = 1.0
-    patience: float = 3.0
-    least_seen: float = 0.35
+    initial_velocity_std: float = 1.0
+    max_gap_time: float = 3.0
+    min_seen_time: float = 0.35
     name: str = "trajectories"
 
     ports = (Port(ObjectBoxes),)
@@ -334,11 +334,11 @@ class ObjectTrajectories:
         )
         times = np.array([each.time for each in incoming_over_time])
         boxes = Boxes.of(each.others(ObjectBoxes).objects for each in incoming_over_time)
-        motion = Motion(0.5 * self.acceleration**2, 0.5 * self.growth**2, self.first_speed)
+        motion = Motion(0.5 * self.acceleration**2, 0.5 * self.growth**2, self.initial_velocity_std)
         interval = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         tracks = [smoothed(track, times, motion) for track in boxes.tracks()]
-        known = [track for track in tracks if track.seen.sum() * interval >= self.least_seen]
-        comings = Comings(size, len(known) / max(times[-1] - times[0], 1.0), self.patience)
+        known = [track for track in tracks if track.seen.sum() * interval >= self.min_seen_time]
+        comings = Comings(size, len(known) / max(times[-1] - times[0], 1.0), self.max_gap_time)
         next_of = joins(known, times, motion, comings)
         together = joined(boxes, known, next_of).tracks()
         return Smoothed(ObjectsOverTime.of([smoothed(track, times, motion) for track in together]))

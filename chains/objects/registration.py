@@ -50,7 +50,7 @@ class Matching(NamedTuple):
 
     log_uniform: float
     outliers: float
-    temper: float
+    likelihood_power: float
     elapsed: float
 
 
@@ -58,8 +58,10 @@ class Matching(NamedTuple):
 def sprite_of(blob, mask, colours, terms):
     """A blob's mask and colours, as loops over pixels need them."""
     channels = colours.shape[0]
-    log_ratio = terms.log_uniform - 0.5 * channels * np.log(2 * np.pi * blob.spread) if channels else 0.0
-    return Sprite(mask, colours, _f4(0.5 / blob.spread), _f4(log_ratio), _f4(terms.outliers))
+    log_ratio = (
+        terms.log_uniform - 0.5 * channels * np.log(2 * np.pi * blob.colour_variance) if channels else 0.0
+    )
+    return Sprite(mask, colours, _f4(0.5 / blob.colour_variance), _f4(log_ratio), _f4(terms.outliers))
 
 
 @compiled
@@ -160,7 +162,7 @@ def packed(sprite, within, step, scratch):
 
 
 @compiled
-def search(reach, expected, temper, step, patch, rivals, whole, sprite, scratch):
+def search(reach, expected, likelihood_power, step, patch, rivals, whole, sprite, scratch):
     """Where in the patch a sprite is: coarse to fine about its middle, by prior and pixels together.
 
     The prior is a Gaussian about the place that is `expected`; the sum over the sprite's rows, `step` px
@@ -188,7 +190,7 @@ def search(reach, expected, temper, step, patch, rivals, whole, sprite, scratch)
                 prior = -0.5 * expected.precision * ((y - expected.y) ** 2 + (x - expected.x) ** 2)
                 if known[reach + y, reach + x] == _NOT_YET:
                     start = (reach + y) * rivals.shape[1] + reach + x
-                    known[reach + y, reach + x] = temper * _agreement(
+                    known[reach + y, reach + x] = likelihood_power * _agreement(
                         start, step, every, patch, rivals, whole, sprite
                     )
                 score = known[reach + y, reach + x] + prior
@@ -334,7 +336,7 @@ def register(blobs, pools, picture, terms, lots, lot, scratch):
         whole = set_rivals(patch, picture.prior, rivals)
         expected = Expected(blob.position[0] - top, blob.position[1] - left, 1 / max(place, 0.25))
         down, right, variance_y, variance_x = search(
-            reach, expected, _f4(terms.temper), step, patch, rivals, whole, sprite, rest
+            reach, expected, _f4(terms.likelihood_power), step, patch, rivals, whole, sprite, rest
         )
         variance = min(max(variance_y, variance_x, 0.25), 100.0)
         if blob.detected:
@@ -363,15 +365,20 @@ def picture_of(pixels: PixelMessage) -> Picture:
     return Picture(image, odds, np.float32(pixels.background.prior))
 
 
-def registered(blobs: Blobs, pixels: PixelMessage, outliers: float, temper: float, elapsed: float) -> Blobs:
+def registered(
+    blobs: Blobs, pixels: PixelMessage, outliers: float, likelihood_power: float, elapsed: float
+) -> Blobs:
     """Blobs, front to back, with place and velocity updated by the pixels that nothing in front covers.
 
     `pixels` have an image and a background; `outliers` is the share of a blob's pixels that look otherwise,
-    `temper` how many independent observations one pixel is worth, `elapsed` s since the last frame.
+    `likelihood_power` how many independent observations one pixel is worth, `elapsed` s since the last frame.
     """
     if not len(blobs):
         return blobs
-    table, terms = blobs.table.copy(), Matching(log_uniform(blobs.channels), outliers, temper, elapsed)
+    table, terms = (
+        blobs.table.copy(),
+        Matching(log_uniform(blobs.channels), outliers, likelihood_power, elapsed),
+    )
     picture, room = picture_of(pixels), scratch_for_search(table, blobs.channels)
     lots, count = np.zeros(len(table), np.int64), min(thread_count(), len(table))
     if count > 1:

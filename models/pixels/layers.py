@@ -23,7 +23,7 @@ _LEAST = _f4(1e-30)  # of a product of many layers; the logarithm wants normal n
 LAYER = np.dtype(
     [
         *((name, np.int64) for name in ("top", "left", "rows", "columns", "start", "coloured", "ghost")),
-        *((name, np.float64) for name in ("spread", "log_ratio", "outliers", "strength")),
+        *((name, np.float64) for name in ("colour_variance", "log_ratio", "outliers", "strength")),
     ]
 )
 """A layer as loops over pixels need it: see `models.pixels.layers.Layer`.
@@ -132,7 +132,7 @@ def compose(layers, pools, members, image, boxes, starts, clear, explained, dist
         layer, start = layers[k], starts[members[k]]
         top, left, rows, columns = boxes[members[k]]
         compared = layer.coloured and channels > 0
-        half_precision = _f4(0.5 / layer.spread)
+        half_precision = _f4(0.5 / layer.colour_variance)
         log_ratio = _f4(layer.log_ratio) if compared else _f4(0)
         outliers, strength = _f4(layer.outliers), _f4(layer.strength)
         inlying = _f4(1) - outliers
@@ -192,7 +192,7 @@ class Layer:
         `(height, width)` float32, probability that the object covers the pixel.
     appearance
         `(channels, height, width)` float32 in the planes of `colour`; `None` for any colour.
-    spread, outliers
+    colour_variance, outliers
         squared grey levels, variance of the object's colour about its appearance; and share of pixels whose
         colour is not as remembered.
     strength
@@ -205,7 +205,7 @@ class Layer:
     left: int
     mask: Map
     appearance: Map | None
-    spread: float = 300.0
+    colour_variance: float = 300.0
     outliers: float = 0.1
     strength: float = 10.0
     ghost: bool = False
@@ -226,8 +226,10 @@ class Layer:
 
     @property
     def log_ratio(self) -> float:
-        """Log of N(I; I, spread) over the uniform density of colours."""
-        return 0.0 if self.appearance is None else float(log_density_ratio(len(self.appearance), self.spread))
+        """Log of N(I; I, colour_variance) over the uniform density of colours."""
+        if self.appearance is None:
+            return 0.0
+        return float(log_density_ratio(len(self.appearance), self.colour_variance))
 
 
 def log_uniform(channels: int) -> float:
@@ -235,9 +237,10 @@ def log_uniform(channels: int) -> float:
     return float(np.log(colour.VOLUME[channels]) + channels * np.log(256.0))
 
 
-def log_density_ratio(channels: int, spread: ArrayLike) -> NDArray[np.float64]:
-    """Log of N(I; I, spread) over the uniform density of colours, in the shape of `spread`."""
-    return np.asarray(log_uniform(channels) - 0.5 * channels * np.log(2 * np.pi * np.asarray(spread)))
+def log_density_ratio(channels: int, colour_variance: ArrayLike) -> NDArray[np.float64]:
+    """Return log N(I; I, variance) over the uniform density of colours, shaped as `colour_variance`."""
+    normaliser = 0.5 * channels * np.log(2 * np.pi * np.asarray(colour_variance))
+    return np.asarray(log_uniform(channels) - normaliser)
 
 
 @short_repr
@@ -291,7 +294,7 @@ class LayerSheet(NamedTuple):
             masks[start:end] = layer.mask.reshape(-1)
             if layer.appearance is not None:
                 colours[channels * start : channels * end] = layer.appearance.reshape(-1)
-            for name in ("top", "left", "spread", "log_ratio", "outliers", "strength", "ghost"):
+            for name in ("top", "left", "colour_variance", "log_ratio", "outliers", "strength", "ghost"):
                 record[name] = getattr(layer, name)
             record["rows"], record["columns"] = layer.mask.shape
             record["start"], record["coloured"] = start, layer.appearance is not None

@@ -301,6 +301,7 @@ def test_a_truncated_video(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
         ("[background]\nmodel = 'mixtur'", "[background]: model = 'mixtur', expected gaussian, mixture"),
         ("[background]\nmodel = ['mixture']", "model = ['mixture'], expected gaussian, mixture"),
         ("[background]\nmodel = 'mixture'\nsettle_time = 1.0", "unknown key 'settle_time', expected model, "),
+        ("[blobs]\npatience = 1.0", "[blobs]: unknown key 'patience', it is max_coast_time now"),
         ("[blobs]\nname = 'x'", "[blobs]: unknown key 'name'"),
         ("[blobs]\npixels = 'x'", "[blobs]: unknown key 'pixels'"),
         ("[background", "not a TOML file"),

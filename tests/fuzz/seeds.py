@@ -166,7 +166,7 @@ def _keypoints(_: Path) -> list[Files]:
 
 def _parameters(_: Path) -> list[Files]:
     return [
-        {"a.toml": b"[background]\nprior = 0.9 # P\nsettle_time = 10.0\n\n[blobs]\nhidden_patience = 5.0\n"},
+        {"a.toml": b"[background]\nprior = 0.9 # P\nsettle_time = 10.0\n\n[blobs]\nmax_hidden_time = 5.0\n"},
         {"a.toml": b'[background]\nmodel = "mixture"\n\n[ground]\n[blobs]\n'},
     ]
 

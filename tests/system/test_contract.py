@@ -53,11 +53,11 @@ def signer() -> SignerFilm:
 def links(name: str) -> tuple[list[Frame], list[tuple[object, object]]]:
     """Frames of a clip, and what is connected in the model that sees it."""
     if name == "scene":
-        background, blobs, ground = AdaptiveBackground(), BlobTracker(confirmed_time=0.1), GroundPlane()
+        background, blobs, ground = AdaptiveBackground(), BlobTracker(confirmation_time=0.1), GroundPlane()
         return street(), [(background, PIXELS), (blobs, PIXELS), (blobs, BOXES), (ground, BOXES)]
     if name == "shaken scene":
         frames = list(shaken(sleeping_man(40, size=(160, 120), enter=5), margin=8))
-        background, blobs = AdaptiveBackground(), BlobTracker(confirmed_time=0.1)
+        background, blobs = AdaptiveBackground(), BlobTracker(confirmation_time=0.1)
         return frames, [(CameraMotion(), SCENE), (background, SCENE), (blobs, SCENE)]
     if name == "points":
         return shape(), [(PointTracker(), POINTS), (RecursiveStructure(), POINTS)]

@@ -155,7 +155,7 @@ def check_python(reader: Reader) -> None:
 
 def check_start(reader: Reader) -> None:
     blobs = json.loads(Path("results/patient/summary.json").read_text())["parameters"]["blobs"]
-    assert blobs["hidden_patience"] == 5
+    assert blobs["max_hidden_time"] == 5
     assert len(reader.names["boxes"]) > 0
 
 

@@ -50,7 +50,7 @@ def test_the_docstring_of_a_chain_tells_of_its_parameters(name: str) -> None:
 def test_parameters_have_their_defaults() -> None:
     rows = extension("parameters").rows(rsmcm.chains.BlobTracker)
     found = {names: defaults for names, defaults, _ in rows}
-    assert found["`patience`, `hidden_patience`"] == "`0.6`, `3.0`"
+    assert found["`max_coast_time`, `max_hidden_time`"] == "`0.6`, `3.0`"
 
 
 def test_formulas_are_mathml(caplog: pytest.LogCaptureFixture) -> None:
@@ -63,7 +63,7 @@ def test_formulas_are_mathml(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_parameters_that_pages_name_are_there() -> None:
-    """`[blobs] patience` and the like, on the page of symptoms."""
+    """`[blobs] max_coast_time` and the like, on the page of symptoms."""
     from rsmcm.apps.background.parameters import SECTIONS
 
     text = (DOCS / "parameters.md").read_text()

@@ -122,7 +122,7 @@ def test_box_and_velocity_are_those_of_the_thing(walked):
 
 @pytest.mark.parametrize("time", [0.01, 0.2, 0.5])
 def test_an_object_is_reported_after_it_was_seen_for_a_while(walk, time):
-    for belief in run(walk[:25], confirmed_time=time):
+    for belief in run(walk[:25], confirmation_time=time):
         (blob,) = belief["blobs"].blobs or (None,)
         assert bool(tracks_of(belief)) == (blob is not None and blob.seen >= time)
     assert blob.seen > 0.6
@@ -154,7 +154,7 @@ def test_what_vanishes_is_given_up_when_patience_is_over():
     assert [track.seen for track in tracks_of(beliefs[35])] == [True]
     assert len(tracks_of(beliefs[40 + 5])) == 1
     assert not any(tracks_of(belief) for belief in beliefs[40 + 15 :])
-    impatient = run(frames, patience=0.1)
+    impatient = run(frames, max_coast_time=0.1)
     assert tracks_of(impatient[40])
     assert not any(tracks_of(belief) for belief in impatient[40 + 3 :])
 

@@ -75,7 +75,7 @@ def weights(layers, image):
                     channels = len(one.appearance)
                     seen = colour.FROM_BGR @ image[y, x] if channels == 3 else [image[y, x]]
                     density = multivariate_normal.pdf(
-                        seen, one.appearance[:, row, column], one.spread * np.eye(channels)
+                        seen, one.appearance[:, row, column], one.colour_variance * np.eye(channels)
                     )
                     density *= colour.VOLUME[channels] * 256.0**channels
                     ratio = (1 - one.outliers) * density + one.outliers
