@@ -62,7 +62,7 @@ def read_whole(
     with Film(reopened, passing) as film:
         # a second round would cost two passes and gains nothing that is seen in the results
         solution = CoordinateAscent(film_model, most_rounds=1, tolerance=None).run(film)
-        return scene.start(solution[scene]), solution[trajectories]
+        return scene.initial_state(solution[scene]), solution[trajectories]
 
 
 def warmed_up(seconds: float, frames: Iterator[Frame], model: MultiChain) -> tuple[RunState, Iterator[Frame]]:
@@ -80,5 +80,7 @@ def warmed_up(seconds: float, frames: Iterator[Frame], model: MultiChain) -> tup
     if not images:
         return RunState(), chain(held, frames)
     times = np.array([frame.time for frame in seen])
-    every = -(-len(images) // scene.most(images[0].nbytes))
-    return scene.before(scene.empty(images[::every], times[::every]), held[0].time), chain(held, frames)
+    every = -(-len(images) // scene.sample_size(images[0].nbytes))
+    return scene.state_in(scene.empty_scene(images[::every], times[::every]), held[0].time), chain(
+        held, frames
+    )

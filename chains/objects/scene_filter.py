@@ -17,7 +17,7 @@ R_1 alone, and messages are worked out again in each pass.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, overload
+from typing import Any, Protocol, overload, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,12 +41,34 @@ ROOM = 0.1  # of a box's size, around it: shadows, hair and feet that it leaves 
 FEWEST_FRAMES = 9  # from which an empty scene is found, however large they are
 
 
+@runtime_checkable
+class SceneModel(Protocol):
+    """Chain of filtering that finds the empty scene of a film, and can start from it."""
+
+    def empty_scene(
+        self,
+        images: Sequence[NDArray[np.uint8]],
+        times: Numbers,
+        covered: Sequence[NDArray[np.bool_]] | None = None,
+        /,
+    ) -> EmptyScene:
+        """Return the empty scene that images `(height, width[, 3])` show, taken at `times` `(n_images,)` s.
+
+        `covered` `(height, width)` is for every image where objects are known to be.
+        """
+        ...
+
+    def initial_in(self, scene: EmptyScene, /) -> Any:
+        """Return the chain's state before the first frame, given the empty scene."""
+        ...
+
+
 @short_repr
 @dataclass(frozen=True, eq=False)
 class SceneTrajectory:
-    """From what all the rest follows: the empty scene before the first frame, and the boxes that others know.
+    """Trajectory of the scene: the empty scene before the first frame, and the boxes that others know.
 
-    `times` are `(n_frames,)` s.
+    The rest follows from it, forwards. `times` are `(n_frames,)` s.
     """
 
     empty: EmptyScene
@@ -67,8 +89,8 @@ class SceneFilter:
     Parameters
     ----------
     model
-        of filtering chains over one `PixelLabels` and perhaps one `ObjectBoxes`, an `AdaptiveBackground`
-        among them (or another chain with its method `empty_scene`).
+        of filtering chains over one `PixelLabels` and perhaps one `ObjectBoxes`, one of them a `SceneModel`
+        such as `AdaptiveBackground`.
     memory
         s, for which the beginning of the film says more of its first scene than what comes later: frames
         that are so much later count 1/e. Cars park and leave, and light changes.
@@ -80,7 +102,7 @@ class SceneFilter:
     Raises
     ------
     ValueError
-        if the model has no such background.
+        if the model has no such chain.
     """
 
     model: MultiChain
@@ -92,11 +114,7 @@ class SceneFilter:
     ports = (Port(PixelLabels, sole="background"), Port(ObjectBoxes, optional=True))
 
     def __post_init__(self) -> None:
-        if self._background() is None:
-            raise ValueError(
-                f"scene filter: got chains {', '.join(self.model.chains)}, expected a background with mean, "
-                "variance, noise and light, of which the empty scene can be found (model gaussian)"
-            )
+        self._background()
 
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: SceneTrajectory | None = None
@@ -116,33 +134,35 @@ class SceneFilter:
         times = np.array([each.time for each in incoming_over_time])
         boxes = Boxes.of(each.others(ObjectBoxes).objects for each in incoming_over_time)
         images, covered, seen = [], [], []
-        for index in sample_of(times, self.most(first.nbytes), self.memory):
+        for index in sample_of(times, self.sample_size(first.nbytes), self.memory):
             image = incoming_over_time[index].frame.image
             if image is not None:
                 images.append(image)
                 seen.append(times[index])
                 covered.append(boxes.only(boxes.frames == index).mask(first.shape[:2], ROOM))
-        return Smoothed(SceneTrajectory(self.empty(images, np.array(seen), covered), times, boxes))
+        return Smoothed(SceneTrajectory(self.empty_scene(images, np.array(seen), covered), times, boxes))
 
-    def most(self, n_bytes: int) -> int:
-        """From how many pictures of `n_bytes` the empty scene is found."""
+    def sample_size(self, n_bytes: int) -> int:
+        """Return from how many pictures of `n_bytes` the empty scene is found."""
         return max(min(self.most_frames, self.most_bytes // n_bytes), FEWEST_FRAMES)
 
-    def empty(
+    def empty_scene(
         self,
         images: Sequence[NDArray[np.uint8]],
         times: Numbers,
         covered: Sequence[NDArray[np.bool_]] | None = None,
     ) -> EmptyScene:
-        """Return the empty scene of a sample of images: see `AdaptiveBackground.empty_scene`."""
-        background: Any = self.model.chains[self._background() or ""]
-        scene: EmptyScene = background.empty_scene(images, times, covered)
-        return scene
+        """Return the empty scene of a sample of images: see `SceneModel.empty_scene`."""
+        return self._background()[1].empty_scene(images, times, covered)
 
-    def _background(self) -> str | None:
-        """Name of the chain that can find the empty scene."""
-        return next(
-            (name for name, chain in self.model.chains.items() if hasattr(chain, "empty_scene")), None
+    def _background(self) -> tuple[str, SceneModel]:
+        """Name of the chain that finds the empty scene, and the chain."""
+        for name, chain in self.model.chains.items():
+            if isinstance(chain, SceneModel):
+                return name, chain
+        raise ValueError(
+            f"scene filter: got chains {', '.join(self.model.chains)}, expected one that finds the empty "
+            "scene (a SceneModel; background with model gaussian)"
         )
 
     @overload
@@ -161,7 +181,7 @@ class SceneFilter:
     ) -> Sequence[PixelMessage] | Sequence[BoxMessage]:
         """What the filter says of each frame (mu_{scene -> F})."""
         engine = RecursiveBP(self.model)
-        start = self.start(trajectory)
+        start = self.initial_state(trajectory)
 
         def pixels(belief: Belief) -> PixelMessage:
             (labels,) = (node for node in self.model.features.values() if isinstance(node, PixelLabels))
@@ -178,13 +198,13 @@ class SceneFilter:
             return ForwardPass(engine, start, incoming, pixels)
         return ForwardPass(engine, start, incoming, boxes)
 
-    def start(self, trajectory: SceneTrajectory) -> RunState:
-        """State of the filter before the first frame.
+    def initial_state(self, trajectory: SceneTrajectory) -> RunState:
+        """Return the state of the filter before the first frame.
 
-        Nobody is there, and the empty scene is known. Chains that know objects by their boxes alone have
-        heard all that is said of them, and what of it lasts: they know the scene that objects move in.
+        The scene is empty and known. Chains that meet boxes alone are updated with all boxes of the film, and
+        then predicted until all objects have left: what lasts of it, such as a ground plane, is known.
         """
-        state = self.before(trajectory.empty, float(trajectory.times[0]))
+        state = self.state_in(trajectory.empty, float(trajectory.times[0]))
         states = dict(state.states)
         messages = messages_of(trajectory.boxes, len(trajectory.times))
         for name, chain in self.model.chains.items():
@@ -200,12 +220,14 @@ class SceneFilter:
                 states[name] = chain.update(known, Incoming({ObjectBoxes(): BoxMessage()}))
         return replace(state, states=states)
 
-    def before(self, empty: EmptyScene, time: float) -> RunState:
-        """State before the first frame, at `time` s, of a filter that knows the empty scene alone."""
+    def state_in(self, empty: EmptyScene, time: float) -> RunState:
+        """Return the state before the first frame, at `time` s, given the empty scene alone."""
+        background, model = self._background()
         blank = Frame(np.zeros(empty.shape, np.uint8), time, 1)
-        states: dict[str, Any] = {name: chain.initial(blank) for name, chain in self.model.chains.items()}
-        name = self._background() or ""
-        states[name] = self.model.chains[name].warp_to_scene(states[name], empty)
+        states: dict[str, Any] = {
+            name: model.initial_in(empty) if name == background else chain.initial(blank)
+            for name, chain in self.model.chains.items()
+        }
         return RunState(states, 0, math.nextafter(time, -math.inf), empty.shape)
 
 

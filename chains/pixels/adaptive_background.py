@@ -251,14 +251,15 @@ class AdaptiveBackground:
             scene = empty_scene(images, times, fields, self.noise, covered)
         return scene
 
-    def warp_to_scene(self, state: BackgroundState, scene: EmptyScene) -> BackgroundState:
-        """Return the state that knows the empty scene."""
+    def initial_in(self, scene: EmptyScene) -> BackgroundState:
+        """Return the state before the first frame, given the empty scene."""
+        state = self.initial(Frame(np.zeros(scene.shape, np.uint8), 0.0, 1))
         pixels = fixed_point(scene.mean, scene.variance, scene.noise)
         return replace(state, **pixels._asdict(), light=scene.light)
 
     def _light(self, scene: EmptyScene, image: NDArray[np.uint8]) -> LightField:
         """The light of an image of the scene, with all the time to follow it."""
-        state = self.predict(self.warp_to_scene(self.initial(Frame(image, 0.0, 1)), scene), LONG)
+        state = self.predict(self.initial_in(scene), LONG)
         return self._prediction(state, image if self.follow_light else None).light
 
     def _predicted(self, state: BackgroundState, incoming: Incoming) -> BackgroundPrediction:

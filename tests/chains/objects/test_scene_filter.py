@@ -76,7 +76,7 @@ def test_who_is_there_in_the_first_frame_is_no_part_of_the_scene(solution: Solut
 def test_beliefs_are_those_of_the_filter_from_its_start(solution: Solution) -> None:
     scene, _, _ = film_model()
     engine = RecursiveBP(scene.model)
-    start = scene.start(solution["scene"])
+    start = scene.initial_state(solution["scene"])
     for message, belief in zip(solution[PIXELS], engine.run(Counted(), state=start), strict=True):
         np.testing.assert_array_equal(message.log_odds(), belief[PIXELS].log_odds())
 
@@ -102,15 +102,15 @@ def test_it_is_saved_and_goes_on(solution: Solution, tmp_path: Path) -> None:
 
 def test_the_second_round_knows_the_ground(solution: Solution) -> None:
     scene, _, _ = film_model()
-    states = scene.start(solution["scene"]).states
+    states = scene.initial_state(solution["scene"]).states
     assert not len(states["ground"].identities)  # nobody is there yet
-    fresh = scene.before(solution["scene"].empty, 0.0).states["ground"]
+    fresh = scene.state_in(solution["scene"].empty, 0.0).states["ground"]
     assert states["ground"].scene_covariance[0, 0] < 0.5 * fresh.scene_covariance[0, 0]
 
 
 def test_what_others_say_of_boxes_is_no_time_without_detections(solution: Solution) -> None:
     scene, _, _ = film_model()
-    start = scene.start(solution["scene"])
+    start = scene.initial_state(solution["scene"])
     assert len(solution["scene"].boxes)
     assert start.states["detector"].elapsed == 0.0
 
@@ -130,7 +130,7 @@ def test_more_of_the_sample_is_from_the_beginning() -> None:
 
 def test_a_background_without_a_scene_is_refused() -> None:
     model = MultiChain().connect(MixtureBackground(), PIXELS)
-    with pytest.raises(ValueError, match="got chains background, expected a background with mean"):
+    with pytest.raises(ValueError, match="got chains background, expected one that finds the empty"):
         SceneFilter(model)
 
 
@@ -146,7 +146,7 @@ def test_with_a_detector_the_objects_are_those_that_it_confirms() -> None:
         replace(frame, boxes=GivenBoxes(np.array([[60.0, 20, 80, 100]]))) for frame in Counted()
     ]  # one that stands where nobody walks
     solution = CoordinateAscent(model, most_rounds=1, tolerance=None).run(frames)
-    start = scene.start(solution[scene])
+    start = scene.initial_state(solution[scene])
     said = solution.messages(scene, BOXES)
     for time, belief in enumerate(RecursiveBP(scene.model).run(frames, state=start)):
         expected = [track.identity for track in belief["blobs"].tracks()]
