@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import GivenBoxes
-from ...models.numerics.evenly_spaced import evenly_spread
+from ...models.numerics.evenly_spaced import evenly_spaced
 from ..events.page import Happened
 from ..events.watch import Event
 from ..io.row_log import RowLog
@@ -68,7 +68,7 @@ class RunRecord(FrameRecord):
         order = np.argsort(ids, kind="stable")
         self.tracks: dict[int, TrackHistory] = {}
         for rows in np.split(order, np.flatnonzero(np.diff(ids[order])) + 1) if len(ids) else ():
-            path = feet[rows[evenly_spread(len(rows), MOST_POINTS)]]
+            path = feet[rows[evenly_spaced(len(rows), MOST_POINTS)]]
             self.tracks[int(ids[rows[0]])] = TrackHistory(
                 int(frames[rows[0]]),
                 int(frames[rows[-1]]),

@@ -21,7 +21,7 @@ from ...models.array_files import read_arrays
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.identities import places_of
 from ...models.files import write_atomically
-from ...models.numerics.evenly_spaced import evenly_spread
+from ...models.numerics.evenly_spaced import evenly_spaced
 
 FILE = "predictions.npz"
 FORMAT = "rsmcm predictions 1"
@@ -168,7 +168,7 @@ def write_predictions(folder: Path, records: Sequence[Record]) -> None:
     names: list[dict[str, str]] = []
     for number, record in enumerate(records):
         count = len(record.frames)
-        thin = record if count <= MOST_ROWS else record.rows(np.array(evenly_spread(count, MOST_ROWS)))
+        thin = record if count <= MOST_ROWS else record.rows(np.array(evenly_spaced(count, MOST_ROWS)))
         arrays: dict[str, Any] = {"frames": thin.frames}
         if isinstance(thin, ScoreRecord):
             arrays["scores"] = thin.scores

@@ -14,7 +14,7 @@ from scipy.spatial import Delaunay
 from ...chains.reconstruction import Numbers, Reconstruction, lens_of
 from ...inference.sfm.perspective.structure import Lens, PerspectiveStructure
 from ...models.core.frame import Frame
-from ...models.numerics.evenly_spaced import evenly_spread
+from ...models.numerics.evenly_spaced import evenly_spaced
 from ..io.sources.images import focal_of_picture
 from ..view.film import Film, FilmWriter, Row, read_film
 from ..view.overlay import css_colour, identity_colour
@@ -24,7 +24,7 @@ from .files import GREY, orthographic_parts
 
 
 def known_lens(frames: Sequence[Frame], focal: float | None, picture: Path | None) -> tuple[Lens, str]:
-    """Return what is known of the lens, and a sentence on what is assumed.
+    """What is known of the camera, and what was taken for granted, in a sentence.
 
     The focal length is in px, `None` where it is not given; `picture` is a file of the film that may tell it.
     """
@@ -42,14 +42,14 @@ def known_lens(frames: Sequence[Frame], focal: float | None, picture: Path | Non
 
 
 def camera_in_words(result: Reconstruction) -> str:
-    """Describe the camera, as in "perspective, focal length 660 ± 4 px", or why it is affine."""
+    """For instance "perspective, focal length 660 ± 4 px"; of an affine one why it is that."""
     if result.perspective is not None:
         return f"perspective, {focal_in_words(result.perspective)}"
     return f"affine: {result.affine_reason}" if result.affine_reason else "affine"
 
 
 def focal_in_words(structure: PerspectiveStructure) -> str:
-    """Describe the focal length, as in "focal length 660 ± 4 px"."""
+    """For instance "focal length 660 ± 4 px"."""
     if structure.curvature_deviation == 0:
         return f"focal length {structure.cameras.focal:.5g} px, as given"
     if not math.isfinite(structure.focal_deviation):
@@ -59,7 +59,7 @@ def focal_in_words(structure: PerspectiveStructure) -> str:
 
 
 def facts_of(result: Reconstruction) -> dict[str, Any]:
-    """Return the entries of `summary.json` on points and camera, of any engine."""
+    """What the summary of any engine says of points and camera."""
     return {
         "points": result.n_points,
         "observations": result.n_observations,
@@ -72,7 +72,7 @@ def facts_of(result: Reconstruction) -> dict[str, Any]:
 
 
 def in_words(summary: Mapping[str, Any]) -> list[str]:
-    """Describe the number of points and how well they fit."""
+    """Points, and how well they fit."""
     words = f"{summary['frames']} frames, {summary['points']} points from {summary['tracks']} tracks"
     if not summary["points"]:
         return [words]
@@ -103,7 +103,7 @@ PICTURE_SIDE = 640
 def write_film(
     folder: Path, frames: Sequence[Frame], rate: float, result: Reconstruction | None = None
 ) -> Film:
-    """Write the film without drawings, with the places of points, to the folder; read it again."""
+    """Write the film without drawings to the folder, with the places of points, and read it again."""
     with FilmWriter(folder, rate) as writer:
         for index, frame in enumerate(frames):
             writer.add(frame, dict if result is None else partial(view_row, result, index))
@@ -111,13 +111,13 @@ def write_film(
 
 
 def film_of_tracks(frames: Sequence[Frame], result: Reconstruction) -> tuple[Film, tuple[float, float]]:
-    """Return a film without pictures that is as large as the points need, and its upper left corner, px."""
+    """A film without pictures that is as large as the points need, and its upper left corner, px."""
     return film_of_points(result.places, [frame.number for frame in frames], [frame.time for frame in frames])
 
 
 def view_row(result: Reconstruction, index: int) -> Row:
-    """Return what is drawn on a frame: see `PointsOverlay`."""
-    shown = evenly_spread(result.n_points, most_over_film(len(result.observed)))
+    """What is drawn on a frame of the video: see `PointsOverlay`."""
+    shown = evenly_spaced(result.n_points, most_over_film(len(result.observed)))
     places = result.places[index, shown].astype(np.float32)
     return {"id": np.array(shown, np.int32), "points": places, "seen": result.observed[index, shown]}
 
@@ -131,13 +131,13 @@ def structure_page(
     film: Film,
     corner: tuple[float, float] = EDGE,
 ) -> Page:
-    """Return the page of a run.
+    """Fill the page of a run.
 
     `colours (n_points, 3)` BGR are those of the points in space; the film is of all frames, or of the last
     ones, and `corner` its upper left one, in the points' px.
     """
     shown = np.isin([frame.number for frame in frames], film.numbers)
-    points = evenly_spread(result.n_points, MOST_POINTS)
+    points = evenly_spaced(result.n_points, MOST_POINTS)
     residuals = np.where(result.observed[..., None], result.residuals, np.nan)
     followed = FollowedPoints(result.positions, result.covariances, residuals, "shape and camera")
     layer: dict[str, Any] = {
@@ -177,7 +177,7 @@ def nothing_page(
     summary: Mapping[str, Any],
     film: Film | None,
 ) -> Page:
-    """Return the page of a run without a result: what is missing, why, and the film.
+    """Fill the page of a run that has found nothing: what is missing, why, and the film that it has seen.
 
     `figures` were measured, by names as they are in `summary.json`; without pictures there is no film.
     """
@@ -209,7 +209,7 @@ def _cards(result: Reconstruction, summary: Mapping[str, Any]) -> dict[str, str]
 
 
 def three_sides(result: Reconstruction, colours: NDArray[np.uint8]) -> list[Plot]:
-    """Plot the points of a shape from three sides."""
+    """The points of a shape that is not undetermined, from three sides."""
     centred = result.shape - np.median(result.shape, axis=0)
     # what is badly known lies anywhere, and would make everything else small
     shown = np.all(np.abs(centred) <= 2 * np.quantile(np.abs(centred), 0.9, axis=0), axis=1)
@@ -236,8 +236,8 @@ def three_sides(result: Reconstruction, colours: NDArray[np.uint8]) -> list[Plot
 
 def _tracks(result: Reconstruction) -> Plot:
     """Paths of the points in the plane of the picture, where they were seen."""
-    drawn = evenly_spread(result.n_points, MOST_DRAWN)
-    chosen = evenly_spread(len(result.observed), MOST_PLACES // max(1, len(drawn)))
+    drawn = evenly_spaced(result.n_points, MOST_DRAWN)
+    chosen = evenly_spaced(len(result.observed), MOST_PLACES // max(1, len(drawn)))
     lines = []
     for point in drawn:
         seen = np.where(result.observed[chosen, point, None], result.places[chosen, point], np.nan)

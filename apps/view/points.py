@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.numerics.evenly_spaced import evenly_spread
+from ...models.numerics.evenly_spaced import evenly_spaced
 from .film import Film
 from .overlay import css_colour, identity_colour
 from .page import Line, Plot, TimelineRow, spans_of
@@ -79,12 +79,12 @@ class FollowedPoints:
 
     def tracked(self, film: Film) -> list[int]:
         """Those that are drawn over a film: evenly chosen if there are many."""
-        return evenly_spread(self.positions.shape[1], most_over_film(len(film.numbers)))
+        return evenly_spaced(self.positions.shape[1], most_over_film(len(film.numbers)))
 
     def rows(self, film: Film, shown: NDArray[np.bool_]) -> list[TimelineRow]:
         """Of some points, when they are seen."""
         tracked = self.tracked(film)
-        chosen = [tracked[k] for k in evenly_spread(len(tracked), MOST_ROWS)]
+        chosen = [tracked[k] for k in evenly_spaced(len(tracked), MOST_ROWS)]
         observed = self.observed[shown]
         return [
             TimelineRow(point, f"point {point}", ink_of(point), spans_of(observed[:, point]))

@@ -68,7 +68,7 @@ UNKNOWN_COLOUR = -1e4  # in an appearance: no colour is known of this pixel
 
 
 class Picture(NamedTuple):
-    """A frame: `(height, width, channels)` uint8, int8 log odds of background `(height, width)`, P(B=1)."""
+    """Frame as loops read it: image, log odds of background, and P(B=1)."""
 
     image: NDArray[np.uint8]
     log_odds: NDArray[np.int8]
@@ -77,19 +77,19 @@ class Picture(NamedTuple):
 
 @compiled
 def corner_of(blob):
-    """Top and left px of a blob's patch, as it is rendered."""
+    """Return top and left px of a blob's patch, as it is rendered."""
     return int(np.floor(blob.position[0] + 0.5)), int(np.floor(blob.position[1] + 0.5))
 
 
 @compiled
 def mask_of(blob, pools):
-    """The mask `(rows, columns)` of a blob."""
+    """Return the mask `(rows, columns)` of a blob."""
     return pools.masks[blob.start : blob.start + blob.rows * blob.columns].reshape(blob.rows, blob.columns)
 
 
 @compiled
 def colours_of(blob, pools, channels):
-    """The colours `(channels, rows, columns)` of a blob; no channels of one whose colours nobody knows."""
+    """Return the colours `(channels, rows, columns)` of a blob; no channels where no image has shown them."""
     known = channels if blob.coloured else 0
     start, size = channels * blob.start, blob.rows * blob.columns
     return pools.colours[start : start + known * size].reshape(known, blob.rows, blob.columns)
@@ -97,7 +97,7 @@ def colours_of(blob, pools, channels):
 
 @compiled
 def box_of(blob):
-    """x, y, width, height px of what the mask likely covers, or else of its patch."""
+    """Return x, y, width, height px of what the mask likely covers, or else of its patch."""
     y, x = blob.position[0], blob.position[1]
     if blob.bottom == 0 or blob.right == 0:
         return x, y, float(blob.columns), float(blob.rows)
@@ -106,7 +106,7 @@ def box_of(blob):
 
 @compiled
 def reported_box_of(blob):
-    """x, y, width, height px: as detections have it, or else as the mask."""
+    """Return x, y, width, height px: the detected box, or else that of the mask."""
     if not blob.detected:
         return box_of(blob)
     x, y, width, height = blob.box_mean
@@ -115,14 +115,14 @@ def reported_box_of(blob):
 
 @compiled
 def length_of(blob):
-    """px, the longer side of the box."""
+    """Return the longer side of the box, px."""
     _, _, width, height = reported_box_of(blob)
     return max(width, height)
 
 
 @compiled
 def fill_boxes(blobs, boxes, reported):
-    """Boxes of all blobs, `(n, 4)` each: of their masks, and as they are reported."""
+    """Write the boxes of all blobs, `(n, 4)` each: of their masks, and as they are reported."""
     for k in range(blobs.size):
         boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3] = box_of(blobs[k])
         reported[k, 0], reported[k, 1], reported[k, 2], reported[k, 3] = reported_box_of(blobs[k])
@@ -130,7 +130,7 @@ def fill_boxes(blobs, boxes, reported):
 
 @compiled
 def overlap(box, other):
-    """Whether two boxes x, y, width, height have a place in common."""
+    """Return whether two boxes x, y, width, height overlap."""
     x, y, width, height = box
     left, top, columns, rows = other
     return x < left + columns and left < x + width and y < top + rows and top < y + height
@@ -196,7 +196,7 @@ def measure_all(blobs, pools, scratch):
 
 
 def measured(mask: NDArray[np.float32], record: np.void | None = None) -> np.void:
-    """A new record, or a copy of one, with the shape of a mask `(height, width)` float32."""
+    """Return a new record, or a copy of one, with the shape of a mask `(height, width)` float32."""
     table, nothing = np.zeros(1, RECORD) if record is None else np.array([record]), np.zeros(0, np.float32)
     table["start"], table["rows"], table["columns"] = 0, *mask.shape
     flat = np.ascontiguousarray(mask).reshape(-1)
@@ -238,7 +238,7 @@ def _median(masses):
 
 
 class Patch(NamedTuple):
-    """A box cut out of the picture, all float32.
+    """Part of the picture in a box, all float32.
 
     Planes, log odds of background in nats, and what nothing else covers (0 outside the picture).
     """
@@ -250,7 +250,7 @@ class Patch(NamedTuple):
 
 @compiled
 def patch_in(scratch, channels, rows, columns):
-    """A patch whose memory is the beginning of `scratch` `(n,)`; also what of that is left."""
+    """Return a patch whose memory is the beginning of `scratch` `(n,)`, and the rest of it."""
     size = rows * columns
     planes = scratch[: channels * size].reshape(channels, rows, columns)
     odds = scratch[channels * size : (channels + 1) * size].reshape(rows, columns)
@@ -339,7 +339,7 @@ def colour_newborn(blob, pools, image):
 
 @compiled
 def move(blobs, dt, noise, acceleration, detected_acceleration):
-    """Places and velocities `dt` s on, in place: velocity stays, but for a random force of own lengths/s^2.
+    """Predict places and velocities `dt` seconds ahead, in place.
 
     `noise` `(2, 2)` is the covariance of the step for a density of 1 (see `kalman.kinematic`).
     """
@@ -387,7 +387,7 @@ def _are_pieces(one, other):
 
 @compiled
 def next_piece(blobs, first):
-    """The first blob from `first` on that is a piece of one before it, and that one; how many, if none is."""
+    """Return the first blob from `first` on that is a piece of one before it, and that one."""
     for k in range(first, blobs.size):
         for j in range(k):
             if _are_pieces(blobs[j], blobs[k]):
@@ -397,7 +397,7 @@ def next_piece(blobs, first):
 
 @compiled
 def count_foreground(log_odds, width, scale, counts, memory):
-    """Number of foreground pixels (negative log odds) in every block of `scale` x `scale` px."""
+    """Count the foreground pixels (negative log odds) in every block of `scale` x `scale` px."""
     counts[:] = 0
     columns, spans = memory[:width], memory[width:]
     for x in range(width):
@@ -458,7 +458,7 @@ def _take_spot(counts, row, column, least, waiting):
 
 @compiled
 def find_spots(log_odds, size, scale, blobs, pools, smallest, thinnest, counts, memory, found):
-    """Spots of blocks a quarter of which or more is foreground, and none of a blob's or beside it.
+    """Find spots of blocks, each a quarter foreground or more, that are neither of a blob nor beside one.
 
     `log_odds` `(n_pixels,)` int8 are of a picture of this `size`; `scale` px is the side of a block; spots
     have an area px of `smallest` and a share `thinnest` of the squared length at least. `counts` int32 has a

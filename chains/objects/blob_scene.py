@@ -50,7 +50,7 @@ from .blob_records import (
     patch_in,
 )
 from .blobs import Blob, Blobs, Map, Pair
-from .registration import picture_of, sprite_of
+from .registration import make_picture, sprite_of
 
 _f4 = np.float32
 
@@ -87,7 +87,7 @@ def _mark_outline(mask, row, first, end, flags):
 
 @compiled
 def outline_contrasts(planes, top, left, other, free, mask, within, reach, out):
-    """Contrasts about a mask's outline, across it and right outside, in two pictures, grey levels.
+    """Measure contrasts across a mask's outline, and right outside of it, in two pictures, grey levels.
 
     They compare colours `reach` px inside of every step of the outline (right inside, where the mask is
     thinner) and as far outside, and the latter with one twice as far again. Steps whose three places are not
@@ -182,7 +182,7 @@ def _surprise(across, beside, order):
 
 @compiled
 def outline_evidence(planes, top, left, picture, free, mask, within, scratch):
-    """Log ratio of ghost and real, nats, summed over an outline as if its pixels were independent."""
+    """Return the log ratio of ghost and real, nats, summed over an outline as if pixels were independent."""
     most = scratch.size // 5
     out, order = scratch[: 4 * most].reshape(4, most), scratch[4 * most : 5 * most]
     count = outline_contrasts(planes, top, left, picture, free, mask, within, REACH, out)
@@ -193,7 +193,7 @@ def outline_evidence(planes, top, left, picture, free, mask, within, scratch):
 
 
 class Scene(NamedTuple):
-    """What is known of a frame beside the picture."""
+    """A frame beside its picture: background, composed layers, and expected sizes."""
 
     background: StoredPlanes  # picture of the empty scene
     boxes: NDArray[np.int64]  # (n, 4), where regions are; see `Composition`
@@ -204,7 +204,7 @@ class Scene(NamedTuple):
 
 
 class Learning(NamedTuple):
-    """How blobs follow what is seen; its other fields are those of `Matching` and `BlobTracker`."""
+    """Parameters by which blobs learn; those without a comment are of `Matching` and `BlobTracker`."""
 
     log_uniform: float
     elapsed: float
@@ -226,14 +226,14 @@ class Learning(NamedTuple):
 
 @compiled
 def is_ghost(blob, limit):
-    """Whether a blob's outlines say that nothing is there; a detector finds what is real."""
+    """Return whether the outlines of a blob say that no object is there; a detected one never is a ghost."""
     real = max(blob.existence, 0.0) if blob.detected else 0.0
     return blob["view"] + blob.past_views - real >= limit
 
 
 @compiled
 def fit(blobs, limit):
-    """Give blobs patches that leave their masks room to grow, and not much more, but not to ghosts."""
+    """Give blobs patches with room for their masks to grow; ghosts do not grow."""
     total = 0
     for k in range(blobs.size):
         blob = blobs[k]
@@ -264,7 +264,7 @@ def fit(blobs, limit):
 def learn(
     patch, explained, sprite, strength, mask_share, colour_share, least_kept, new_mask, new_appearance, rates
 ):
-    """Shape and colours of a blob after a frame.
+    """Update shape and colours of a blob after a frame.
 
     The mask follows what the background's chain says alone (log odds), but keeps `least_kept` of likely
     pixels that fit the blob's own colours as well; of pixels that it loses, the colours are forgotten. A
@@ -327,7 +327,7 @@ def learn(
 
 @compiled
 def scratch_for_learning(blobs, channels):
-    """Numbers that `learn_all` needs to remember while it looks at the largest of some blobs."""
+    """Return how many numbers of scratch `learn_all` needs for the largest of some blobs."""
     most = columns = 0
     for k in range(blobs.size):
         most = max(most, blobs[k].rows * blobs[k].columns)
@@ -450,7 +450,7 @@ def _lives(blob, mask, inside, in_front, pools, rule, scratch):
 
 @compiled
 def weigh(blob, found, box, length, rule):
-    """What the outline as it is now says of ghost and real, and what it has said on the way (nats)."""
+    """Add what the outline says of ghost and real (nats): as it is now, and over the way so far."""
     blob["view"] += (found - blob["view"]) * rule.view_share
     if overlap(box, (blob.origin[0], blob.origin[1], blob.origin[2], blob.origin[3])):
         return
@@ -461,7 +461,7 @@ def weigh(blob, found, box, length, rule):
 
 @compiled
 def _note_seen(blob, variance, box, length, rule):
-    """Spread, usual size, where it appeared, and times of a blob that was seen; `box` is as it was before."""
+    """Update colour variance, size, origin and times of a blob that was seen; `box` is the one before."""
     speed = np.hypot(blob.velocity[0], blob.velocity[1])
     after = blob.colour_variance + rule.colour_share * (2 * variance - blob.colour_variance)
     blob.colour_variance = min(max(after, 0.2 * rule.colour_variance), rule.colour_variance)
@@ -480,7 +480,7 @@ def _note_seen(blob, variance, box, length, rule):
 
 @compiled
 def learn_all(which, before, old, blobs, pools, picture, scene, rule, alive, scratch):
-    """Some blobs after a frame, each for itself.
+    """Update some blobs after a frame, each for itself.
 
     `which` `(m,)` are their numbers. `before` and `old` are records and pools of all blobs, front to back, as
     they are placed; `blobs` and `pools` the same records with fitted patches (see `fit`), which change, and
@@ -557,7 +557,7 @@ VIEW_TIME = 0.4  # s over which a view is averaged: masks err for a while in the
 
 
 class BlobScene:
-    """A frame in which blobs are updated: its pixels, the layers of all blobs, and what others say of boxes.
+    """Frame in which blobs are updated: pixels, layers of all blobs, and the other chains' boxes.
 
     `elapsed` s have passed since the last frame with an image.
     """
@@ -569,12 +569,12 @@ class BlobScene:
         self.size = pixels.size
         self.elapsed = elapsed
         self.newcomers = None if boxes is None else boxes.newcomers
-        self.picture = picture_of(pixels)
+        self.picture = make_picture(pixels)
         self._layers = layers
         self._objects = None if boxes is None else boxes.objects
 
     def expected_sizes(self, blobs: Blobs) -> Pair:
-        """`(n, 2)` px, usual height and width, and what other chains expect of them, by their precisions."""
+        """Return `(n, 2)` px, usual height and width, fused with other chains' predictions."""
         sizes: Pair = np.ascontiguousarray(blobs.table["size"])
         if self._objects is None or not len(self._objects.identities) or not len(blobs):
             return sizes
@@ -587,7 +587,7 @@ class BlobScene:
         return np.where(known[:, None], np.maximum(both, 0.5 * sizes), sizes)
 
     def learned(self, blobs: Blobs, rule: Learning) -> tuple[Blobs, NDArray[np.bool_]]:
-        """Blobs, given front to back, after the frame, and which of them live on."""
+        """Return blobs, given front to back, after the frame, and `(n,)` whether each is kept."""
         before, table, channels = blobs.table, blobs.table.copy(), blobs.channels
         total = fit(table, rule.ghost_threshold)
         masks, colours = np.empty(total, np.float32), np.empty(channels * total, np.float32)
@@ -615,12 +615,12 @@ class BlobScene:
         return after, alive.astype(bool)
 
     def colour(self, blobs: Blobs, first: int) -> None:
-        """Give blobs from the `first` on, which were just born, the colours that the image shows there."""
+        """Set the colours of new blobs, those from `first` on, from the image."""
         for record in blobs.table[first:]:
             colour_newborn(record, blobs.pools, self.picture.image)
 
     def shown_in(self, spot: Spot, blobs: Blobs) -> tuple[Pair, Map, Map]:
-        """Foreground in a spot with room around it that no blob covers: top and left, mask, and planes."""
+        """Return foreground in a spot and around it that no blob covers: top and left, mask, and planes."""
         top, left = spot[0] - MARGIN, spot[1] - MARGIN
         shape = (spot[2] + MARGIN - top, spot[3] + MARGIN - left)
         planes = np.empty((blobs.channels, *shape), np.float32)
@@ -631,7 +631,7 @@ class BlobScene:
         return np.array([float(top), float(left)]), mask, planes
 
     def spots(self, blobs: Blobs, min_area: float) -> list[Spot]:
-        """Foreground of `min_area` px or more that does not touch a blob: top, left, bottom, right px."""
+        """Return foreground spots of `min_area` px or more, off all blobs: top, left, bottom, right px."""
         height, width = self.size
         scale = max(1, round(max(height, width) / BLOCKS))
         counts = np.empty((-(-height // scale), -(-width // scale)), np.int32)
@@ -646,7 +646,7 @@ class BlobScene:
 
 
 def inherited(blob: Blob, others: Blobs) -> float:
-    """Evidence (nats) that a newborn has from what it touches: it is as likely as not a part of that."""
+    """Return the ghost evidence (nats) of a new blob: half that of the blobs it touches."""
     x, y, width, height = blob.box
     left, top, columns, rows = others.boxes.T
     touched = (x - MARGIN < left + columns) & (left < x + width + MARGIN)

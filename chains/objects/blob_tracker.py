@@ -32,7 +32,7 @@ from . import detections
 from .blob_scene import VIEW_TIME, BlobScene, Learning, inherited
 from .blobs import Blob, Blobs, BlobState, front_to_back, layers_of, likely_size
 from .groups import alone, fragment_times, halves, merged, parting_columns, with_parts
-from .registration import registered
+from .registration import register_blobs
 
 MORE_THAN_0 = (
     "min_area", "mask_time", "colour_time", "colour_variance", "strength", "likelihood_power", "acceleration",
@@ -113,16 +113,16 @@ class BlobTracker:
         check_bounds(self, {**dict.fromkeys(MORE_THAN_0, POSITIVE), "outliers": SHARE})
 
     def initial(self, frame: Frame) -> BlobState:
-        """No objects: what is there from the first frame on is background until it moves."""
+        """Return a state without objects: what stands there at first is background until it moves."""
         image = frame.required_image()
         channels = 1 if image.ndim == 2 else image.shape[2]
         return BlobState(Blobs.none(channels), 0, image.shape[:2], 0.0, self.confirmation_time)
 
     def predict(self, state: BlobState, dt: float) -> BlobState:
-        """First-order dynamics: velocity stays, but for a random force."""
+        """Predict all blobs `dt` seconds ahead: constant velocity but for a random force."""
         blobs = state.blobs
         if len(blobs):
-            blobs = detections.moved(blobs, dt, self.acceleration, state.detecting)
+            blobs = detections.predict(blobs, dt, self.acceleration, state.detecting)
         return replace(state, blobs=blobs, elapsed=state.elapsed + dt)
 
     @overload
@@ -132,22 +132,22 @@ class BlobTracker:
     def message(
         self, state: BlobState, feature: PixelLabels | ObjectBoxes, incoming: Incoming
     ) -> PixelMessage | BoxMessage:
-        """What objects say to a feature (mu_{S -> F})."""
+        """Return the message of all objects to a feature (mu_{S -> F})."""
         if isinstance(feature, PixelLabels):
             return PixelMessage(layers=self._placed(state, incoming)[2])
         pixels = incoming[PixelLabels]
         blobs, _ = incoming.once(self._registered, state, pixels)
         if not len(blobs):
             return BoxMessage()
-        return detections.said(alone(blobs), state.detecting, pixels.image is not None)
+        return detections.box_message(alone(blobs), state.detecting, pixels.image is not None)
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
-        """Objects after the frame: registered, learned from, born and ended."""
+        """Update all objects by the frame: register, learn, merge, split, delete and create."""
         pixels, boxes = incoming[PixelLabels], incoming.get(ObjectBoxes)
         blobs, newborn, layers = self._placed(state, incoming)
         if boxes is not None and boxes.association is not None:
-            blobs = blobs.taken(detections.are_kept(blobs, state.size))
-            everybody, born = blobs.and_also(newborn), state.born + len(newborn)
+            blobs = blobs.select(detections.are_kept(blobs, state.size))
+            everybody, born = blobs.concatenate(newborn), state.born + len(newborn)
             state = replace(state, blobs=everybody, born=born, detecting=True)
         if pixels.subtraction is None:
             return state
@@ -156,7 +156,7 @@ class BlobTracker:
         kept = Blobs.none(blobs.channels)
         if len(blobs) or newborn:
             learned, alive = scene.learned(blobs, self._rule(blobs.channels, scene, least_area))
-            kept = learned.taken(alive).and_also(newborn)
+            kept = learned.select(alive).concatenate(newborn)
             scene.colour(kept, int(alive.sum()))
             kept = with_parts(merged(self._parted(kept, numbers, scene, least_area)), scene.newcomers)
             kept.table["fragment_time"] = fragment_times(kept, scene)
@@ -166,11 +166,11 @@ class BlobTracker:
                 new = Blob.newborn(
                     next(numbers), corner, mask, planes, self.initial_velocity_std, self.colour_variance
                 )
-                kept = kept.and_also([new.changed(past_views=inherited(new, kept))])
+                kept = kept.concatenate([new.changed(past_views=inherited(new, kept))])
         return replace(state, blobs=kept, born=next(numbers) - 1, elapsed=0.0)
 
     def _placed(self, state: BlobState, incoming: Incoming) -> tuple[Blobs, list[Blob], LayerStack]:
-        """Blobs front to back where pixels and detections show them, those that are new, and the layers."""
+        """Registered and corrected blobs, front to back; new ones; and the layers of both."""
         pixels, boxes = incoming[PixelLabels], incoming.get(ObjectBoxes)
         registered = incoming.once(self._registered, state, pixels)
         if boxes is None or boxes.association is None:
@@ -180,30 +180,30 @@ class BlobTracker:
     def _detected(
         self, state: BlobState, pixels: PixelMessage, boxes: BoxMessage, found: tuple[Blobs, LayerStack]
     ) -> tuple[Blobs, list[Blob], LayerStack]:
-        known = detections.corrected(found[0], boxes)
+        known = detections.correct(found[0], boxes)
         # born where there is no image, it is of any colour until there is one
         channels = 0 if pixels.image is None else known.channels
         new = [
             detections.newborn(number, boxes, k, channels)
             for number, k in enumerate(detections.unexplained(boxes, state.size), state.born + 1)
         ]
-        blobs = front_to_back(known.taken(~detections.are_parts(known, Blobs.of(new, known.channels))))
-        return blobs, new, self._layers(front_to_back(blobs.and_also(new)))
+        blobs = front_to_back(known.select(~detections.are_parts(known, Blobs.of(new, known.channels))))
+        return blobs, new, self._layers(front_to_back(blobs.concatenate(new)))
 
     def _registered(self, state: BlobState, pixels: PixelMessage) -> tuple[Blobs, LayerStack]:
-        """Blobs front to back at the place where this frame shows them, and their layers."""
+        """Registered blobs, front to back, and their layers."""
         if not len(state.blobs):
             return state.blobs, NO_LAYERS
         blobs = front_to_back(state.blobs)
         if pixels.subtraction is not None:
-            blobs = registered(blobs, pixels, self.outliers, self.likelihood_power, state.elapsed)
+            blobs = register_blobs(blobs, pixels, self.outliers, self.likelihood_power, state.elapsed)
         return blobs, self._layers(blobs)
 
     def _layers(self, blobs: Blobs) -> LayerStack:
         return LayerStack(layers_of(blobs, self.outliers, self.strength, self.ghost_threshold))
 
     def _rule(self, channels: int, scene: BlobScene, least_area: float) -> Learning:
-        """How blobs follow what this frame shows."""
+        """Parameters by which blobs learn from this frame."""
 
         def share(time: float) -> float:
             return -math.expm1(-scene.elapsed / time)

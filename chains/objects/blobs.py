@@ -42,7 +42,7 @@ WORDS = RECORD.itemsize // 8
 @short_repr
 @dataclass(frozen=True)
 class Track:
-    """What is reported of an object in a frame."""
+    """Reported state of an object in a frame."""
 
     identity: int  # from 1, never used twice
     box: Box  # x, y, width, height px; x, y is the top left corner, 0 at the picture's
@@ -53,7 +53,7 @@ class Track:
     position_covariance: Covariance  # px^2, of the middle of the box, along x and y
 
     def seen_by(self, view: AffineMap) -> Self:
-        """The same as a frame shows it whose camera has moved by `view`; its velocity stays the scene's."""
+        """Return the track in a frame whose camera has moved by `view`; the velocity stays the scene's."""
         linear = view.matrix[:, :2]
         vx, vy = (linear @ self.velocity).tolist()
         (xx, xy), (yx, yy) = (linear @ self.position_covariance @ linear.T).tolist()
@@ -62,8 +62,8 @@ class Track:
         )
 
 
-def middle_covariance(variance: Pair) -> Covariance:
-    """Of a box's middle: its foot's, and half its height's, of `(4,)` px^2 as of `ObjectBoxes`."""
+def centre_covariance(variance: Pair) -> Covariance:
+    """Return the covariance of a box's centre from `(4,)` px^2 variances of `ObjectBoxes`."""
     return (
         (float(variance[FOOT_X]), 0.0),
         (0.0, float(variance[FOOT_Y] + 0.25 * variance[HEIGHT])),
@@ -73,7 +73,7 @@ def middle_covariance(variance: Pair) -> Covariance:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Blob:
-    """One object by itself: a record, whose fields (see `RECORD`) are attributes, and its pixels."""
+    """One object: a record, whose fields (see `RECORD`) are attributes, and its pixels."""
 
     record: np.void  # of type `RECORD`
     mask: Map  # (height, width) probability of covering a pixel
@@ -125,12 +125,12 @@ class Blob:
         return x, y, width, height
 
     def moved_patch(self, shift: NDArray[Any]) -> Self:
-        """The same with another top left corner, px down and right of the old; the mask must follow."""
+        """Return the blob with its patch's corner shifted, px down and right; the mask must follow."""
         box_mean = self.box_mean - self.detected * np.array([shift[1], shift[0], 0, 0])
         return self.changed(position=self.position + shift, box_mean=box_mean)
 
     def changed(self, mask: Map | None = None, appearance: Map | None = None, **values: Any) -> Self:
-        """With other pixels, or other values of fields of its record; a new mask is measured."""
+        """Return the blob with other pixels, or other values of fields; a new mask is measured."""
         record = np.array([self.record])[0] if mask is None else measured(mask, self.record)
         for name, value in values.items():
             record[name] = value
@@ -144,7 +144,7 @@ class Blob:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Blobs:
-    """Blobs as rows of a table, in no particular order; `blobs[k]` is one of them.
+    """Table of blobs, in no particular order; `blobs[k]` is a `Blob`.
 
     Like any state it is never changed once it is made.
     """
@@ -160,13 +160,13 @@ class Blobs:
 
     @classmethod
     def none(cls, channels: int) -> Self:
-        """No blobs, for pictures of so many channels."""
+        """Return a table without blobs, for pictures of so many channels."""
         nothing = np.zeros(0, np.float32)
         return cls(np.zeros((0, WORDS), np.int64), nothing, nothing, channels)
 
     @classmethod
     def of(cls, blobs: Collection[Blob], channels: int) -> Self:
-        """Blobs that are on their own, in their order."""
+        """Return the table of single blobs, in their order."""
         table = np.array([blob.record for blob in blobs], RECORD)
         ends = np.cumsum([0, *(blob.mask.size for blob in blobs)])
         masks, colours = np.empty(ends[-1], np.float32), np.zeros(channels * ends[-1], np.float32)
@@ -200,17 +200,17 @@ class Blobs:
 
     @property
     def reported_boxes(self) -> Pair:
-        """`(n, 4)` px: as detections have them, or else as the masks."""
+        """`(n, 4)` px: the detected boxes, or else those of the masks."""
         return self._boxes[1]
 
     @property
     def feet(self) -> Pair:
-        """`(n,)` px, the lowest row: what stands lower in the picture is nearer."""
+        """`(n,)` px, lowest row of the box: what stands lower in the picture is nearer."""
         return self.reported_boxes[:, 1] + self.reported_boxes[:, 3]
 
     @property
     def ghost_evidence(self) -> Pair:
-        """`(n,)` nats, log ratio of being a ghost and being real; a detector finds what is real."""
+        """`(n,)` nats, log ratio of ghost and real; being detected counts as real."""
         table = self.table
         real = np.where(table["detected"], np.maximum(table["existence"], 0.0), 0.0)
         evidence: Pair = table["view"] + table["past_views"] - real
@@ -218,7 +218,7 @@ class Blobs:
 
     @property
     def reported_variances(self) -> Pair:
-        """`(n, 4)` px^2 of foot x and y, width and height: of places, and of the detected boxes there."""
+        """`(n, 4)` px^2 of foot x and y, width and height."""
         table = self.table
         variances = np.where(table["detected"][:, None], table["box_variance"], 0.0)
         variances[:, :WIDTH] += table["covariance"][:, 0, :1]
@@ -226,13 +226,13 @@ class Blobs:
 
     @property
     def existence_probability(self) -> Pair:
-        """`(n,)`: that it is one of those that the detector is made to find."""
+        """`(n,)` probability of being an object that the detector is made to find."""
         probability: Pair = 1 / (1 + np.exp(-self.table["existence"]))
         return probability
 
     @property
     def are_likely(self) -> Mask:
-        """`(n,)`: whether it likely exists, and covers half of the box that was detected."""
+        """`(n,)`: whether it likely exists, and its box shares half of its area with the true one."""
         likely = np.zeros(len(self), bool)
         found = np.flatnonzero(self.table["detected"])
         sides = np.tile(self.table["box_mean"][found, 2:], 2)
@@ -246,7 +246,7 @@ class Blobs:
 
     @property
     def are_fragments(self) -> Mask:
-        """`(n,)`: whether it is a piece of somebody; what is small by nature has moved alone for long."""
+        """`(n,)`: whether it is a piece of a person; small things that move alone for long are not."""
         time = self.table["fragment_time"]
         fragments: Mask = (time > 0) & ~((time > OWN_WAY) & (self.table["still"] == 0))
         return fragments
@@ -269,22 +269,22 @@ class Blobs:
         )
 
     def with_table(self, table: NDArray[np.void]) -> Self:
-        """Other records of the same pixels."""
+        """Return the blobs with other records of the same pixels."""
         return replace(self, words=table.view(np.int64).reshape(-1, WORDS))
 
     def sweep(self, due: Mask) -> None:
-        """Free the masks of those that are `due` `(n,)`, and that nobody else knows yet, of crumbs."""
+        """Free the masks that are `due` `(n,)` of crumbs, in place; nobody else may hold the table yet."""
         for k in np.flatnonzero(due).tolist():
             mask = self[k].mask
             if without_crumbs(mask):
                 measure_all(self.table[k : k + 1], self.pools, np.empty(5 * mask.shape[1], np.float32))
 
-    def taken(self, which: NDArray[np.intp] | Mask) -> Self:
-        """Some of them, by their numbers or whether to take them."""
+    def select(self, which: NDArray[np.intp] | Mask) -> Self:
+        """Return some of the blobs, by index or by whether to take them."""
         return replace(self, words=self.words[which])
 
-    def and_also(self, blobs: Sequence[Blob]) -> Self:
-        """All of them and some new ones."""
+    def concatenate(self, blobs: Sequence[Blob]) -> Self:
+        """Return the blobs followed by new ones."""
         if not blobs:
             return self
         others = Blobs.of(blobs, self.channels)
@@ -298,7 +298,7 @@ class Blobs:
 
 
 def union(boxes: Pair) -> Pair:
-    """The box that holds all boxes `(n, 4)` x, y, width, height."""
+    """Return the box that holds all boxes `(n, 4)` x, y, width, height."""
     first, end = boxes[:, :2].min(axis=0), (boxes[:, :2] + boxes[:, 2:]).max(axis=0)
     return np.concatenate([first, end - first])
 
@@ -306,7 +306,7 @@ def union(boxes: Pair) -> Pair:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BlobState:
-    """All objects of a scene."""
+    """State of all objects of a scene."""
 
     blobs: Blobs
     born: int  # how many there have been
@@ -316,7 +316,7 @@ class BlobState:
     detecting: bool = False  # whether a detector has run, which decides what is reported
 
     def tracks(self) -> list[Track]:
-        """Objects that are sure enough to be reported, by identity."""
+        """Return the objects that are sure enough to be reported, by identity."""
         blobs, table = self.blobs, self.blobs.table
         if not len(table):
             return []
@@ -331,12 +331,12 @@ class BlobState:
 
 
 def _track(identity: int, parts: list[int], blobs: Blobs, confidence: Pair, shown: Mask) -> Track:
-    """What is reported of an object with these parts."""
+    """Track of an object with these parts."""
     largest = parts[0] if len(parts) == 1 else parts[int(np.argmax(blobs.table["mass"][parts]))]
     boxes = blobs.reported_boxes[parts]
     x, y, width, height = (boxes[0] if len(parts) == 1 else union(boxes)).tolist()
     speed_y, speed_x = blobs.table["velocity"][largest].tolist()
-    covariance = middle_covariance(blobs.reported_variances[largest])
+    covariance = centre_covariance(blobs.reported_variances[largest])
     return Track(
         identity,
         (x, y, width, height),
@@ -348,7 +348,7 @@ def _track(identity: int, parts: list[int], blobs: Blobs, confidence: Pair, show
 
 
 def box_densities(identities: ArrayLike, boxes: ArrayLike) -> GaussianMessage:
-    """Where objects stand and how large they look, `(n, 4)` px, as a message to `ObjectBoxes`."""
+    """Return the boxes of objects, `(n, 4)` px, with usual errors as a message to `ObjectBoxes`."""
     x, y, width, height = np.asarray(boxes, np.float64).T
     deviations = np.stack([0.05 * width, 0.03 * height, 0.15 * width, 0.08 * height], axis=1) + 1
     return GaussianMessage.from_moments(
@@ -359,7 +359,7 @@ def box_densities(identities: ArrayLike, boxes: ArrayLike) -> GaussianMessage:
 
 
 def without_crumbs(mask: Map) -> bool:
-    """Take spots away, in place, that are apart and under a tenth of the largest; whether there were any."""
+    """Remove spots that are apart and under a tenth of the largest; return whether there were any."""
     _, labels, boxes, _ = cv2.connectedComponentsWithStats((mask > COVERED).astype(np.uint8), connectivity=8)
     areas = boxes[:, cv2.CC_STAT_AREA]
     crumbs = areas < CRUMB * areas[1:].max(initial=0)
@@ -370,7 +370,7 @@ def without_crumbs(mask: Map) -> bool:
 
 
 def likely_size(mask: Map) -> Pair:
-    """Height and width px of what a mask likely covers, at least 1."""
+    """Return height and width px of what a mask likely covers, at least 1."""
     shape = measured(mask)
     return np.array([max(shape["bottom"] - shape["top"], 1.0), max(shape["right"] - shape["left"], 1.0)])
 
@@ -389,12 +389,12 @@ def paste(out: Map, top: int, left: int, source: Map, source_top: int, source_le
 
 
 def front_to_back(blobs: Blobs) -> Blobs:
-    """What stands lower in the picture is nearer."""
-    return blobs.taken(np.lexsort((blobs.table["identity"], -blobs.feet)))
+    """Return the blobs ordered from front to back: what stands lower in the picture is nearer."""
+    return blobs.select(np.lexsort((blobs.table["identity"], -blobs.feet)))
 
 
 def layers_of(blobs: Blobs, outliers: float, strength: float, ghost_threshold: float) -> LayerSheet:
-    """Blobs, front to back, as layers; a ghost says that there is no object where it is, nor beside it."""
+    """Return blobs, front to back, as layers; a ghost says that there is no object, nor beside it."""
     known, table = blobs.table, np.empty(len(blobs), LAYER)
     table["top"], table["left"] = np.floor(known["position"] + 0.5).T
     for name in ("rows", "columns", "start", "coloured", "colour_variance"):

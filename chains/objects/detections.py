@@ -27,15 +27,19 @@ from .blobs import Blob, Blobs, Map, Pair, box_densities, paste
 ACCELERATION = 0.4
 """Heights/s^2, standard deviation of what moves a person out of the straight way; it lasts half a second."""
 
-FIRST_SPEED = 0.8  # heights/s, standard deviation of somebody's velocity along either axis of the picture
+INITIAL_VELOCITY_STD = (
+    0.8  # heights/s, standard deviation of somebody's velocity along either axis of the picture
+)
 LIFE = 20.0  # s, for which an object stays in the picture on average
 PHASE = 0.5  # s, time constant with which the detector begins to notice an object, or ceases to
 USUALLY = 0.85  # share of the time for which the detector notices an object
-SWAY = 0.03  # heights/s^0.5: how far a box moves against the blob that it is of, by gait
-GROWTH = 0.1  # shares/s^0.5: how fast sides of a box change as somebody comes nearer
+BOX_WALK_STD = 0.03  # heights/s^0.5: how far a box moves against the blob that it is of, by gait
+SIDE_WALK_STD = 0.1  # shares/s^0.5: how fast sides of a box change as somebody comes nearer
 MASK_ERROR = 0.2  # of a mask's box, in its sides: how far a detector's box may be off
 LEAST = np.array([-np.inf, -np.inf, 1.0, 1.0])  # px: of a box's numbers
-SPREAD = 300.0  # squared grey levels: variance of a new object's colours about those that it shows first
+COLOUR_VARIANCE = (
+    300.0  # squared grey levels: variance of a new object's colours about those that it shows first
+)
 
 WHOLE = 0.25
 """s after which a box of the same object is worth a whole new one: a detector errs alike for a while."""
@@ -47,20 +51,22 @@ CANDIDATE = 0.1  # probability of being somebody new from which on a box is reme
 GIVEN_UP = math.log(0.02 / 0.98)  # log odds of existence below which an object is forgotten
 
 
-def moved(blobs: Blobs, dt: float, acceleration: float, detecting: bool) -> Blobs:
-    """Blobs `dt` s on: velocity stays, but for a random force of their own lengths/s^2, or a person's."""
+def predict(blobs: Blobs, dt: float, acceleration: float, detecting: bool) -> Blobs:
+    """Predict blobs `dt` seconds ahead: constant velocity but for a random force."""
     table = blobs.table.copy()
     move(table, dt, kinematic(2, dt).noise, acceleration, ACCELERATION)
     if detecting:
-        _doubt(table, dt)
+        _predict_detections(table, dt)
     return blobs.with_table(table)
 
 
-def _doubt(table: NDArray[np.void], dt: float) -> None:
-    """What is known of objects' detections `dt` s later."""
+def _predict_detections(table: NDArray[np.void], dt: float) -> None:
+    """Predict what is known of detected boxes, existence and phase `dt` seconds ahead."""
     found = np.flatnonzero(table["detected"])
     sides = table["box_mean"][found][:, [HEIGHT, HEIGHT, WIDTH, HEIGHT]]
-    table["box_variance"][found] += dt * (sides * [SWAY, SWAY, GROWTH, GROWTH]) ** 2
+    table["box_variance"][found] += (
+        dt * (sides * [BOX_WALK_STD, BOX_WALK_STD, SIDE_WALK_STD, SIDE_WALK_STD]) ** 2
+    )
     table["unfound"][found] += dt
     stays, lasts = math.exp(-dt / PHASE), math.exp(-dt / LIFE)
     table["existence"][found] = _log_odds(lasts * _probability(table["existence"][found]))
@@ -68,8 +74,8 @@ def _doubt(table: NDArray[np.void], dt: float) -> None:
     table["noticed"][found] = _log_odds(noticed)
 
 
-def said(blobs: Blobs, detecting: bool, image: bool) -> BoxMessage:
-    """What blobs say of boxes: of those that an image shows well, and what a detector may find of others."""
+def box_message(blobs: Blobs, detecting: bool, image: bool) -> BoxMessage:
+    """Return the message of blobs to `ObjectBoxes`: boxes the image shows, and what a detector may find."""
     table = blobs.table
     # of those whom the pixels alone show
     shown = (table["confidence"] > 0.5) & (table["seen"] >= FRESH) & (table["detected"] == 0)
@@ -80,7 +86,7 @@ def said(blobs: Blobs, detecting: bool, image: bool) -> BoxMessage:
 
 
 def _expectations(blobs: Blobs) -> BoxMessage:
-    """That objects exist and are noticed, and boxes of those that a detector has found before."""
+    """Existence and phases of all objects, and boxes of those that the detector has found before."""
     table = blobs.table[np.argsort(blobs.table["identity"])]
     identities = table["identity"].copy()
     message = BoxMessage(
@@ -97,11 +103,11 @@ def _expectations(blobs: Blobs) -> BoxMessage:
     return replace(message, hidden=gaussian)
 
 
-def corrected(blobs: Blobs, boxes: BoxMessage) -> Blobs:
-    """Objects after a detector has run: place, velocity and box as far as boxes are theirs."""
+def correct(blobs: Blobs, boxes: BoxMessage) -> Blobs:
+    """Correct place, velocity, box and existence of objects by the boxes associated with them."""
     association = boxes.association
     assert association is not None
-    precision, vector = association.drawn
+    precision, vector = association.information
     existence, noticed = (odds.of(association.identities) for odds in (boxes.existence, boxes.noticed))
     places = {int(identity): k for k, identity in enumerate(association.identities)}
     table = blobs.table.copy()
@@ -113,14 +119,14 @@ def corrected(blobs: Blobs, boxes: BoxMessage) -> Blobs:
         record["noticed"] += noticed[k]
         share = float(association.pairs[k].sum())
         if not record["detected"] and share > 0.5:
-            _detect_by_mask(record, box)
+            _detect_from_mask(record, box)
         if record["detected"] and share > 1e-3:
-            _draw(record, vector[k] / precision[k], 1 / precision[k])
+            _correct_box(record, vector[k] / precision[k], 1 / precision[k])
     return blobs.with_table(table)
 
 
-def _detect_by_mask(record: np.void, box: list[float]) -> None:
-    """What a blob's mask, with its `box`, tells of the box that a detector would find."""
+def _detect_from_mask(record: np.void, box: list[float]) -> None:
+    """Initialise the detected box of a blob from its mask, with its `box`."""
     x, y, width, height = box
     top, left = record["position"].tolist()
     record["box_mean"] = x + 0.5 * width - left, y + height - top, width, height
@@ -129,14 +135,14 @@ def _detect_by_mask(record: np.void, box: list[float]) -> None:
 
 
 def unexplained(boxes: BoxMessage, size: tuple[int, int]) -> list[int]:
-    """Which boxes, in the picture, may be of somebody who is not known yet."""
+    """Return the indices of boxes in the picture that may show a new object."""
     association = boxes.association
     assert association is not None
     return np.flatnonzero((association.new > CANDIDATE) & _inside(association.boxes, size)).tolist()
 
 
 def newborn(identity: int, boxes: BoxMessage, k: int, channels: int) -> Blob:
-    """An object that the detector's box `k` is the first to show."""
+    """Return a new object that is first shown by the detector's box `k`."""
     association = boxes.association
     assert association is not None
     x, y, width, height = association.boxes[k].tolist()
@@ -149,8 +155,8 @@ def newborn(identity: int, boxes: BoxMessage, k: int, channels: int) -> Blob:
         if outline.any():  # in a detector's outline nearly everything is the object's
             mask = SURE_COVER * outline
     planes = np.zeros((channels, *mask.shape), np.float32)
-    return Blob.newborn(identity, corner, mask, planes, FIRST_SPEED, SPREAD).changed(
-        covariance=np.diag([1e-6, (FIRST_SPEED * height) ** 2]),
+    return Blob.newborn(identity, corner, mask, planes, INITIAL_VELOCITY_STD, COLOUR_VARIANCE).changed(
+        covariance=np.diag([1e-6, (INITIAL_VELOCITY_STD * height) ** 2]),
         existence=float(_log_odds(association.new[k])),
         noticed=float(_log_odds(0.98)),
         confidence=0.0,
@@ -161,7 +167,7 @@ def newborn(identity: int, boxes: BoxMessage, k: int, channels: int) -> Blob:
 
 
 def are_parts(blobs: Blobs, detected: Blobs) -> NDArray[np.bool_]:
-    """`(n,)`: which blobs that no detector has found lie in the boxes of others, as pieces of them."""
+    """Return `(n,)` whether undetected blobs lie in the boxes of detected ones, as parts of them."""
     x, y, width, height = blobs.boxes.T[:, :, None]
     left, top, across, down = detected.reported_boxes.T
     shared_x = np.minimum(x + width, left + across) - np.maximum(x, left)
@@ -171,7 +177,7 @@ def are_parts(blobs: Blobs, detected: Blobs) -> NDArray[np.bool_]:
 
 
 def are_kept(blobs: Blobs, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """`(n,)`: which objects that were detected once may still be there, in the picture; others may."""
+    """Return `(n,)` whether objects are kept: undetected ones, and detected ones that may still be there."""
     table = blobs.table
     boxes = table["box_mean"].copy()
     boxes[:, :WIDTH] += table["position"][:, ::-1]
@@ -190,8 +196,8 @@ def _inside(boxes: Pair, size: tuple[int, int]) -> NDArray[np.bool_]:
     return np.asarray((across > 0.2 * width) & (down > 0.2 * height))
 
 
-def _draw(record: np.void, place: Pair, noise: Pair) -> None:
-    """Its box was seen at a place: its patch, its velocity and the box within it share that."""
+def _correct_box(record: np.void, place: Pair, noise: Pair) -> None:
+    """Kalman update of patch, velocity and box by a box observed at `place`."""
     (along, both), (_, speed) = record["covariance"].tolist()
     top, left = record["position"].tolist()
     mean, variance = record["box_mean"], record["box_variance"]
@@ -212,7 +218,7 @@ def _draw(record: np.void, place: Pair, noise: Pair) -> None:
 
 
 def _ellipse(width: float, height: float) -> Map:
-    """What somebody in a box likely covers, in a patch with a border of `MARGIN`."""
+    """Mask of a person in a box, as an ellipse, in a patch with a border of `MARGIN`."""
     rows, columns = (max(round(side), 1) + 2 * MARGIN for side in (height, width))
     y = (np.arange(rows) - 0.5 * (rows - 1)) / (0.5 * height)
     x = (np.arange(columns) - 0.5 * (columns - 1)) / (0.5 * width)

@@ -19,7 +19,7 @@ KNOWN = 0.25  # deviation over mean of anybody's height, below which it is known
 
 
 def with_parts(blobs: Blobs, newcomers: Newcomers | None) -> Blobs:
-    """Blobs that have just set off together, as parts of the one among them that was the first.
+    """Group blobs that have set off together, as parts of the oldest of them.
 
     Something that was a part of the scene, and looks alike in its middle wherever it is, comes into view as
     its edges do. They stay blobs of their own, since some may be what it leaves behind; and those that have
@@ -33,7 +33,7 @@ def with_parts(blobs: Blobs, newcomers: Newcomers | None) -> Blobs:
     table = table.copy()
     for k in np.flatnonzero(_members(table) > 1).tolist():
         whole = table["whole"]
-        parts = blobs.taken(np.flatnonzero(whole == whole[k]))
+        parts = blobs.select(np.flatnonzero(whole == whole[k]))
         grown = seen[k] >= SETTING_OFF or found[k]
         if len(parts) > 1 and (grown or not are_one(parts.boxes, newcomers)):
             whole[k] = table["identity"][k]
@@ -49,28 +49,28 @@ def with_parts(blobs: Blobs, newcomers: Newcomers | None) -> Blobs:
 
 
 def _members(table: NDArray[np.void]) -> NDArray[np.int64]:
-    """`(n,)`: of how many blobs the thing consists that each is a part of."""
+    """Count `(n,)` the blobs of the object that each blob is a part of."""
     _, place, counts = np.unique(table["whole"], return_inverse=True, return_counts=True)
     return np.asarray(counts[place], np.int64)
 
 
 def alone(blobs: Blobs) -> Blobs:
-    """Blobs that are no parts of a thing, whose size is not theirs; two may be two side by side."""
+    """Return the blobs that are whole objects, or one of two parts: the sizes of others mean nothing."""
     if (blobs.table["whole"] == blobs.table["identity"]).all():
         return blobs
-    return blobs.taken(_members(blobs.table) <= 2)
+    return blobs.select(_members(blobs.table) <= 2)
 
 
 def are_one(boxes: Pair, newcomers: Newcomers | None) -> bool:
-    """Whether blobs can be parts of one thing: together not higher than anybody, nor as wide as two."""
+    """Return whether blobs can be parts of one object: together neither too high nor as wide as two."""
     whole = union(boxes)
-    mean, deviation = anybodys_height(whole[1] + whole[3], newcomers)
+    mean, deviation = height_prior(whole[1] + whole[3], newcomers)
     too_high = whole[3] > mean + 2 * deviation
     return not too_high and bool(pair_evidence(whole, newcomers) < 0)
 
 
 def set_off_together(blobs: Blobs, one: int, other: int, newcomers: Newcomers | None) -> bool:
-    """Whether two blobs set out at the same time, close to each other and in the same way."""
+    """Return whether two blobs set out at the same time, close to each other and in the same direction."""
     boxes, (here, there) = blobs.boxes[[one, other]], blobs.table[[one, other]]
     _, _, wide, tall = union(boxes).tolist()
     length = max(wide, tall)
@@ -82,8 +82,8 @@ def set_off_together(blobs: Blobs, one: int, other: int, newcomers: Newcomers | 
     return bool(gap < longer and shorter < 0.5 * length and alike and are_one(boxes, newcomers))
 
 
-def anybodys_height(feet: ArrayLike, newcomers: Newcomers | None) -> tuple[Pair, Pair]:
-    """Mean and deviation px of the height of somebody with feet in these rows; NaN where it is not known."""
+def height_prior(feet: ArrayLike, newcomers: Newcomers | None) -> tuple[Pair, Pair]:
+    """Return mean and deviation px of a person's height with feet in these rows; NaN where it is unknown."""
     if newcomers is None:
         unknown = np.full(np.shape(feet), np.nan)
         return unknown, unknown
@@ -92,16 +92,16 @@ def anybodys_height(feet: ArrayLike, newcomers: Newcomers | None) -> tuple[Pair,
 
 
 def fragment_times(blobs: Blobs, scene: BlobScene) -> Pair:
-    """`(n,)` s for which blobs have been less than half as high as anybody there, inside of the picture."""
+    """Return `(n,)` s for which blobs inside of the picture have been less than half a person's height."""
     x, y, width, height = blobs.boxes.T
-    mean, _ = anybodys_height(blobs.feet, scene.newcomers)
+    mean, _ = height_prior(blobs.feet, scene.newcomers)
     small = (np.minimum(x, y) > 1) & (x + width < scene.size[1] - 1) & (y + height < scene.size[0] - 1)
     small &= height <= HALF * mean
     return np.where(small, blobs.table["fragment_time"] + scene.elapsed, 0.0)
 
 
 def pair_evidence(boxes: ArrayLike, newcomers: Newcomers | None) -> Pair:
-    """Log ratio, nats, of two people beside each other and one, by how wide boxes `(..., 4)` are there.
+    """Return the log ratio, nats, of two people side by side and one, given the width of `(..., 4)` boxes.
 
     They are as high as anybody there, or else they are neither. One has anybody's width; two have that and
     how far they are apart, anything from a third of a width to a whole one and a bit.
@@ -109,17 +109,17 @@ def pair_evidence(boxes: ArrayLike, newcomers: Newcomers | None) -> Pair:
     _, top, width, height = np.moveaxis(np.asarray(boxes, np.float64), -1, 0)
     if newcomers is None or newcomers.aspect > UPRIGHT:
         return np.full(np.shape(top), -np.inf)
-    expected, deviation = anybodys_height(top + height, newcomers)
+    expected, deviation = height_prior(top + height, newcomers)
     usual = newcomers.aspect * expected
-    spread = np.hypot(math.sqrt(newcomers.aspect_variance) * expected, 0.1 * usual)
-    one = -0.5 * ((width - usual) / spread) ** 2 - np.log(spread * math.sqrt(2 * math.pi))
+    std = np.hypot(math.sqrt(newcomers.aspect_variance) * expected, 0.1 * usual)
+    one = -0.5 * ((width - usual) / std) ** 2 - np.log(std * math.sqrt(2 * math.pi))
     apart = width / usual - 1
     as_high = np.abs(height - expected) <= 2 * deviation
     return np.where(as_high & (apart > 0.3) & (apart < 1.3), -np.log(usual) - one, -np.inf)
 
 
 def parting_columns(blobs: Blobs, newcomers: Newcomers | None) -> NDArray[np.int64]:
-    """`(n,)` columns of masks at which blobs seem to be two; -1 where they seem to be one."""
+    """Return `(n,)` columns of masks at which blobs seem to be two; -1 where they seem to be one."""
     table = blobs.table
     columns = np.where(table["waist_depth"] < 0.5, table["waist"], -1)
     for k in np.flatnonzero((columns < 0) & (pair_evidence(blobs.boxes, newcomers) > PAIR)).tolist():
@@ -128,7 +128,7 @@ def parting_columns(blobs: Blobs, newcomers: Newcomers | None) -> NDArray[np.int
 
 
 def thinnest_column(mask: Map) -> int:
-    """The column in the middle half of a mask's likely part that holds least of it."""
+    """Return the column in the middle half of a mask's likely part that holds least of it."""
     shape = measured(mask)
     left, right = int(shape["left"]), int(shape["right"])
     quarter = (right - left) // 4
@@ -140,7 +140,7 @@ def thinnest_column(mask: Map) -> int:
 
 
 def halves(blob: Blob, column: int) -> tuple[Map, Map]:
-    """The mask left and right of a column, the larger one first."""
+    """Return the mask left and right of a column, the larger one first."""
     left, right = blob.mask.copy(), blob.mask.copy()
     left[:, column:] = 0
     right[:, :column] = 0
@@ -148,9 +148,9 @@ def halves(blob: Blob, column: int) -> tuple[Map, Map]:
 
 
 def merged(blobs: Blobs) -> Blobs:
-    """Pieces of one object become one blob again (see `next_piece`), the one seen for the longest."""
+    """Merge pieces of one object (see `next_piece`) into the blob that has been seen for longest."""
     table = blobs.table
-    blobs = blobs.taken(np.lexsort((table["identity"], -table["seen"], table["detected"] == 0)))
+    blobs = blobs.select(np.lexsort((table["identity"], -table["seen"], table["detected"] == 0)))
     piece, one = next_piece(blobs.table, 1)
     while piece < len(blobs):
         rows = list(blobs)
@@ -161,7 +161,7 @@ def merged(blobs: Blobs) -> Blobs:
 
 
 def joined(one: Blob, other: Blob) -> Blob:
-    """One blob of two; it keeps the first one's identity and motion."""
+    """Return one blob of two, with the identity and motion of the first."""
     corners = np.array([one.corner, other.corner])
     ends = corners + np.array([one.mask.shape, other.mask.shape])
     first, shape = corners.min(axis=0), tuple(ends.max(axis=0) - corners.min(axis=0))

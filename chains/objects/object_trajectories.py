@@ -25,7 +25,7 @@ from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import Rows, short_repr
 from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage
 from ...models.objects.object_boxes import ObjectBoxes
-from .blobs import Track, middle_covariance
+from .blobs import Track, centre_covariance
 
 Numbers = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ GOES_ON, GOES_ON_AT_EDGE = 0.5, 0.05
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Boxes(Rows):
-    """Boxes of objects in the frames of a film, one a row, ordered by object and then by time."""
+    """Table of the boxes of objects in all frames of a film, ordered by object and then by time."""
 
     frames: NDArray[np.int64]  # (n,), index of the frame
     identities: NDArray[np.int64]
@@ -49,7 +49,7 @@ class Boxes(Rows):
 
     @classmethod
     def of(cls, messages: Iterable[GaussianMessage]) -> "Boxes":
-        """Boxes of messages, one a frame."""
+        """Return the boxes of messages, one a frame."""
         parts = []
         for index, message in enumerate(messages):
             known, mean, covariance = message.moments
@@ -62,11 +62,11 @@ class Boxes(Rows):
         return len(self.frames)
 
     def sorted(self) -> Self:
-        """By object and time."""
+        """Return the boxes ordered by object and time."""
         return self.only(np.lexsort((self.frames, self.identities)))
 
     def mask(self, size: tuple[int, int], room: float) -> NDArray[np.bool_]:
-        """`(height, width)`: where any of the boxes is, with a share of its size around it."""
+        """Return `(height, width)` whether a box, with a share of its size around it, covers a pixel."""
         inside = np.zeros(size, bool)
         for x, y, width, height in self.means.tolist():
             top, bottom = y - (1 + room) * height, y + room * height
@@ -77,20 +77,20 @@ class Boxes(Rows):
         return inside
 
     def tracks(self) -> list[Self]:
-        """Those of each object."""
+        """Return the boxes of each object."""
         edges = np.flatnonzero(np.diff(self.identities)) + 1
         starts = [0, *edges.tolist(), len(self)]
         return [self.only(slice(start, end)) for start, end in pairwise(starts) if end > start]
 
     @classmethod
     def together(cls, tracks: Sequence["Boxes"]) -> "Boxes":
-        """All of them in one."""
+        """Return several tables as one."""
         empty = Boxes(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, BOX)), np.zeros((0, BOX)))
         return empty.joined(tracks).sorted()
 
 
 def messages_of(boxes: Boxes, n_frames: int) -> list[BoxMessage]:
-    """What boxes say in each of the frames."""
+    """Return the message of the boxes in each frame."""
     order = np.argsort(boxes.frames, kind="stable")
     edges = np.searchsorted(boxes.frames[order], np.arange(n_frames + 1))
     rows = [order[start:end] for start, end in pairwise(edges)]
@@ -107,7 +107,7 @@ def messages_of(boxes: Boxes, n_frames: int) -> list[BoxMessage]:
 
 
 class Motion(NamedTuple):
-    """How objects move and change, in units of their own height."""
+    """Parameters of motion and growth, in units of an object's own height."""
 
     acceleration: float  # heights^2/s^3, spectral density of what moves feet out of their straight way
     growth: float  # heights^2/s^3, of what changes the growth of their width and height
@@ -115,8 +115,8 @@ class Motion(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Smooth:
-    """One object's trajectory in all frames from first to last."""
+class SmoothedTrack:
+    """Smoothed trajectory of one object in all frames from first to last."""
 
     first: int  # index of the first frame
     identity: int
@@ -131,22 +131,22 @@ class Smooth:
         return self.first + len(self.seen) - 1
 
     def boxes(self) -> Boxes:
-        """In every frame."""
+        """Return the boxes in every frame."""
         means = np.concatenate([self.feet.mean[:, :2], self.sizes.mean[:, :2]], axis=1)
         parts = (self.feet.covariance, self.sizes.covariance)
         variances = np.concatenate([part.diagonal(axis1=1, axis2=2)[:, :2] for part in parts], axis=1)
         frames = np.arange(self.first, self.last + 1)
         return Boxes(frames, np.full(len(frames), self.identity), means, variances)
 
-    def known(self) -> NDArray[np.bool_]:
-        """`(n_frames,)`: whether it was seen there, or is known to be there all the same."""
+    def reported(self) -> NDArray[np.bool_]:
+        """Return `(n_frames,)` whether the object was seen or its place is known well enough."""
         boxes = self.boxes()
         unsure = np.sqrt(boxes.variances[:, [FOOT_X, FOOT_Y]].max(axis=1))
         return np.asarray(self.seen | (unsure < KNOWN * boxes.means[:, WIDTH]))
 
 
-def smoothed(track: Boxes, times: Numbers, motion: Motion) -> Smooth:
-    """A track of one object given all that was seen of it, by Rauch, Tung and Striebel's recursion."""
+def smooth_track(track: Boxes, times: Numbers, motion: Motion) -> SmoothedTrack:
+    """Smooth the track of one object (Rauch, Tung, Striebel)."""
     first, last = int(track.frames[0]), int(track.frames[-1])
     seconds, place = times[first : last + 1], track.frames - first
     height = float(np.median(track.means[:, HEIGHT]))
@@ -165,19 +165,19 @@ def smoothed(track: Boxes, times: Numbers, motion: Motion) -> Smooth:
 
     feet = states((FOOT_X, FOOT_Y), motion.acceleration, motion.initial_velocity_std)
     sizes = states((WIDTH, HEIGHT), motion.growth, 0.2 * motion.initial_velocity_std)
-    return Smooth(first, int(track.identities[0]), height, seen, feet, sizes)
+    return SmoothedTrack(first, int(track.identities[0]), height, seen, feet, sizes)
 
 
 @dataclass(frozen=True)
-class Comings:
-    """How objects come and go."""
+class ArrivalModel:
+    """How objects enter and leave."""
 
     size: tuple[int, int]  # (height, width) px of the picture
     rate: float  # 1/s, at which new ones come
     max_gap_time: float  # s, the longest time for which one may be out of sight and still be known
 
-    def at_edge(self, track: Smooth, place: int) -> bool:
-        """Whether the picture's edge cuts off a track's box, or nearly so, in its frame `place`."""
+    def at_edge(self, track: SmoothedTrack, place: int) -> bool:
+        """Return whether the picture's edge cuts off a track's box, or nearly so, in its frame `place`."""
         x, y = track.feet.mean[place, :2]
         width, height = track.sizes.mean[place, :2]
         near = EDGE * track.height
@@ -185,21 +185,23 @@ class Comings:
         inside = near < x - 0.5 * width and x + 0.5 * width < columns - near
         return not (inside and near < y - height and y < rows - near)
 
-    def log_new(self, track: Smooth) -> float:
-        """Log density (1/s/px^2) of somebody new where a track begins."""
+    def log_new(self, track: SmoothedTrack) -> float:
+        """Return the log density (1/s/px^2) of a new object where a track begins."""
         area = float(self.size[0] * self.size[1])
         strip = min(2 * EDGE * track.height * sum(self.size), area)
         place = FROM_EDGE / strip if self.at_edge(track, 0) else (1 - FROM_EDGE) / area
         return float(np.log(self.rate * place))
 
-    def log_back(self, track: Smooth) -> float:
-        """Log density (1/s) of a track that ends going on after a gap."""
+    def log_back(self, track: SmoothedTrack) -> float:
+        """Return the log density (1/s) of a track going on after a gap."""
         back = GOES_ON_AT_EDGE if self.at_edge(track, -1) else GOES_ON
         return float(np.log(back / self.max_gap_time))
 
 
-def joins(tracks: Sequence[Smooth], times: Numbers, motion: Motion, comings: Comings) -> dict[int, int]:
-    """By index of the track that ends, which other one goes on with it, all decided at once.
+def find_joins(
+    tracks: Sequence[SmoothedTrack], times: Numbers, motion: Motion, arrivals: ArrivalModel
+) -> dict[int, int]:
+    """Return which track goes on with which other one, by index of the one that ends, all decided at once.
 
     A track that ends and one that begins soon after are one object if that is likelier than that somebody is
     gone and somebody else is new: the end, predicted to where the other begins, is a Gaussian over place,
@@ -211,16 +213,16 @@ def joins(tracks: Sequence[Smooth], times: Numbers, motion: Motion, comings: Com
     for row, one in enumerate(tracks):
         for column, other in enumerate(tracks):
             gap = times[other.first] - times[one.last]
-            if row != column and 0 < gap <= comings.max_gap_time:
-                one_object = comings.log_back(one) + _log_same(one, other, gap, motion)
-                scores[row, column] = max(one_object - comings.log_new(other), 0.0)
+            if row != column and 0 < gap <= arrivals.max_gap_time:
+                one_object = arrivals.log_back(one) + _log_same(one, other, gap, motion)
+                scores[row, column] = max(one_object - arrivals.log_new(other), 0.0)
     from scipy.optimize import linear_sum_assignment  # slow to import, and only whole films need it
 
     rows, columns = linear_sum_assignment(-scores)
     return {int(row): int(column) for row, column in zip(rows, columns, strict=True) if scores[row, column]}
 
 
-def _log_same(one: Smooth, other: Smooth, gap: float, motion: Motion) -> float:
+def _log_same(one: SmoothedTrack, other: SmoothedTrack, gap: float, motion: Motion) -> float:
     """Log density of the place where a track begins if it is what another one was, `gap` s before."""
     height = 0.5 * (one.height + other.height)
     mean, covariance = one.feet.mean[-1], one.feet.covariance[-1]
@@ -239,8 +241,8 @@ def _log_gaussian(off: Numbers, covariance: Numbers) -> float:
     return float(-0.5 * (off @ np.linalg.solve(covariance, off) + log_volume))
 
 
-def joined(boxes: Boxes, tracks: Sequence[Smooth], next_of: dict[int, int]) -> Boxes:
-    """Boxes of these tracks, with one identity, that of the first, for all of a chain of `joins`."""
+def join(boxes: Boxes, tracks: Sequence[SmoothedTrack], next_of: dict[int, int]) -> Boxes:
+    """Return the boxes of these tracks, each chain of `find_joins` under the identity of its first track."""
     names: dict[int, int] = {}
     for row in sorted(range(len(tracks)), key=lambda row: tracks[row].first):
         name = names.setdefault(row, tracks[row].identity)
@@ -255,7 +257,7 @@ def joined(boxes: Boxes, tracks: Sequence[Smooth], next_of: dict[int, int]) -> B
 @short_repr
 @dataclass(frozen=True, eq=False)
 class ObjectsOverTime:
-    """Who was where, in every frame."""
+    """Boxes, velocities and visibility of all objects in every frame."""
 
     boxes: Boxes  # n in all, with one identity for each object
     velocities: NDArray[np.float64]  # (n, 2) px/s of their feet, to the right and down
@@ -263,9 +265,9 @@ class ObjectsOverTime:
     seen: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, tracks: Sequence[Smooth]) -> Self:
-        """Those of objects that are known, of tracks ordered by identity."""
-        known = [(track, track.known()) for track in tracks]
+    def of(cls, tracks: Sequence[SmoothedTrack]) -> Self:
+        """Return those of tracks ordered by identity, where they are reported."""
+        known = [(track, track.reported()) for track in tracks]
         return cls(
             Boxes.together([track.boxes().only(rows) for track, rows in known]),
             np.concatenate([np.zeros((0, 2)), *(track.feet.mean[rows, 2:] for track, rows in known)]),
@@ -273,13 +275,13 @@ class ObjectsOverTime:
         )
 
     def at(self, index: int) -> list[Track]:
-        """Every object in a frame, by index from 0; of who is reported here, nobody is unsure any more."""
+        """Return every object in a frame, by index from 0, with confidence 1."""
         rows = np.flatnonzero(self.boxes.frames == index)
         boxes = self.boxes.only(rows)
         corners = boxes.means - np.outer(boxes.means[:, WIDTH], [0.5, 0, 0, 0])
         corners[:, FOOT_Y] -= boxes.means[:, HEIGHT]
         return [
-            Track(identity, (x, y, width, height), 1.0, (vx, vy), seen, middle_covariance(variance))
+            Track(identity, (x, y, width, height), 1.0, (vx, vy), seen, centre_covariance(variance))
             for identity, (x, y, width, height), (vx, vy), seen, variance in zip(
                 boxes.identities.tolist(),
                 corners.tolist(),
@@ -327,7 +329,7 @@ class ObjectTrajectories:
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: ObjectsOverTime | None = None
     ) -> Smoothed[ObjectsOverTime]:
-        """Trajectories given what others say of boxes in all frames."""
+        """Smooth the boxes that other chains send in all frames into trajectories, joined over gaps."""
         size = next(
             (each.frame.image.shape[:2] for each in incoming_over_time if each.frame.image is not None),
             (1, 1),
@@ -336,12 +338,12 @@ class ObjectTrajectories:
         boxes = Boxes.of(each.others(ObjectBoxes).objects for each in incoming_over_time)
         motion = Motion(0.5 * self.acceleration**2, 0.5 * self.growth**2, self.initial_velocity_std)
         interval = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-        tracks = [smoothed(track, times, motion) for track in boxes.tracks()]
+        tracks = [smooth_track(track, times, motion) for track in boxes.tracks()]
         known = [track for track in tracks if track.seen.sum() * interval >= self.min_seen_time]
-        comings = Comings(size, len(known) / max(times[-1] - times[0], 1.0), self.max_gap_time)
-        next_of = joins(known, times, motion, comings)
-        together = joined(boxes, known, next_of).tracks()
-        return Smoothed(ObjectsOverTime.of([smoothed(track, times, motion) for track in together]))
+        arrivals = ArrivalModel(size, len(known) / max(times[-1] - times[0], 1.0), self.max_gap_time)
+        next_of = find_joins(known, times, motion, arrivals)
+        together = join(boxes, known, next_of).tracks()
+        return Smoothed(ObjectsOverTime.of([smooth_track(track, times, motion) for track in together]))
 
     def messages(
         self,
@@ -349,5 +351,5 @@ class ObjectTrajectories:
         feature: ObjectBoxes,
         incoming_over_time: Sequence[BatchIncoming],
     ) -> list[BoxMessage]:
-        """Where every object is in each frame (mu_{trajectories -> boxes})."""
+        """Return the box of every object in each frame (mu_{trajectories -> boxes})."""
         return messages_of(trajectory.boxes, len(incoming_over_time))

@@ -38,7 +38,7 @@ _ROWS = 4  # whose factors are multiplied before their logarithm is taken: withi
 
 
 class Expected(NamedTuple):
-    """Where a blob is expected, px from the middle of its patch, and how surely, 1/px^2 along either axis."""
+    """Expected place of a blob, px from the middle of its patch, and precision, 1/px^2 along either axis."""
 
     y: float
     x: float
@@ -46,7 +46,7 @@ class Expected(NamedTuple):
 
 
 class Matching(NamedTuple):
-    """How blobs and pixels are compared, as of `registered`."""
+    """Parameters by which blobs are compared with pixels; see `register_blobs`."""
 
     log_uniform: float
     outliers: float
@@ -56,7 +56,7 @@ class Matching(NamedTuple):
 
 @compiled
 def sprite_of(blob, mask, colours, terms):
-    """A blob's mask and colours, as loops over pixels need them."""
+    """Return a blob's mask and colours as a `Sprite`."""
     channels = colours.shape[0]
     log_ratio = (
         terms.log_uniform - 0.5 * channels * np.log(2 * np.pi * blob.colour_variance) if channels else 0.0
@@ -163,7 +163,7 @@ def packed(sprite, within, step, scratch):
 
 @compiled
 def search(reach, expected, likelihood_power, step, patch, rivals, whole, sprite, scratch):
-    """Where in the patch a sprite is: coarse to fine about its middle, by prior and pixels together.
+    """Find a sprite in its patch: coarse to fine about the middle, by prior and pixels together.
 
     The prior is a Gaussian about the place that is `expected`; the sum over the sprite's rows, `step` px
     apart in the patch, is tempered, for neighbouring pixels are not independent; until the place is known to
@@ -179,11 +179,11 @@ def search(reach, expected, likelihood_power, step, patch, rivals, whole, sprite
     rough, scores = both[0], both[1]
     stride = max(reach // 2, 1)
     centre_y = centre_x = 0
-    spread = 2
+    around = 2
     while True:
         every, known = (2, rough) if stride > 1 else (1, scores)
-        for i in range(-spread, spread + 1):
-            for j in range(-spread, spread + 1):
+        for i in range(-around, around + 1):
+            for j in range(-around, around + 1):
                 y, x = centre_y + i * stride, centre_x + j * stride
                 if abs(y) > reach or abs(x) > reach:
                     continue
@@ -198,7 +198,7 @@ def search(reach, expected, likelihood_power, step, patch, rivals, whole, sprite
                     best, best_y, best_x = score, y, x
         moved = best_y != centre_y or best_x != centre_x
         centre_y, centre_x = best_y, best_x
-        spread = 1
+        around = 1
         if stride > 1:
             stride = max(stride // 2, 1)
             best = best if stride > 1 else _NOT_YET
@@ -225,7 +225,7 @@ def _peak(scores, middle):
 
 @compiled
 def scratch_for_search(blobs, channels):
-    """Numbers that `register` needs to remember while it looks for the largest of some blobs."""
+    """Return how many numbers of scratch `register` needs for the largest of some blobs."""
     most = 0
     for k in range(blobs.size):
         rows, columns = _widest_patch(blobs[k], WIDEST_REACH)
@@ -273,48 +273,48 @@ def _reach(blob):
 
 @compiled
 def patch_bounds(blob):
-    """Top, left, rows and columns of all pixels that a blob may be compared with, whatever its mask shows."""
+    """Return top, left, rows and columns of all pixels that a blob may be compared with."""
     (top, left), reach = corner_of(blob), _reach(blob)
     rows, columns = _widest_patch(blob, reach)
     return top - reach, left - reach, rows, columns
 
 
 @compiled
-def deal(blobs, count, lots):
-    """Deal blobs, front to back, out to `count` lots `(n,)`, about as many pixels each.
+def assign_shards(blobs, count, shards):
+    """Assign blobs, front to back, to `count` shards `(n,)` of about as many pixels each.
 
-    None is compared with pixels that one of another lot covers, however far that one moves.
+    No blob is compared with pixels that one of another shard covers, however far that one moves.
     """
     for k in range(blobs.size):
-        lots[k] = k
+        shards[k] = k
         top, left, rows, columns = patch_bounds(blobs[k])
         for j in range(k):
             down, right = corner_of(blobs[j])
             moves = _reach(blobs[j]) + 1
             meets = top - moves < down + blobs[j].rows and down - moves < top + rows
             if meets and left - moves < right + blobs[j].columns and right - moves < left + columns:
-                own, other = lots[k], lots[j]
+                own, other = shards[k], shards[j]
                 for i in range(k + 1):
-                    lots[i] = other if lots[i] == own else lots[i]
+                    shards[i] = other if shards[i] == own else shards[i]
     loads = np.zeros(count, np.int64)
     of_group = np.full(blobs.size, -1)
     for k in range(blobs.size):
-        group = lots[k]
+        group = shards[k]
         if of_group[group] < 0:
             of_group[group] = np.argmin(loads)
-        lots[k] = of_group[group]
-        loads[lots[k]] += blobs[k].rows * blobs[k].columns
+        shards[k] = of_group[group]
+        loads[shards[k]] += blobs[k].rows * blobs[k].columns
 
 
 @compiled
-def register(blobs, pools, picture, terms, lots, lot, scratch):
-    """Update place and velocity of a lot of blobs, front to back, by the pixels that nothing in front covers.
+def register(blobs, pools, picture, terms, shards, shard, scratch):
+    """Update place and velocity of a shard of blobs, front to back, by pixels that no blob in front covers.
 
-    Records change; `lots` `(n,)` are as `deal` gives them, `scratch` is memory for `scratch_for_search`
+    Records change. `shards` `(n,)` are those of `assign_shards`, `scratch` is memory for `scratch_for_search`
     numbers.
     """
     for k in range(blobs.size):
-        if lots[k] != lot:
+        if shards[k] != shard:
             continue
         blob = blobs[k]
         if blob.detected and (blob.confidence < 0.5 or blob.seen < FRESH):
@@ -354,8 +354,8 @@ def register(blobs, pools, picture, terms, lots, lot, scratch):
         blob.covariance[1, 1] = speed - speed_gain * both
 
 
-def picture_of(pixels: PixelMessage) -> Picture:
-    """A frame, with an image and a background, as loops over blobs need it."""
+def make_picture(pixels: PixelMessage) -> Picture:
+    """Return a frame with an image and a background as a `Picture`."""
     assert pixels.image is not None
     assert pixels.background is not None
     assert pixels.subtraction is not None
@@ -365,10 +365,10 @@ def picture_of(pixels: PixelMessage) -> Picture:
     return Picture(image, odds, np.float32(pixels.background.prior))
 
 
-def registered(
+def register_blobs(
     blobs: Blobs, pixels: PixelMessage, outliers: float, likelihood_power: float, elapsed: float
 ) -> Blobs:
-    """Blobs, front to back, with place and velocity updated by the pixels that nothing in front covers.
+    """Update place and velocity of blobs, front to back, by the pixels that no blob in front covers.
 
     `pixels` have an image and a background; `outliers` is the share of a blob's pixels that look otherwise,
     `likelihood_power` how many independent observations one pixel is worth, `elapsed` s since the last frame.
@@ -379,13 +379,13 @@ def registered(
         blobs.table.copy(),
         Matching(log_uniform(blobs.channels), outliers, likelihood_power, elapsed),
     )
-    picture, room = picture_of(pixels), scratch_for_search(table, blobs.channels)
-    lots, count = np.zeros(len(table), np.int64), min(thread_count(), len(table))
+    picture, room = make_picture(pixels), scratch_for_search(table, blobs.channels)
+    shards, count = np.zeros(len(table), np.int64), min(thread_count(), len(table))
     if count > 1:
-        deal(table, count, lots)
+        assign_shards(table, count, shards)
 
-    def work(lot: int) -> None:
-        register(table, blobs.pools, picture, terms, lots, lot, np.empty(room, np.float32))
+    def work(shard: int) -> None:
+        register(table, blobs.pools, picture, terms, shards, shard, np.empty(room, np.float32))
 
-    side_by_side([partial(work, lot) for lot in range(count)])
+    side_by_side([partial(work, shard) for shard in range(count)])
     return blobs.with_table(table)

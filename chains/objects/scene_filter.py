@@ -84,7 +84,7 @@ class SceneTrajectory:
 @short_repr
 @dataclass(frozen=True)
 class SceneFilter:
-    """Batch chain of what is seen pixel by pixel.
+    """Batch chain of background and objects: filtered over a film from its empty scene.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class SceneFilter:
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: SceneTrajectory | None = None
     ) -> Smoothed[SceneTrajectory]:
-        """The empty scene from frames all over the film.
+        """Find the empty scene from frames all over the film.
 
         Where others know of objects, what is seen there does not count.
 
@@ -179,7 +179,7 @@ class SceneFilter:
         feature: PixelLabels | ObjectBoxes,
         incoming: Sequence[BatchIncoming],
     ) -> Sequence[PixelMessage] | Sequence[BoxMessage]:
-        """What the filter says of each frame (mu_{scene -> F})."""
+        """Return the filter's message for each frame (mu_{scene -> F})."""
         engine = RecursiveBP(self.model)
         start = self.initial_state(trajectory)
 
@@ -232,7 +232,7 @@ class SceneFilter:
 
 
 def _seen(state: BlobState) -> list[tuple[int, Box]]:
-    """Identities and boxes of objects that the frame shows; with a detector, of those that it confirms."""
+    """Identities and boxes of objects that the frame shows; with a detector, of confirmed ones."""
     if state.detecting:
         return [(track.identity, track.box) for track in state.tracks()]
     table, boxes = state.blobs.table, state.blobs.boxes
@@ -241,7 +241,7 @@ def _seen(state: BlobState) -> list[tuple[int, Box]]:
 
 
 def sample_of(times: Numbers, most: int, memory: float) -> list[int]:
-    """Indices of `most` frames at most, all over a film and the fewer the later, by exp(-time / memory)."""
+    """Return indices of `most` frames at most, the fewer the later in the film, by exp(-time / memory)."""
     share = (np.arange(most) + 0.5) / most
     wanted = times[0] - memory * np.log1p(share * np.expm1((times[0] - times[-1]) / memory))
     after = np.searchsorted(times, wanted).clip(max=len(times) - 1)

@@ -59,7 +59,7 @@ MOST_NOISE_SHARE = 0.1  # of a single observation in a pixel's noise, however lo
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BackgroundState:
-    """What is known of the empty scene, pixel by pixel in fixed-point numbers of 16 bits."""
+    """State of the empty scene, pixel by pixel in fixed-point numbers of 16 bits."""
 
     size: tuple[int, int]  # (height, width) px
     # (channels, n_pixels), steps of 1/32 grey level under the first frame's light; see `planes`
@@ -78,15 +78,15 @@ class BackgroundState:
 
     @property
     def pixels(self) -> Gaussians:
-        """What is known of every pixel."""
+        """Gaussians of all pixels."""
         return Gaussians(self.mean, self.variance, self.noise)
 
     def planes(self) -> Planes:
-        """The scene's colours, `(channels, height, width)` float32 grey levels."""
+        """Return the scene's colours, `(channels, height, width)` float32 grey levels."""
         return stored_planes(self.mean, self.size).grey_levels()
 
     def picture(self) -> NDArray[np.uint8]:
-        """The empty scene under today's light: grey `(height, width)` or BGR `(height, width, 3)`."""
+        """Return the empty scene under today's light: grey `(height, width)` or BGR `(height, width, 3)`."""
         height, width = self.size
         rows, position = LightField(self.light, self.size).along_rows
         above = position.astype(np.intp)
@@ -98,7 +98,7 @@ class BackgroundState:
 @short_repr
 @dataclass(frozen=True)
 class AdaptiveBackground:
-    """Per-pixel adaptive background.
+    """Per-pixel adaptive background: a Gaussian per pixel under changing light.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class AdaptiveBackground:
         return (Port(PixelLabels, cavity, sole="background"),)
 
     def initial(self, frame: Frame) -> BackgroundState:
-        """The first image is taken for the empty scene, with the variance of a single observation."""
+        """Return a state whose empty scene is the first image, with the variance of one observation."""
         image = frame.required_image()
         height, width = image.shape[:2]
         variance, noise = (np.full(height * width, x, np.float32) for x in (self.first_variance, self.noise))
@@ -162,15 +162,15 @@ class AdaptiveBackground:
         )
 
     def predict(self, state: BackgroundState, dt: float) -> BackgroundState:
-        """Values wander: their variance grows when they are next looked at."""
+        """Predict the background `dt` seconds ahead: variances grow when values are next looked at."""
         return replace(state, elapsed=state.elapsed + dt)
 
     def message(self, state: BackgroundState, feature: PixelLabels, incoming: Incoming) -> PixelMessage:
-        """P(B) and the predicted value of every pixel (mu_{R -> F}), under the light of this frame."""
+        """Return P(B) and the predicted value of every pixel (mu_{R -> F}), under the light of this frame."""
         return PixelMessage(background=self._predicted(state, incoming))
 
     def update(self, state: BackgroundState, incoming: Incoming) -> BackgroundState:
-        """Background after the frame, each pixel weighted by r = P(B=1 | everything).
+        """Update the background by the frame, each pixel weighted by r = P(B=1 | everything).
 
         With prediction N(R; m, s), d = I - m and K = s / (s + noise) the mean becomes m + r K d and the
         variance (1 - r K) s + r (1 - r) K^2 d^2.

@@ -31,7 +31,7 @@ from .gaussians import (
     ROUNDING_PERIOD,
     SURE,
     VARIANCE_STEPS,
-    Certain,
+    FastPathThresholds,
     Gaussians,
     PixelModel,
     light_beside,
@@ -65,28 +65,28 @@ BLOCK = 32  # rows that are worked on at a time: small enough to stay in the cac
 
 
 @inlined
-def usual_update(distance, light, spread, noise, certain):
-    """What `posterior` gives where the log odds are at their bound, without its logarithm and exponential.
+def fast_update(distance, light, variance, noise, fast):
+    """Return what `posterior` does where the log odds are at their bound, without logarithm and exponential.
 
-    Everything is in the steps of the numbers that are stored: `spread`, the variance with the drift, and
+    Everything is in the steps of the numbers that are stored: `variance`, the variance with the drift, and
     `distance` per channel in those of variances. Gives the step of the mean in theirs per grey level,
     variance and noise to be stored, and whether the log odds are at their bound indeed.
     """
-    over = light * spread
+    over = light * variance
     total = light * over + _f4(VARIANCE_STEPS / NOISE_STEPS) * noise
     gain = over / total
-    narrower = spread - gain * (certain.weight * over - certain.weights * gain * distance)
+    narrower = variance - gain * (fast.weight * over - fast.weights * gain * distance)
     narrower = min(max(narrower, _f4(LOWEST_VARIANCE * VARIANCE_STEPS)), _f4(_HIGHEST))
-    noisier = noise + certain.noise_share * (distance - total)
+    noisier = noise + fast.noise_share * (distance - total)
     noisier = min(max(noisier, _f4(LOWEST_NOISE * NOISE_STEPS)), _f4(HIGHEST_NOISE * NOISE_STEPS))
-    bound = min(certain.offset + certain.slope * total, certain.offset_beyond + certain.slope_beyond * total)
-    sure = (distance <= bound) & (total <= certain.most)
-    return certain.step * gain, narrower, noisier, sure
+    bound = min(fast.offset + fast.slope * total, fast.offset_beyond + fast.slope_beyond * total)
+    sure = (distance <= bound) & (total <= fast.most)
+    return fast.step * gain, narrower, noisier, sure
 
 
 @compiled
-def usual_rows_of_colour(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds):
-    """Rows `first` to `end` of a colour picture where they show the background for sure.
+def fast_rows_of_colour(first, end, pixels, before, light_field, fast, rounding, to, after, log_odds):
+    """Compare and update rows `first` to `end` of a colour picture where they surely show the background.
 
     Their `log_odds` are `_UNSURE` where they do not; what follows for the Gaussians, in `after` from pixel
     `to` on, holds only where they do. (A loop over rows that is a function of its own keeps the constants of
@@ -111,9 +111,7 @@ def usual_rows_of_colour(first, end, pixels, before, light_field, certain, round
             d0, d1, d2 = c0 - glow * m0, c1 - glow * m1, c2 - glow * m2
             distance = (d0 * d0 + d1 * d1 + d2 * d2) * _f4(VARIANCE_STEPS / 3)
             known, grain = _f4(variance[i]), _f4(noise[i])
-            step, narrower, noisier, sure = usual_update(
-                distance, light, known + certain.drift, grain, certain
-            )
+            step, narrower, noisier, sure = fast_update(distance, light, known + fast.drift, grain, fast)
             new_luma[j] = whole_steps(m0 + step * d0, cut[x])
             new_red[j] = whole_steps(m1 + step * d1, cut[x])
             new_blue[j] = whole_steps(m2 + step * d2, cut[x])
@@ -123,8 +121,8 @@ def usual_rows_of_colour(first, end, pixels, before, light_field, certain, round
 
 
 @compiled
-def usual_rows_of_grey(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds):
-    """Rows `first` to `end` of a grey picture, as `usual_rows_of_colour`."""
+def fast_rows_of_grey(first, end, pixels, before, light_field, fast, rounding, to, after, log_odds):
+    """Compare and update rows `first` to `end` of a grey picture, as `fast_rows_of_colour`."""
     luma, new_luma = before.mean[0], after.mean[0]
     variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
     width = light_field.rows.shape[1]
@@ -140,9 +138,7 @@ def usual_rows_of_grey(first, end, pixels, before, light_field, certain, roundin
             d0 = _f4(pixels[i]) - light * _f4(1 / MEAN_STEPS) * m0
             known, grain = _f4(variance[i]), _f4(noise[i])
             distance = d0 * d0 * _f4(VARIANCE_STEPS)
-            step, narrower, noisier, sure = usual_update(
-                distance, light, known + certain.drift, grain, certain
-            )
+            step, narrower, noisier, sure = fast_update(distance, light, known + fast.drift, grain, fast)
             new_luma[j] = whole_steps(m0 + step * d0, cut[x])
             new_variance[j] = np.uint16(_i4(narrower + cut[x]))
             new_noise[j] = np.uint16(_i4(noisier + cut[x]))
@@ -150,8 +146,8 @@ def usual_rows_of_grey(first, end, pixels, before, light_field, certain, roundin
 
 
 @compiled
-def other_rows(first, end, pixels, before, light_field, model, rounding, to, after, log_odds):
-    """Rows `first` to `end` of a picture again, in spans with pixels that do not show background for sure.
+def slow_rows(first, end, pixels, before, light_field, model, rounding, to, after, log_odds):
+    """Compare and update those spans of rows `first` to `end` in which not all is sure background.
 
     Gives the greatest variance there, as it is stored. A span is worked on in one array of its own: loops
     over many arrays find out first, each time, that they do not overlap.
@@ -164,13 +160,13 @@ def other_rows(first, end, pixels, before, light_field, model, rounding, to, aft
         for k in range(foreground_spans(log_odds[own : own + width], spans)):
             left, right = spans[k], min(spans[k] + SPAN, width)
             start = y * width + left
-            _take_in(pixels[channels * start : channels * (y * width + right)], channels, work)
+            _load_planes(pixels[channels * start : channels * (y * width + right)], channels, work)
             _take_in_light(light_field, y, left, right, work)
             here = slice(start, y * width + right)
-            most = max(most, _take_in_state(before, here, work))
+            most = max(most, _load_state(before, here, work))
             _posteriors(model, _f4(channels), work)
             there = slice(to + own + left, to + own + right)
-            _put_out(work, rounding_along(rounding, y)[left:right], before, here, after, there)
+            _store_state(work, rounding_along(rounding, y)[left:right], before, here, after, there)
             odds = log_odds[own + left : own + right]
             for x in range(odds.size):
                 odds[x] = np.int8(work[_ODDS + np.uint64(x)] * _f4(ODDS_STEPS))
@@ -178,7 +174,7 @@ def other_rows(first, end, pixels, before, light_field, model, rounding, to, aft
 
 
 @compiled
-def _take_in(shown, channels, work):
+def _load_planes(shown, channels, work):
     """Planes of a span of pixels."""
     if channels == 3:
         for x in range(np.uint64(shown.size // 3)):
@@ -200,7 +196,7 @@ def _take_in_light(light_field, y, left, right, work):
 
 
 @compiled
-def _take_in_state(before, here, work):
+def _load_state(before, here, work):
     """Differences from the means of a span, its variances and noises; gives the greatest variance stored."""
     for channel in range(before.mean.shape[0]):
         mean, seen = before.mean[channel, here], work[(2 + channel) * SPAN : (3 + channel) * SPAN]
@@ -222,17 +218,17 @@ def _posteriors(model, channels, work):
     for x in range(_SPAN):
         d0 = work[_PLANES + x]
         d1, d2 = work[_PLANES + _SPAN + x], work[_PLANES + _SPAN + _SPAN + x]
-        odds, step, spread, grain = posterior(
+        odds, step, variance, grain = posterior(
             d0 * d0 + d1 * d1 + d2 * d2, work[x], work[_VARIANCES + x], work[_NOISES + x], model, channels
         )
         work[_ODDS + x] = odds
         work[x] = step
-        work[_VARIANCES + x] = spread
+        work[_VARIANCES + x] = variance
         work[_NOISES + x] = grain
 
 
 @compiled
-def _put_out(work, cut, before, here, after, there):
+def _store_state(work, cut, before, here, after, there):
     """What follows for the Gaussians of a span."""
     for channel in range(before.mean.shape[0]):
         old, new = before.mean[channel, here], after.mean[channel, there]
@@ -248,12 +244,12 @@ def _put_out(work, cut, before, here, after, there):
 
 @compiled
 def subtract(
-    first, end, pixels, before, light_field, model, certain, rounding, second, tolerance, sway, prior, share,
+    first, end, pixels, before, light_field, model, fast, rounding, second, tolerance, sway, prior, share,
     after, log_odds, smoothed,
 ):  # fmt: skip
-    """Rows `first` to `end` of a picture: log odds of background, and the update that they imply.
+    """Return log odds of background in rows `first` to `end`, and write the update that they imply.
 
-    `certain` is what pixels need of the `model` that show background for sure, `rounding` what is added to
+    `fast` is what pixels need of the `model` that show background for sure, `rounding` what is added to
     numbers before they are cut off. What else a pixel may show and be background is its `second` colour,
     within a tolerance, and what sways. `log_odds` get those of each pixel by itself, `smoothed` those with
     the neighbours' `share` of them, less the `prior` ones (int16, in steps). What rows of other bands add to
@@ -276,7 +272,7 @@ def subtract(
         else:
             stop, to, updated = first if start < first else bottom, 0, beyond
         odds = own[(start - top) * width : (stop - top) * width]
-        highest = _rows(start, stop, pixels, before, light_field, model, certain, rounding, to, updated, odds)
+        highest = _rows(start, stop, pixels, before, light_field, model, fast, rounding, to, updated, odds)
         most = max(most, highest) if is_own else most
         start = stop
     recall(top * width, pixels, second, tolerance, model, own)
@@ -294,13 +290,13 @@ def subtract(
 
 
 @compiled
-def _rows(first, end, pixels, before, light_field, model, certain, rounding, to, after, log_odds):
+def _rows(first, end, pixels, before, light_field, model, fast, rounding, to, after, log_odds):
     """Rows `first` to `end`: their `log_odds`, and the Gaussians `after` them from pixel `to` on."""
     if before.mean.shape[0] == 3:
-        usual_rows_of_colour(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds)
+        fast_rows_of_colour(first, end, pixels, before, light_field, fast, rounding, to, after, log_odds)
     else:
-        usual_rows_of_grey(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds)
-    return other_rows(first, end, pixels, before, light_field, model, rounding, to, after, log_odds)
+        fast_rows_of_grey(first, end, pixels, before, light_field, fast, rounding, to, after, log_odds)
+    return slow_rows(first, end, pixels, before, light_field, model, rounding, to, after, log_odds)
 
 
 Planes = NDArray[np.float32]
@@ -308,7 +304,7 @@ Planes = NDArray[np.float32]
 CERTAIN = 6.0  # nats: the bound of the log odds of a pixel by itself
 
 CHORDS = (LOWEST_NOISE, 100.0, 1000.0)
-"""Squared grey levels of variance, between which the bound of `Certain` is made of straight lines."""
+"""Squared grey levels of variance, between which the bound of `FastPathThresholds` is linear."""
 
 
 @short_repr
@@ -344,7 +340,7 @@ class BackgroundPrediction:
 
     @cached_property
     def model(self) -> PixelModel:
-        """What loops need to know beside the pixels."""
+        """Parameters that loops need beside the pixels."""
         numbers = (
             log_prior_odds(self.prior, len(self.pixels.mean)),
             np.log(self.prior) - np.log1p(-self.prior),
@@ -357,7 +353,7 @@ class BackgroundPrediction:
 
     @cached_property
     def rounding(self) -> Planes:
-        """What the update's numbers are rounded by: `(width + ROUNDING_PERIOD,)` float32, with `ROUNDING`.
+        """Offsets for rounding the update: `(width + ROUNDING_PERIOD,)` float32, with `ROUNDING`.
 
         Over the frames each pixel has all numbers from 0 to 1 equally often, evenly mixed (the additive
         recurrence of Roberts' plastic number), and so have neighbours in each frame.
@@ -368,20 +364,20 @@ class BackgroundPrediction:
         return rounding
 
     def compare(self, image: NDArray[np.uint8]) -> Subtraction:
-        """Compare an image with the prediction; the same image only once."""
+        """Compare an image with the prediction; the same image is compared only once."""
         if id(image) not in self._compared:
             self._compared[id(image)] = image, *self._subtract(image)
         return self._compared[id(image)][1]
 
     def update(self, image: NDArray[np.uint8]) -> Gaussians:
-        """The background after the image. The arrays are the caller's to change: they are forgotten here."""
+        """Return the background after the image. The caller owns the arrays: they are forgotten here."""
         subtraction = self.compare(image)
         after = self._compared[id(image)][2]
         self._compared[id(image)] = image, subtraction, None
         return after or self._subtract(image)[1]
 
     def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None) -> float:
-        """Log probability of the image, summed over its pixels as if they were independent (nats).
+        """Return the log probability of the image (nats), summed over pixels as if independent.
 
         `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0. This is the integral
         of the prediction as it stands: second colours and neighbours, which only help to decide labels, are
@@ -398,12 +394,12 @@ class BackgroundPrediction:
         after = Gaussians(np.empty_like(mean), np.empty_like(variance), np.empty_like(noise))
         log_odds, smoothed = np.empty((2, self.size[0] * self.size[1]), np.int8)
         flat = np.ascontiguousarray(image).reshape(-1)
-        light, certain = self.light.along_rows, certain_model(self.model, len(mean))
+        light, fast = self.light.along_rows, fast_path_thresholds(self.model, len(mean))
         prior, rounding = _prior_steps(self.prior), self.rounding
 
         def work(first: int, end: int) -> None:
             subtract(
-                first, end, flat, self.pixels, light, self.model, certain, rounding, self.second,
+                first, end, flat, self.pixels, light, self.model, fast, rounding, self.second,
                 np.float32(self.tolerance), self.sway, prior, np.float32(self.pooling), after, log_odds,
                 smoothed,
             )  # fmt: skip
@@ -413,7 +409,7 @@ class BackgroundPrediction:
 
 
 def fixed_point(mean: Planes, variance: Planes, noise: Planes) -> Gaussians:
-    """The nearest numbers of 16 bits."""
+    """Return the nearest numbers of 16 bits."""
     beyond = HIGHEST_VARIANCE * (VARIANCE_STEPS - COARSE_STEPS)
     variances = np.minimum(variance * VARIANCE_STEPS, variance * COARSE_STEPS + beyond)
     return Gaussians(
@@ -424,12 +420,12 @@ def fixed_point(mean: Planes, variance: Planes, noise: Planes) -> Gaussians:
 
 
 def stored_planes(mean: NDArray[np.int16], size: tuple[int, int]) -> StoredPlanes:
-    """Means `(channels, n_pixels)` of 16 bits as planes of a picture of this size."""
+    """Return means `(channels, n_pixels)` of 16 bits as planes of a picture of this size."""
     return StoredPlanes(mean.reshape(-1, *size), np.float32(1 / MEAN_STEPS))
 
 
-def certain_model(model: PixelModel, channels: int) -> Certain:
-    """What pixels need of the model that show background for sure."""
+def fast_path_thresholds(model: PixelModel, channels: int) -> FastPathThresholds:
+    """Return the thresholds by which pixels surely show background."""
     most = 2 * (float(model.log_prior_odds) - CERTAIN)
     bounds = [total * (most - channels * math.log(total)) for total in CHORDS]
     slopes = [(bounds[k + 1] - bounds[k]) / (CHORDS[k + 1] - CHORDS[k]) for k in (0, 1)]
@@ -440,11 +436,11 @@ def certain_model(model: PixelModel, channels: int) -> Certain:
         weight, weight * (1 - weight), weight * MEAN_STEPS,
         weight * model.noise_share * NOISE_STEPS / VARIANCE_STEPS,
     )  # fmt: skip
-    return Certain(*(np.float32(number) for number in numbers))
+    return FastPathThresholds(*(np.float32(number) for number in numbers))
 
 
 def log_prior_odds(prior: float, channels: int) -> float:
-    """Log of P(B=1) over P(B=0) times the uniform density, in the units of the planes."""
+    """Return the log of P(B=1) over P(B=0) times the uniform density, in the units of the planes."""
     odds = np.log(prior) - np.log1p(-prior)
     return float(
         odds + channels * (np.log(256.0) - 0.5 * np.log(2 * np.pi)) + np.log(colour.VOLUME[channels])
@@ -452,7 +448,7 @@ def log_prior_odds(prior: float, channels: int) -> float:
 
 
 def smooth(log_odds: NDArray[np.int8], size: tuple[int, int], prior: float, share: float) -> NDArray[np.int8]:
-    """Give log odds with `share` of what the 5 x 5 pixels around show, both `(n_pixels,)` int8."""
+    """Return log odds with `share` of what the 5 x 5 pixels around show, both `(n_pixels,)` int8."""
     height, width = size
     smoothed: NDArray[np.int8] = np.empty(log_odds.shape, np.int8)
     over_bands(

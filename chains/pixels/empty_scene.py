@@ -22,7 +22,7 @@ _f4 = np.float32
 
 
 class Modes(NamedTuple):
-    """Colours `(channels, n_pixels)`, and mean square by channel and number of their frames; float32."""
+    """Colours `(channels, n_pixels)`, mean squares by channel and number of their frames; float32."""
 
     mean: NDArray[np.float32]
     scatter: NDArray[np.float32]
@@ -34,7 +34,7 @@ STEADY = _f4(0.8)  # share of the early frames in which a pixel must show one co
 
 @compiled
 def find_modes(first, end, pixels, covered, times, early, light, positions, bandwidth, after):
-    """Rows `first` to `end`: the colour of the empty scene at every pixel, over a sample of frames.
+    """Find the colour of the empty scene at every pixel of rows `first` to `end`, over a sample of frames.
 
     `pixels` is `(n_frames, channels * n_pixels)` uint8 at `times` (float32 s, in order), `light` `(n_frames,
     block_rows + 1, width)` the rows of every frame's `Light`, and `positions` those of all. Where `covered`
@@ -122,7 +122,7 @@ def _still(values, weights, early, bandwidth, closeness):
 
 @compiled
 def _lasting(values, weights, times, bandwidth, closeness):
-    """The frame whose colour has the highest density times spread in time."""
+    """The frame whose colour has the highest density times mean distance in time."""
     best, highest = 0, _f4(-1)
     for frame in range(times.size):
         density = middle = _f4(0)
@@ -136,12 +136,12 @@ def _lasting(values, weights, times, bandwidth, closeness):
         if weights[frame] == _f4(0) or density == _f4(0):
             continue
         middle /= density
-        spread = _f4(0)
+        extent = _f4(0)
         for other in range(times.size):
-            spread += closeness[other] * abs(times[other] - middle)
-        spread += bandwidth * _f4(1e-3)  # of a single frame
-        if spread > highest:
-            best, highest = frame, spread
+            extent += closeness[other] * abs(times[other] - middle)
+        extent += bandwidth * _f4(1e-3)  # of a single frame
+        if extent > highest:
+            best, highest = frame, extent
     return best
 
 

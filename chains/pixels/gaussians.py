@@ -40,7 +40,7 @@ MOST_RECALLED = 5.95
 
 
 class Gaussians(NamedTuple):
-    """One Gaussian a pixel, in 16 bits a number."""
+    """Gaussians of all pixels, in 16 bits a number."""
 
     mean: NDArray[np.int16]  # (channels, n_pixels), in steps of 1 / `MEAN_STEPS` grey levels, to +-1024
     # (n_pixels,), of 1 / `VARIANCE_STEPS`, of 1 / `COARSE_STEPS` beyond `HIGHEST_VARIANCE`
@@ -56,8 +56,8 @@ class Light(NamedTuple):
     positions: Planes  # (height,): where between them each row of pixels lies
 
 
-class Certain(NamedTuple):
-    """What `usual_update` needs to know, in the steps of the numbers that are stored, all float32.
+class FastPathThresholds(NamedTuple):
+    """Thresholds of `fast_update`, in the steps of the numbers that are stored, all float32.
 
     Log odds are at their bound of 6 nats where the squared distance does not exceed t (c - channels log t),
     t being its variance. That is concave in t, so that chords are below it: `offset` and `slope` of one that
@@ -78,7 +78,7 @@ class Certain(NamedTuple):
 
 
 class PixelModel(NamedTuple):
-    """Numbers of the model that all pixels share."""
+    """Parameters of the model that all pixels share."""
 
     log_prior_odds: np.float32  # of background before the image, in the units of the planes
     label_odds: np.float32  # the same where the background may have any colour
@@ -90,65 +90,65 @@ class PixelModel(NamedTuple):
 
 @inlined
 def light_beside(light, y):
-    """The rows of the light above and below a row of pixels, and the share of the lower one."""
+    """Return the rows of the light above and below a row of pixels, and the share of the lower one."""
     above = int(light.positions[y])
     return light.rows[above], light.rows[above + 1], light.positions[y] - _f4(above)
 
 
 @inlined
 def mean_of(steps):
-    """A mean that is stored."""
+    """Return a stored mean, grey levels."""
     return _f4(steps) * _f4(1 / MEAN_STEPS)
 
 
 @inlined
 def variance_of(steps):
-    """A variance that is stored: of two lines the higher one."""
+    """Return a stored variance, the higher one of two lines."""
     value = _f4(steps)
     return max(value * _f4(1 / VARIANCE_STEPS), value * _f4(1 / COARSE_STEPS) - _f4(_COARSE_START))
 
 
 @inlined
 def noise_of(steps):
-    """A noise that is stored."""
+    """Return a stored noise."""
     return _f4(steps) * _f4(1 / NOISE_STEPS)
 
 
 @inlined
 def whole_steps(value, rounding):
-    """A number of steps, cut off at both ends of the range."""
+    """Return a number of steps, cut off at both ends of the range."""
     steps = _i4(value + rounding) - _i4(ROUNDING)
     return np.int16(min(max(steps, _i4(-32768)), _i4(32767)))
 
 
 @inlined
 def mean_steps(value, rounding):
-    """A mean to be stored; `rounding` is `ROUNDING` and a number from 0 to 1."""
+    """Return a mean to be stored; `rounding` is `ROUNDING` and a number from 0 to 1."""
     return whole_steps(value * _f4(MEAN_STEPS), rounding)
 
 
 @inlined
 def variance_steps(value, rounding):
-    """A variance to be stored."""
+    """Return a variance to be stored."""
     fine, coarse = value * _f4(VARIANCE_STEPS), (value + _f4(_COARSE_START)) * _f4(COARSE_STEPS)
     return np.uint16(_i4(min(fine, coarse) + rounding))
 
 
 @inlined
 def noise_steps(value, rounding):
-    """A noise to be stored."""
+    """Return a noise to be stored."""
     return np.uint16(_i4(value * _f4(NOISE_STEPS) + rounding))
 
 
 @inlined
 def rounding_along(rounding, y):
-    """What row `y` is rounded by, of the table for all."""
+    """Return the offsets for rounding row `y`, of the table for all."""
     return rounding[(37 * y) % ROUNDING_PERIOD :]
 
 
 @inlined
 def posterior(distance, light, variance, noise, model, channels):
-    """One pixel's log odds of background, step of its mean per grey level, variance and noise afterwards.
+    """Return a pixel's log odds of background, step of its mean per grey level, new variance and noise.
 
     The mean R has prediction N(m, s); seen, it shows I ~ N(light R, noise); covered, it shows anything. The
     posterior is a mixture of "was seen" and "was covered", collapsed by its moments.
@@ -175,7 +175,7 @@ def posterior(distance, light, variance, noise, model, channels):
 
 @compiled
 def smooth_log_odds(first, end, height, width, log_odds, prior, share, smoothed):
-    """Rows `first` to `end`: own log odds and `share` of what the 5 x 5 around show, saturated as int8."""
+    """Smooth rows `first` to `end`: own log odds and `share` of the 5 x 5 around, saturated as int8."""
     column = np.zeros(width + 4, np.int16)
     bound = np.int16(4 * ODDS_STEPS)
     sums = column[2 : width + 2]
@@ -201,7 +201,7 @@ def smooth_log_odds(first, end, height, width, log_odds, prior, share, smoothed)
 
 @compiled
 def log_evidence(pixels, before, light_field, model, shift):
-    """Sum over pixels of log(exp(log odds + shift) + 1), the log odds neither rounded nor saturated."""
+    """Return the sum over pixels of log(exp(log odds + shift) + 1), neither rounded nor saturated."""
     mean = before.mean
     channels, (height, width) = mean.shape[0], (light_field.positions.size, light_field.rows.shape[1])
     distance, light = np.empty(width, np.float32), np.empty(width, np.float32)
@@ -231,9 +231,9 @@ def log_evidence(pixels, before, light_field, model, shift):
         in_row = _f4(0)
         for x in range(width):
             known = variance_of(variance[x])
-            spread = light[x] * light[x] * (known + model.drift) + noise_of(noise[x])
+            expected = light[x] * light[x] * (known + model.drift) + noise_of(noise[x])
             odds = model.log_prior_odds - _f4(0.5) * (
-                _f4(channels) * logarithm(spread) + distance[x] / spread
+                _f4(channels) * logarithm(expected) + distance[x] / expected
             )
             odds = odds if known <= _f4(HIGHEST_VARIANCE) else model.label_odds
             odds += added[x]

@@ -50,7 +50,7 @@ LUMA_NOISE = 20.0
 
 @compiled
 def interpolate(blocks, left, share, rows):
-    """The field along x at the blocks' centres, between the block `left` of every pixel and the next.
+    """Interpolate the field along x at the blocks' centres, between block `left` of every pixel and the next.
 
     There is one more block on every side, as the slope of the logarithm goes on; all are within bounds.
     """
@@ -66,7 +66,7 @@ def interpolate(blocks, left, share, rows):
 
 @compiled
 def beyond(blocks):
-    """With one more block all around, as slopes go on: light at the border is no mean of that inside."""
+    """Return the blocks with one more all around, extrapolated by their slopes."""
     rows, columns = blocks.shape
     out = np.empty((rows + 2, columns + 2), blocks.dtype)
     for row in range(rows):
@@ -82,7 +82,7 @@ def beyond(blocks):
 
 @compiled
 def follow(blocks, ratios, agreement, texture, covered, fastest, slowly, hidden, after):
-    """Blocks of light `after` a frame, of what is measured in it (see `light_ratios`).
+    """Update the blocks of light by what is measured in a frame (see `light_ratios`).
 
     `fastest` is the log of the most that it changes; of a slight change only the share `slowly` is followed,
     and the share `hidden` is what a block that is not seen takes from those around it.
@@ -183,7 +183,7 @@ def _smoothed(blocks):
 
 @compiled
 def light_ratios(first, end, pixels, mean, light, ratios, agreement, texture):
-    """Robust brightness of the picture relative to the prediction, in rows `first` to `end` of blocks.
+    """Measure the brightness of the picture relative to the prediction, in rows `first` to `end` of blocks.
 
     A block is sampled on a grid of 6 x 6 pixels. `ratios` gets the median of luma seen over luma predicted,
     `agreement` the share of samples within 5 % of it, and `texture` nats for the scene's own texture under
@@ -304,14 +304,14 @@ def _texture(values, predicted, ratio):
 @short_repr
 @dataclass(frozen=True, eq=False)
 class LightField:
-    """How bright the scene is lit now, relative to the picture that is remembered, on a grid of blocks."""
+    """Brightness of the scene relative to the remembered picture, on a grid of blocks."""
 
     blocks: Planes
     size: tuple[int, int]
 
     @cached_property
     def along_rows(self) -> Light:
-        """The field along x at the blocks' centres, and where between them each row lies."""
+        """Field along x at the blocks' centres, and where between them each row lies."""
         left, share = _neighbours(self.size[1], self.blocks.shape[1])
         rows: Planes = np.empty((len(self.blocks) + 2, self.size[1]), np.float32)
         interpolate(self.blocks, left, share, rows)
@@ -335,7 +335,7 @@ def _neighbours(n_pixels: int, n_blocks: int) -> tuple[NDArray[np.intp], Planes]
 def followed(
     before: LightField, image: NDArray[np.uint8], mean: NDArray[np.int16], covered: Planes, elapsed: float
 ) -> LightField:
-    """Light of a frame: smooth, and moved only by what most of a neighbourhood agrees on.
+    """Return the light of a frame: smooth, and moved only by what most of a neighbourhood agrees on.
 
     Objects change the ratio of seen to predicted brightness too. A block behind known ones speaks only if it
     shows the scene's texture nevertheless; else it takes the change of those around it, over windows as wide
@@ -370,13 +370,13 @@ def followed(
 
 
 def light_grid(height: int, width: int) -> tuple[int, int]:
-    """Blocks of light over a picture: 24 along its longer side, at least two each way."""
+    """Return the blocks of light over a picture: 24 along its longer side, at least two each way."""
     block = max(height, width) / 24
     return max(round(height / block), 2), max(round(width / block), 2)
 
 
 def share_of_blocks(covered: NDArray[np.uint8], grid: tuple[int, ...]) -> Planes:
-    """Share of every block of light that is covered: `(height, width)` uint8, 255 where it is."""
+    """Return the covered share of every block of light; `(height, width)` uint8 are 255 where covered."""
     every = min(SAMPLED, *(max(n // m, 1) for n, m in zip(covered.shape, grid, strict=True)))
     rows, columns = (
         (np.arange(m)[:, None] == np.arange(0, n, every) * m // n).astype(np.float64)

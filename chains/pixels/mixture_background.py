@@ -74,7 +74,7 @@ def _row_log_odds(planes, mixture, here, share, log_prior, out):
 
 @compiled
 def subtract_mixture(first, end, width, planes, mixture, share, log_prior, log_odds):
-    """Rows `first` to `end`: log odds of background as int8 in steps of `1 / ODDS_STEPS`."""
+    """Return log odds of background in rows `first` to `end` as int8 in steps of `1 / ODDS_STEPS`."""
     odds = np.empty(width, np.float32)
     for y in range(first, end):
         here = slice(y * width, (y + 1) * width)
@@ -86,7 +86,7 @@ def subtract_mixture(first, end, width, planes, mixture, share, log_prior, log_o
 
 @compiled
 def mixture_log_evidence(width, planes, mixture, share, log_prior, shift):
-    """Sum over pixels of log(exp(log odds + shift) + 1), the log odds neither rounded nor saturated."""
+    """Return the sum over pixels of log(exp(log odds + shift) + 1), neither rounded nor saturated."""
     odds, added = np.empty(width, np.float32), np.full(width, shift[0])
     total = 0.0
     for y in range(planes.shape[1] // width):
@@ -104,7 +104,7 @@ def mixture_log_evidence(width, planes, mixture, share, log_prior, shift):
 
 @compiled
 def learn_mixture(first, end, width, planes, rates, least_rate, first_variance, reach, before, mixture):
-    """Rows `first` to `end`: one step of learning from `before` to `mixture`, by each pixel's own rate.
+    """Learn rows `first` to `end` of `mixture` from `before`, by each pixel's own rate.
 
     The most probable component within `reach` variances learns. Where there is none, a new one takes the
     place of the last, if the rate exceeds `least_rate`: a component cannot be replaced in part.
@@ -141,10 +141,10 @@ def learn_mixture(first, end, width, planes, rates, least_rate, first_variance, 
                 after = after if after > _f4(LEAST_WEIGHT) else _f4(0)
                 step = rate[x] / max(after, _f4(LEAST_WEIGHT)) if is_shown else _f4(0)
                 rest = _f4(1) - step
-                spread = rest * variance[x] + step * rest * rest * distance[x] / _f4(channels)
-                spread = min(max(spread, _f4(LOWEST_NOISE)), _f4(HIGHEST_NOISE))
+                variance_shown = rest * variance[x] + step * rest * rest * distance[x] / _f4(channels)
+                variance_shown = min(max(variance_shown, _f4(LOWEST_NOISE)), _f4(HIGHEST_NOISE))
                 weight_after[x] = after
-                variance_after[x] = first_variance if new else (spread if is_shown else variance[x])
+                variance_after[x] = first_variance if new else (variance_shown if is_shown else variance[x])
                 gain[x] = step
                 total[x] += after
             for channel in range(channels):
@@ -220,11 +220,11 @@ class MixturePrediction:
         return StoredPlanes(self.mixture.means[0].reshape(-1, *self.size), np.float32(1))
 
     def compare(self, image: NDArray[np.uint8]) -> Subtraction:
-        """Compare an image with the prediction; the same image only once."""
+        """Compare an image with the prediction; the same image is compared only once."""
         return self._comparison(image)[2]
 
     def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None) -> float:
-        """Log probability of the image (nats), pixels being independent.
+        """Return the log probability of the image (nats), pixels being independent.
 
         `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0.
         """
@@ -240,7 +240,7 @@ class MixturePrediction:
     def update(
         self, image: NDArray[np.uint8], rates: Planes, least_rate: float, first_variance: float
     ) -> Mixture:
-        """The mixture after an image.
+        """Return the mixture after an image.
 
         With weight w, mean m and variance v of the component that is shown, and rate a: w moves to
         (1 - a) w + a, the other weights to (1 - a) times theirs; with g = a / w the mean moves to
@@ -288,21 +288,21 @@ class MixturePrediction:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class MixtureState:
-    """What was seen at every pixel of a picture `(height, width)`; `elapsed` s since the last image."""
+    """State of every pixel of a picture `(height, width)`; `elapsed` s since the last image."""
 
     size: tuple[int, int]
     mixture: Mixture
     elapsed: float
 
     def picture(self) -> NDArray[np.uint8]:
-        """The empty scene in its usual colours: grey `(height, width)` or BGR `(height, width, 3)`."""
+        """Return the empty scene in its usual colours: grey `(height, width)` or BGR `(height, width, 3)`."""
         return colour.to_image(self.mixture.means[0], self.size)
 
 
 @short_repr
 @dataclass(frozen=True)
 class MixtureBackground:
-    """Per-pixel mixture of Gaussians, for scenes in which pixels show several colours in turns.
+    """Per-pixel mixture of Gaussians, for scenes in which pixels alternate between several colours.
 
     It takes the place of `AdaptiveBackground`, but does not follow the light: use it where that is steady.
 
@@ -341,7 +341,7 @@ class MixtureBackground:
         check_bounds(self, {**shares, **positive, "components": least, "pooling": NOT_NEGATIVE})
 
     def initial(self, frame: Frame) -> MixtureState:
-        """One component for every pixel, the first image."""
+        """Return one component for every pixel, the first image."""
         image = frame.required_image()
         planes = colour.to_planes(image)
         channels, n_pixels = planes.shape
@@ -355,15 +355,15 @@ class MixtureBackground:
         return MixtureState((image.shape[0], image.shape[1]), mixture, 0.0)
 
     def predict(self, state: MixtureState, dt: float) -> MixtureState:
-        """The mixture stays; more is learned from the next frame."""
+        """Predict the mixture `dt` seconds ahead: it stays, and more is learned from the next frame."""
         return replace(state, elapsed=state.elapsed + dt)
 
     def message(self, state: MixtureState, feature: PixelLabels, incoming: Incoming) -> PixelMessage:
-        """P(B) and the predicted values of every pixel (mu_{R -> F})."""
+        """Return P(B) and the predicted values of every pixel (mu_{R -> F})."""
         return PixelMessage(background=incoming.once(self._prediction, state))
 
     def update(self, state: MixtureState, incoming: Incoming) -> MixtureState:
-        """The mixture after the frame, learned at each pixel's own rate.
+        """Update the mixture by the frame, at each pixel's own rate.
 
         It is `rate` times r / P(B=1), where r = P(B=1 | everything else). That factor is one where no other
         chain speaks. Where others are sure of background that shows itself as something else (an object of

@@ -40,14 +40,14 @@ REVEALED = 1  # among what is covered: others are so sure of background that the
 
 
 class SecondColours(NamedTuple):
-    """A second hypothesis of every pixel."""
+    """Second hypothesis of every pixel."""
 
     colours: NDArray[np.uint8]  # (n_pixels * channels,)
     seen: NDArray[np.uint16]  # (n_pixels,): share of the settling time, in steps of 1 / `SETTLED`
 
 
 class Settling(NamedTuple):
-    """When a second colour takes the mean's place."""
+    """Parameters by which a second colour takes the mean's place."""
 
     tolerance: np.float32  # squared grey levels, within which it is the same colour
     step: int  # what one observation adds to the time for which it was seen
@@ -58,7 +58,7 @@ class Settling(NamedTuple):
 
 @inlined
 def colour_gap(pixels, candidate, i, channels):
-    """Squared distance in the planes of pixel `i` of a picture and of the candidates."""
+    """Return the squared distance in the planes of pixel `i` of a picture and of the candidates."""
     k = channels * i
     if channels == 1:
         d0 = _f4(pixels[k]) - _f4(candidate[k])
@@ -72,7 +72,7 @@ def colour_gap(pixels, candidate, i, channels):
 
 @compiled
 def recall(first, pixels, second, tolerance, model, log_odds):
-    """Foreground that shows the second colour of a pixel known to have two is background after all.
+    """Turn foreground that shows the second colour of a pixel known to have two into background.
 
     A colour that was the scene's before counts as the mean does, one that was seen for half the settling time
     just so much that a pixel by itself is background. `log_odds` are those from pixel `first` on.
@@ -97,7 +97,7 @@ def recall(first, pixels, second, tolerance, model, log_odds):
 def learn_second_colours(
     pixels, log_odds, covered, light_field, to_planes, from_planes, settling, after, second
 ):
-    """A second hypothesis for pixels that show neither the background nor a predicted object.
+    """Learn second colours of pixels that show neither the background nor a predicted object.
 
     A colour that lasts changes places with the mean (see `Settling`); another one wears it out twice as fast.
     A mean that was hardly seen itself gives way to one that was seen about twice as often, also behind an
@@ -151,7 +151,7 @@ def learn_second_colours(
 def update_behind(
     boxes, shifts, pixels, log_odds, before, light_field, model, rounding, from_planes, after, second, covered
 ):
-    """Background of some regions again, now with what layers say of it.
+    """Update the background of some regions again, with what layers say of it.
 
     Pixels are weighted by their log odds and what is said of them. Where others are sure of background that
     the prediction contradicts, the picture is taken as it is, and what was there before stays the second
@@ -238,12 +238,12 @@ def _row_behind(others, log_odds, before, here, model, cut, work, after, covered
         step = _f4(0) if wide & (weight < _f4(0.5)) else step
         steps[x] = _f4(1) / glow[x] if revealed else step
         per_channel = distance[x] / n_channels
-        spread = wandered - step * glow[x] * wandered + step * (gain - step) * per_channel
+        narrower = wandered - step * glow[x] * wandered + step * (gain - step) * per_channel
         objects = (others[x] < _f4(-3)) & (distance[x] < _f4(9) * total)
         unknown = model.unknown_variance if objects else _f4(0)
         highest = max(max(old_variance, unknown), _f4(HIGHEST_VARIANCE))
-        spread = min(max(max(spread, unknown), _f4(LOWEST_VARIANCE)), highest)
-        variance_after[x] = variance_steps(model.first_variance if revealed else spread, cut[x])
+        narrower = min(max(max(narrower, unknown), _f4(LOWEST_VARIANCE)), highest)
+        variance_after[x] = variance_steps(model.first_variance if revealed else narrower, cut[x])
         noisier = old_noise + model.noise_share * weight * (per_channel - total)
         noisier = min(max(noisier, _f4(LOWEST_NOISE)), _f4(HIGHEST_NOISE))
         noise_after[x] = noise_steps(old_noise if revealed | wide else noisier, cut[x])

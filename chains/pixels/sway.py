@@ -25,7 +25,7 @@ _SPAN, _TWO, _THREE, _FOUR, _FIVE = (np.uint64(number) for number in (SPAN, 2, 3
 
 
 class Sway(NamedTuple):
-    """How often pixels show what is beside them, `(block_rows, block_columns)`, and from how far, px."""
+    """Rates at which pixels show what is beside them, `(block_rows, block_columns)`, and its distance, px."""
 
     rates: NDArray[np.float32]
     reach: int
@@ -33,7 +33,7 @@ class Sway(NamedTuple):
 
 @compiled
 def recall_moved(first, pixels, before, light_field, model, sway, log_odds):
-    """Foreground that shows the background of a place nearby, where such things happen, is background.
+    """Turn foreground that shows the background of a place nearby, where things sway, into background.
 
     p(I) = rate max_d N(I; m(k + d), noise), d within the reach (a neighbourhood likelihood as Elgammal,
     Harwood and Davis', ECCV 2000), on a grid of 7 x 7. `log_odds` are those from row `first` on.
@@ -61,9 +61,9 @@ def recall_moved(first, pixels, before, light_field, model, sway, log_odds):
                 if odds_here[x] >= 0 or rate < _f4(LEAST_RATE):
                     continue
                 glow = light[x - left]
-                spread = noise_of(before.noise[i]) + glow * glow * variance_of(before.variance[i])
+                expected = noise_of(before.noise[i]) + glow * glow * variance_of(before.variance[i])
                 odds = model.log_prior_odds + logarithm(rate)
-                odds -= _f4(0.5) * (channels * logarithm(spread) + least[x - left] / spread)
+                odds -= _f4(0.5) * (channels * logarithm(expected) + least[x - left] / expected)
                 odds_here[x] = max(
                     odds_here[x], np.int8(min(max(odds, _f4(-6)), _f4(MOST_RECALLED)) * _f4(ODDS_STEPS))
                 )
@@ -135,7 +135,7 @@ def _nearer(work, aside, plane, channels):
 
 @inlined
 def luma_of(pixels, i, channels):
-    """Luma of pixel `i` of a picture."""
+    """Return the luma of pixel `i` of a picture."""
     if channels == 1:
         return _f4(pixels[i])
     return (
@@ -147,7 +147,7 @@ def luma_of(pixels, i, channels):
 
 @compiled
 def count_moved(pixels, before, light_field, log_odds, covered, reach, counts):
-    """Counts per block, `(block_rows, block_columns, 4)`, of a sample of its pixels.
+    """Count moved pixels per block, `(block_rows, block_columns, 4)`, in a sample of its pixels.
 
     Those that nothing covers; those that were moved; and of these the sum of differences in luma from the
     background, and of their sizes. A pixel was moved if its own background does not explain what it shows,
@@ -180,11 +180,11 @@ def count_moved(pixels, before, light_field, log_odds, covered, reach, counts):
                 if log_odds[i] == SURE:
                     continue
                 light = upper[x] + below_share * (lower[x] - upper[x])
-                spread = noise_of(before.noise[i]) + light * light * variance_of(before.variance[i])
+                expected = noise_of(before.noise[i]) + light * light * variance_of(before.variance[i])
                 shown = _planes_of_pixel(pixels, i, mean.shape[0])
-                if _squared_gap(shown, mean, i, light) <= _f4(SURPRISE) * spread:
+                if _squared_gap(shown, mean, i, light) <= _f4(SURPRISE) * expected:
                     continue
-                if _least_gap(shown, mean, y, x, reach, light, size) < _f4(SURPRISE) * spread:
+                if _least_gap(shown, mean, y, x, reach, light, size) < _f4(SURPRISE) * expected:
                     brighter = shown[0] - light * mean_of(mean[0, i])
                     block[1] += 1
                     block[2] += brighter
@@ -193,7 +193,7 @@ def count_moved(pixels, before, light_field, log_odds, covered, reach, counts):
 
 @compiled
 def learn_rates(counts, rates, share, least_seen, after):
-    """Rates of blocks `after` a frame, of counts in 3 x 3 blocks about each; `share` is that of the frame.
+    """Update the rates of blocks by counts in 3 x 3 blocks about each; `share` is that of the frame.
 
     Leaves change places, some get brighter and some darker; a shade and a person change all one way.
     """
@@ -264,7 +264,7 @@ LEAST_SEEN = 4  # pixels of a block that tell how much of it sways
 
 
 def sway_reach(size: tuple[int, int]) -> int:
-    """px within which the scene of `size` `(height, width)` sways."""
+    """Return the px within which the scene of `size` `(height, width)` sways."""
     return max(math.ceil(SWAY_REACH * max(size)), 3)
 
 
@@ -278,7 +278,7 @@ def learned_rates(
     age: float,
     elapsed: float,
 ) -> NDArray[np.float32]:
-    """Rates after a frame `elapsed` s after the last; what is `covered` `(n_pixels,)` tells nothing of them.
+    """Return the rates after a frame, `elapsed` s after the last, without `covered` `(n_pixels,)` pixels.
 
     `log_odds` `(n_pixels,)` int8 are of each pixel by itself; the scene has been seen for `age` s.
     """

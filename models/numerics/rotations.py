@@ -8,13 +8,13 @@ Array = NDArray[np.float64]
 
 
 def exponential(vectors: Array) -> Array:
-    """`(n, 3, 3)` rotations exp([w]x) about the rotation vectors `(n, 3)` rad."""
+    """Return `(n, 3, 3)` rotations exp([w]x) about the rotation vectors `(n, 3)` rad."""
     rotations: Array = Rotation.from_rotvec(vectors).as_matrix()
     return rotations
 
 
 def logarithm(rotations: Array) -> Array:
-    """`(n, 3)` rad: rotation vectors, shorter than or equal to pi, of the rotations `(n, 3, 3)`."""
+    """Return `(n, 3)` rad: rotation vectors, shorter than or equal to pi, of the rotations `(n, 3, 3)`."""
     twice_sine = np.stack(
         [
             rotations[:, 2, 1] - rotations[:, 1, 2],
@@ -34,7 +34,7 @@ def logarithm(rotations: Array) -> Array:
 
 
 def cross_matrices(vectors: Array) -> Array:
-    """[w]x for which [w]x p = w x p: `(..., 3, 3)` for vectors `(..., 3)`."""
+    """Return [w]x for which [w]x p = w x p: `(..., 3, 3)` for vectors `(..., 3)`."""
     matrices = np.zeros((*vectors.shape, 3))
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     matrices[..., 0, 1], matrices[..., 0, 2], matrices[..., 1, 2] = -z, y, -x
@@ -43,7 +43,7 @@ def cross_matrices(vectors: Array) -> Array:
 
 
 def nearest_rotation(matrices: Array) -> Array:
-    """The rotations nearest to `matrices` `(..., 3, 3)` in the Frobenius norm."""
+    """Return the rotations nearest to `matrices` `(..., 3, 3)` in the Frobenius norm."""
     left, _, right = np.linalg.svd(matrices)
     sign = np.linalg.det(left @ right)
     left = left.copy()

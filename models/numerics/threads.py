@@ -51,7 +51,7 @@ def set_threads(count: int) -> None:
 
 
 def thread_count() -> int:
-    """Give the number of threads that kernels use."""
+    """Return the number of threads that kernels use."""
     return _settings["threads"]
 
 
@@ -66,7 +66,7 @@ def over_bands(work: Callable[[int, int], None], n_rows: int, *, worth: bool = T
 
 
 def side_by_side(works: Sequence[Callable[[], Result]]) -> list[Result]:
-    """Results of independent pieces of work, in their order, on as many threads as are set and free.
+    """Return the results of independent pieces of work, in their order, on as many threads as are free.
 
     The caller's thread takes part, and does all of it where the others are busy, so that a piece of work may
     itself have some to share. What one raises is raised here, when those that have begun have ended.

@@ -30,7 +30,7 @@ class Scores:
     deviation: float
 
     def log_ratio(self, scores: Numbers) -> Numbers:
-        """`(n,)` nats: log of p(score | true box) over p(score | false box)."""
+        """Return `(n,)` nats: log of p(score | true box) over p(score | false box)."""
         off: Numbers = scores - 0.5 * (self.true + self.false)
         return (self.true - self.false) / self.deviation**2 * off
 
@@ -38,7 +38,7 @@ class Scores:
 @short_repr
 @dataclass(frozen=True)
 class BoxDetector:
-    """A detector of boxes, and how it errs.
+    """Error model of a detector of boxes.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class BoxDetector:
         check_bounds(self, {"found": PROBABILITY, **positive})
 
     def noise(self, boxes: Numbers) -> Numbers:
-        """`(n, 4)` px^2: variances of what is found of such boxes `(n, 4)`."""
+        """Return `(n, 4)` px^2: variances of the errors of boxes `(n, 4)`."""
         width, height = np.maximum(boxes[:, WIDTH], 1.0), np.maximum(boxes[:, HEIGHT], 1.0)
         place = self.position**2 * width * height
         return np.stack([place, place, (self.size * width) ** 2, (self.size * height) ** 2], axis=1)
@@ -84,7 +84,7 @@ class BoxDetector:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class LogOdds:
-    """A product over objects k of exp(values_k) where something is true of k, and 1 where it is not.
+    """Product over objects k of exp(values_k) where something is true of k, and 1 where it is not.
 
     `identities` `(n,)` int64 increase; of an object that is not mentioned the `values`, nats, are 0.
     """
@@ -102,7 +102,7 @@ class LogOdds:
         return type(self)(both, self.of(both) + other.of(both))
 
     def of(self, identities: ArrayLike) -> Numbers:
-        """Log odds of objects, in their order."""
+        """Return the log odds of objects, in their order."""
         place, is_mentioned = find(self.identities, identities)
         if not len(self):
             return np.zeros(place.shape)
@@ -113,7 +113,7 @@ class LogOdds:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Newcomers:
-    """Density of the box of somebody who is not known yet, wherever in the picture the feet are.
+    """Density of the box of a new object, wherever in the picture its feet are.
 
     Height is Gaussian about a line in the foot's row, width over height is Gaussian.
     """
@@ -126,7 +126,7 @@ class Newcomers:
     aspect_variance: float
 
     def height(self, foot_y: ArrayLike) -> tuple[Numbers, Numbers]:
-        """Mean and standard deviation px of the height with the feet in these rows, in their shape."""
+        """Return mean and standard deviation px of the height with feet in these rows, in their shape."""
         below = np.asarray(foot_y, np.float64) - 0.5 * self.size[0]
         covariance = self.line_covariance
         mean = self.line[0] + self.line[1] * below
@@ -134,7 +134,7 @@ class Newcomers:
         return mean, np.sqrt(variance + (self.variation * mean) ** 2)
 
     def log_density(self, boxes: Numbers, noise: Numbers | None = None) -> Numbers:
-        """`(n,)` nats of `(n, 4)` boxes, in 1/px^4; `noise` `(n, 4)` px^2 is that of observed ones."""
+        """Return `(n,)` nats of `(n, 4)` boxes, in 1/px^4; `noise` `(n, 4)` px^2 is that of observed ones."""
         more = np.zeros_like(boxes) if noise is None else noise
         mean, deviation = self.height(boxes[:, FOOT_Y])
         variance = deviation**2 + more[:, HEIGHT]
@@ -150,7 +150,7 @@ class Newcomers:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Association:
-    """What the boxes of a frame are, given the objects that are known."""
+    """Joint association of the boxes of a frame with expected and new objects."""
 
     boxes: Numbers  # (n_boxes, 4) px that the detector has found: foot x, foot y, width, height
     noise: Numbers  # (n_boxes, 4) px^2, their variances
@@ -169,8 +169,8 @@ class Association:
         return len(self.boxes)
 
     @cached_property
-    def drawn(self) -> tuple[Numbers, Numbers]:
-        """Where the boxes draw each object: `(n_objects, 4)` 1/px^2 and, times it, px; 0 if it was missed.
+    def information(self) -> tuple[Numbers, Numbers]:
+        """`(n_objects, 4)` precisions of each object's box, 1/px^2 (0 if missed), and times the mean.
 
         That is the mean of the likelihood's logarithm over all assignments.
         """
@@ -180,12 +180,12 @@ class Association:
 
     @property
     def in_sight(self) -> float:
-        """How many objects were missed though they could be seen."""
+        """Expected number of objects that were missed though they could be seen."""
         return float((self.missed * self.visible).sum())
 
     @property
     def true(self) -> Numbers:
-        """`(n_boxes,)` probability that a box is the one box of an object, known or new."""
+        """`(n_boxes,)` probability that a box is the one box of an object, expected or new."""
         true: Numbers = self.pairs.sum(axis=0) + self.new
         return true
 
@@ -197,7 +197,7 @@ EVEN = LogOdds()
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BoxMessage:
-    """A product of factors over the boxes of all objects."""
+    """Product of factors over the boxes of all objects."""
 
     objects: GaussianMessage = NO_BOXES  # that are seen or observed
     # of which this frame's pixels show too little: a detector may find them; nobody learns from them
@@ -240,6 +240,6 @@ class BoxMessage:
 
     @property
     def log_mass(self) -> float:
-        """Log of the integral over all boxes, and over who exists, each kind of knowledge on its own."""
+        """Log of the integral over all boxes, and over existence, each factor on its own."""
         detections = 0.0 if self.association is None else self.association.log_evidence
         return self.objects.log_mass + self.hidden.log_mass + detections

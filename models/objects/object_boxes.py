@@ -37,19 +37,19 @@ SIZES = log(20) * log(40)  # of log height and log aspect, the range over which 
 
 
 def feet(xyxy: Numbers) -> Numbers:
-    """Boxes `(n, 4)` of left, top, right, bottom edge as foot x, foot y, width, height."""
+    """Return boxes `(n, 4)` of left, top, right, bottom edge as foot x, foot y, width, height."""
     left, top, right, bottom = xyxy.T
     return np.stack([0.5 * (left + right), bottom, right - left, bottom - top], axis=1)
 
 
 def log_anywhere(boxes: Numbers, area: float) -> Numbers:
-    """`(n,)` nats, of 1/px^4: a box anywhere in a picture of `area` px, of any size and shape."""
-    spread: Numbers = -np.log(area * SIZES * boxes[:, WIDTH] * boxes[:, HEIGHT])
-    return spread
+    """Return `(n,)` nats, of 1/px^4: a box anywhere in a picture of `area` px, of any size and shape."""
+    density: Numbers = -np.log(area * SIZES * boxes[:, WIDTH] * boxes[:, HEIGHT])
+    return density
 
 
 class Marginals(NamedTuple):
-    """Probabilities of pairs.
+    """Marginal probabilities of an assignment.
 
     `pairs` `(n_objects, n_boxes)`, `missed` `(n_objects,)`, `alone` `(n_boxes,)`; `open` `(n_objects,
     n_boxes)` is how far a box is free for an object given all others (1: nobody else wants it), and
@@ -64,7 +64,7 @@ class Marginals(NamedTuple):
 
 
 def assignment_marginals(weights: Numbers, missed: Numbers) -> Marginals:
-    """Marginals of p(assignment) ~ product of the weights of its pairs and of what is missed.
+    """Return the marginals of p(assignment) ~ product of the weights of its pairs and of missed objects.
 
     J. Williams, R. Lau, *Approximate evaluation of marginal association probabilities with belief
     propagation* (2014), eq. 29-33; exact where the pairs that are possible form no loop. `weights`
@@ -88,7 +88,7 @@ def assignment_marginals(weights: Numbers, missed: Numbers) -> Marginals:
 
 
 def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMessage:
-    """What a frame's boxes say of each object that `prior` knows: its place and size, and that it exists.
+    """Return the likelihood of a frame's boxes: place, size and existence of each object in `prior`.
 
     Every box is one of an object that was expected, of somebody new, a second box of somebody, or false; no
     object has two. Marginals over all such assignments (see `assignment_marginals`) weigh how much of which
@@ -147,7 +147,7 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     )
     order = np.argsort(identities)
     return BoxMessage(
-        _drawn(association, means, covariances),
+        _box_likelihood(association, means, covariances),
         existence=LogOdds(identities[order], np.log(np.maximum(ratio, 1e-30))[order]),
         noticed=LogOdds(identities[order], (by_phase[0] - by_phase[1])[order]),
         association=association,
@@ -155,7 +155,7 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
 
 
 def visible_share(boxes: Numbers, exists: Numbers, size: tuple[int, int]) -> Numbers:
-    """`(n,)` share of each box `(n, 4)` that is in the picture and that nobody in front of it covers."""
+    """Return `(n,)` share of each box `(n, 4)` that is in the picture and not covered by one in front."""
     x, y, width, height = boxes.T
     left, right, top = x - 0.5 * width, x + 0.5 * width, y - height
     in_x = np.minimum(right, size[1]) - np.maximum(left, 0.0)
@@ -189,9 +189,9 @@ def _log_densities(boxes: Numbers, means: Numbers, covariances: Numbers, noise: 
     return densities
 
 
-def _drawn(association: Association, means: Numbers, covariances: Numbers) -> GaussianMessage:
-    """Where the boxes draw each object, of mass 1 with what was expected of it."""
-    precision, vector = association.drawn
+def _box_likelihood(association: Association, means: Numbers, covariances: Numbers) -> GaussianMessage:
+    """Gaussian likelihood of each object's box, of mass 1 with the prediction."""
+    precision, vector = association.information
     told = np.flatnonzero(association.pairs.sum(axis=1) > SURELY_NOT)
     order = told[np.argsort(association.identities[told])]
     precision, vector, means, covariances = precision[order], vector[order], means[order], covariances[order]
@@ -210,7 +210,7 @@ COLOUR = (255, 190, 40)  # BGR, of boxes that are drawn
 @short_repr
 @dataclass(frozen=True)
 class ObjectBoxes:
-    """Feature node of the boxes of objects, shared by trackers, by what knows the scene, and by detectors.
+    """Feature node of the boxes of objects, shared by trackers, ground planes and detectors.
 
     An image says nothing of boxes by itself: what it shows of objects comes through the chain that also
     speaks to the pixels. A frame that comes with the boxes of a detector does.
@@ -227,11 +227,11 @@ class ObjectBoxes:
     searches = True
 
     def uniform(self) -> BoxMessage:
-        """The message that mentions no object."""
+        """Return the message that mentions no object."""
         return BoxMessage()
 
     def evidence(self, frame: Frame, prior: BoxMessage) -> BoxMessage:
-        """Likelihood of what the detector has found, given the objects that `prior` knows (see `associate`).
+        """Return the likelihood of the detector's boxes, given the objects of `prior` (see `associate`).
 
         Where the detector did not run, nothing is said; where it ran and found nothing, everybody who should
         have been found is there less likely.

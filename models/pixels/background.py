@@ -24,7 +24,7 @@ class StoredPlanes(NamedTuple):
     step: np.float32
 
     def grey_levels(self) -> Planes:
-        """`(channels, height, width)` float32."""
+        """Return `(channels, height, width)` float32."""
         levels: Planes = self.values * self.step
         return levels
 
@@ -40,7 +40,7 @@ def _any_negative(words, first):
 
 @compiled
 def foreground_spans(log_odds, spans):
-    """Starts of the runs of `SPAN` pixels in which there is foreground; returns how many there are."""
+    """Write the starts of runs of `SPAN` pixels in which there is foreground; return how many there are."""
     words = log_odds[: log_odds.size // 8 * 8].view(np.uint64)
     count = 0
     for start in range(0, log_odds.size, SPAN):
@@ -53,7 +53,7 @@ def foreground_spans(log_odds, spans):
 @short_repr
 @dataclass(frozen=True, eq=False)
 class EmptyScene:
-    """A picture of the empty scene."""
+    """Picture of the empty scene, with its variances."""
 
     shape: tuple[int, ...]  # of an image: (height, width) px, or (height, width, 3)
     mean: Planes  # (channels, n_pixels) in the planes of `models.pixels.colour`
@@ -65,7 +65,7 @@ class EmptyScene:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Subtraction:
-    """What an image says of a predicted background, each `(n_pixels,)` int8 in steps of 1/20 nat.
+    """Log odds of an image against a predicted background, `(n_pixels,)` int8 in steps of 1/20 nat.
 
     `log_odds`, of P(B=1) N(I; ...) over P(B=0) U, within +-6 nats; `smoothed`, with the neighbours' share.
     """
@@ -75,7 +75,7 @@ class Subtraction:
 
 
 class BackgroundFactor(Protocol):
-    """What a message says of pixels that show background, whatever model it comes from."""
+    """Prediction of pixels that show background, whatever model it comes from."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -84,7 +84,7 @@ class BackgroundFactor(Protocol):
 
     @property
     def colours(self) -> StoredPlanes:
-        """What the scene usually shows."""
+        """Expected colours of the scene."""
         ...
 
     @property
@@ -93,11 +93,11 @@ class BackgroundFactor(Protocol):
         ...
 
     def compare(self, image: NDArray[np.uint8], /) -> Subtraction:
-        """Compare an image with the prediction; the same image only once."""
+        """Compare an image with the prediction; the same image is compared only once."""
         ...
 
     def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None, /) -> float:
-        """Log probability of the image (nats).
+        """Return the log probability of the image (nats).
 
         `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0.
         """

@@ -25,7 +25,7 @@ VOLUME = {0: 1.0, 1: 1.0, 3: float(abs(np.linalg.det(FROM_BGR)))}
 
 @inlined
 def planes_of(blue, green, red):
-    """Luma, 2 Cr and 2 Cb, float32, of a pixel's channels."""
+    """Return luma, 2 Cr and 2 Cb, float32, of a pixel's channels."""
     b, g, r = _f4(blue), _f4(green), _f4(red)
     luma = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
     return luma, _f4(1.426) * (r - luma), _f4(1.128) * (b - luma)
@@ -40,18 +40,18 @@ def _planes_of_colour(pixels, out):
 
 @lru_cache
 def from_pixels(channels: int) -> NDArray[np.float32]:
-    """Give the matrix `(channels, channels)` float32 that takes a pixel's channels to its planes."""
+    """Return the matrix `(channels, channels)` float32 that takes a pixel's channels to its planes."""
     return FROM_BGR.astype(np.float32) if channels == 3 else np.ones((1, 1), np.float32)
 
 
 @lru_cache
 def to_pixels(channels: int) -> NDArray[np.float32]:
-    """Give the inverse of `from_pixels`."""
+    """Return the inverse of `from_pixels`."""
     return np.linalg.inv(from_pixels(channels))
 
 
 def to_planes(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Give the planes `(channels, height * width)` float32 of a grey or BGR image."""
+    """Return the planes `(channels, height * width)` float32 of a grey or BGR image."""
     if image.ndim == 2:
         return image.reshape(1, -1).astype(np.float32)
     planes = np.empty((3, image.shape[0] * image.shape[1]), np.float32)
@@ -60,7 +60,7 @@ def to_planes(image: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def to_image(planes: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Give the uint8 image of `size = (height, width)`, grey or BGR, whose planes these are."""
+    """Return the uint8 image of `size = (height, width)`, grey or BGR, whose planes these are."""
     values = to_pixels(planes.shape[0]) @ planes.astype(np.float32, copy=False)
     np.clip(np.rint(values, out=values), 0, 255, out=values)
     channels = values.astype(np.uint8).reshape(-1, *size)

@@ -51,7 +51,7 @@ class Composition(NamedTuple):
 
 
 class Sprite(NamedTuple):
-    """An object's mask `(height, width)` and colours `(channels, height, width)`, all float32.
+    """Mask `(height, width)` and colours `(channels, height, width)` of an object, all float32.
 
     A pixel that it covers shows its colour with the density, relative to the uniform one, exp(log_ratio -
     half_precision d^2) in a share 1 - outliers of all cases; without channels every colour is alike.
@@ -66,7 +66,7 @@ class Sprite(NamedTuple):
 
 @compiled
 def apart(layers, size, frames, members):
-    """Boxes of layers that overlap, or whose common frame overlaps others, in one frame; frames are apart.
+    """Group layers that overlap, or whose common frame overlaps others; frames are apart.
 
     Writes the frames' top, left, bottom, right px inside of a picture of `size` into `frames` `(n, 4)`, and
     into `members` `(n,)` in which frame each layer is, -1 where it is none in the picture. Gives how many
@@ -118,7 +118,7 @@ def _squared_distance(pixels, k, own, j, plane, channels):
 
 @compiled
 def compose(layers, pools, members, image, boxes, starts, clear, explained, distance):
-    """Put layers behind each other in their regions, in their order.
+    """Compose layers front to back in their regions, in their order.
 
     `boxes` and `starts` are those of `Composition`, `members` says in which region each layer is. Without an
     `image` `(height, width, channels)`, which has no pixels then, any colour is as likely: densities
@@ -168,7 +168,7 @@ def compose(layers, pools, members, image, boxes, starts, clear, explained, dist
 
 @compiled
 def shift_of(clear, explained, shift):
-    """Log ratio of what layers say for background and for objects, `(n,)` each."""
+    """Write the log ratio of what layers say for background and for objects, `(n,)` each."""
     for i in range(clear.size):
         shift[i] = logarithm(max(clear[i], _LEAST)) - logarithm(max(explained[i], _LEAST))
 
@@ -182,7 +182,7 @@ HIGHEST = 1 + 1e-6  # of a mask's values: a probability with the rounding of flo
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """What one object says of the pixels in its box: that it covers them, and with what colour.
+    """Prediction of one object for the pixels in its region: that it covers them, and with what colour.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ class Layer:
 
 
 def log_uniform(channels: int) -> float:
-    """Minus the log of the uniform density of colours, in their planes."""
+    """Return minus the log of the uniform density of colours, in their planes."""
     return float(np.log(colour.VOLUME[channels]) + channels * np.log(256.0))
 
 
@@ -267,7 +267,7 @@ class Region:
 
 
 class LayerSheet(NamedTuple):
-    """Layers of one chain, front to back: `(n,)` records of type `LAYER`, and all their pixels."""
+    """Table of one chain's layers, front to back: `(n,)` records of type `LAYER`, and their pixels."""
 
     table: NDArray[np.void]
     pools: Pools
@@ -275,7 +275,7 @@ class LayerSheet(NamedTuple):
 
     @classmethod
     def of(cls, layers: Sequence[Layer]) -> Self:
-        """The same of layers that are on their own.
+        """Return the table of single layers.
 
         Raises
         ------
@@ -334,7 +334,7 @@ class LayerStack:
         return LayerStack(*self.factors, *other.factors)
 
     def composition(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> Composition:
-        """The layers, composed, in boxes that are apart; `size` of the picture is `(height, width)`."""
+        """Return the layers composed in regions that are apart; the picture's `size` is `(height, width)`."""
         if not self.factors:
             return NOTHING  # and nothing is remembered: the stack without layers lives as long as the program
         key = (id(image), size)

@@ -31,7 +31,7 @@ Window = tuple[slice, slice]
 @short_repr
 @dataclass(frozen=True, eq=False)
 class PixelMessage:
-    """A product of factors over all pixels: a background prediction, layers of objects, an image.
+    """Product of factors over all pixels: a background prediction, layers of objects, an image.
 
     For every pixel it is a function of b in {0, 1} and the latent colour L. The background speaks of b = 1
     (P(B=1) N(L; its mean, its variance)) and leaves b = 0 the rest (P(B=0) U, any colour); a chain's layers
@@ -96,7 +96,7 @@ class PixelMessage:
 
     @cached_property
     def subtraction(self) -> Subtraction | None:
-        """The image read against the background, if both are there."""
+        """Comparison of the image with the background, if both are there."""
         if self.image is None or self.background is None:
             return None
         return self.background.compare(self.image)
@@ -107,7 +107,7 @@ class PixelMessage:
         return self.layers.regions(self.image, self.size)
 
     def foreground(self) -> NDArray[np.uint8]:
-        """`(height, width)` uint8: 255 where P(B=0) is over one half, else 0."""
+        """Return `(height, width)` uint8: 255 where P(B=0) is over one half, else 0."""
         out = self._log_odds()
         mask: NDArray[np.uint8] = np.empty(out.shape, np.uint8)
         np.right_shift(out, 7, out=mask.view(np.int8))  # all bits are the sign's
@@ -118,12 +118,12 @@ class PixelMessage:
         return mask
 
     def background_probability(self) -> Map:
-        """`(height, width)` float32: P(B=1) of every pixel."""
+        """Return `(height, width)` float32: P(B=1) of every pixel."""
         probability: Map = np.float32(1) / (np.float32(1) + np.exp(-self.log_odds()))
         return probability
 
     def log_odds(self, box: Box | None = None) -> Map:
-        """Log of P(B=1) over P(B=0), background against anything else, with all that is said of the pixels.
+        """Return the log of P(B=1) over P(B=0), by all factors of the message.
 
         Parameters
         ----------
@@ -148,7 +148,7 @@ class PixelMessage:
         return out
 
     def log_likelihood_ratio(self, box: Box | None = None) -> Map:
-        """Log of p(image | background is seen) over p(image | something of any colour is), pixel by pixel.
+        """Return the log of p(image | background is seen) over p(image | any colour is), pixel by pixel.
 
         This is what the image says of labels, without anybody's prior and without layers: `(height, width)`
         float32 nats; 0 where there is no image or no background to compare it with. `box` is as of
@@ -201,7 +201,7 @@ class PixelMessage:
         return background.log_likelihood(image, shift.reshape(-1)) + explained
 
     def log_density(self, among: NDArray[np.bool_]) -> float:
-        """Log of the probability (nats) of what the image shows at some pixels, given all other factors.
+        """Return the log probability (nats) of what the image shows at some pixels, given all other factors.
 
         Over all images these probabilities sum to 1. Labels of which nobody has a prior are even.
 
@@ -256,11 +256,11 @@ class PixelLabels:
     searches = False
 
     def uniform(self) -> PixelMessage:
-        """The message that says nothing."""
+        """Return the constant 1."""
         return PixelMessage()
 
     def evidence(self, frame: Frame, prior: PixelMessage) -> PixelMessage:
-        """The image: L is what was seen."""
+        """Return the image: L is what was seen."""
         return PixelMessage(image=frame.image)
 
     def draw(self, picture: NDArray[np.uint8], belief: PixelMessage) -> None:
@@ -275,7 +275,7 @@ def tint(picture: NDArray[np.uint8], foreground: Map) -> None:
 
 
 def _inside(box: Box, size: tuple[int, int]) -> tuple[Window, Window]:
-    """Where in the picture the part of a box lies that is inside, and where in the box."""
+    """Rows and columns of the part of a region that is inside: in the picture, and in the region."""
     spans = [
         (start, min(start + length, end)) for start, length, end in zip(box[:2], box[2:], size, strict=True)
     ]
@@ -297,7 +297,7 @@ class ScenePixels(PixelLabels):
     searches = True
 
     def evidence(self, frame: Frame, prior: PixelMessage) -> PixelMessage:
-        """The image as the scene's picture, and where it was found."""
+        """Return the image registered to the scene, and the likelihood of the map."""
         if frame.image is None or prior.view is None:
             return PixelMessage(image=frame.image)
         view, image = prior.view.register(frame.image)

@@ -74,7 +74,7 @@ def test_a_box_corrects_place_velocity_and_size_as_a_dense_filter_does() -> None
     """State: place and velocity of the patch, foot within it; what is measured is the sum of two of them."""
     blob, noise = blob_at(100.0, 50.0), np.array([6.0, 6.0, 10.0, 12.0])
     box = np.array([114.0, 83.0, 24.0, 33.0])
-    (after,) = detections.corrected(Blobs.of([blob], 3), told(box, noise))
+    (after,) = detections.correct(Blobs.of([blob], 3), told(box, noise))
     assert after.detected
     for axis, place in ((0, 1), (1, 0)):
         prior = np.zeros((3, 3))
@@ -111,17 +111,17 @@ def test_boxes_that_follow_each_other_soon_are_worth_less() -> None:
     blob, noise = blob_at(100.0, 50.0), np.array([6.0, 6.0, 10.0, 12.0])
     soon = blob.changed(unfound=0.2 * detections.WHOLE)
     box = np.array([114.0, 83.0, 24.0, 33.0])
-    (one,), (two,) = (detections.corrected(Blobs.of([each], 3), told(box, noise)) for each in (blob, soon))
-    (five,) = detections.corrected(Blobs.of([blob], 3), told(box, 5 * noise))
+    (one,), (two,) = (detections.correct(Blobs.of([each], 3), told(box, noise)) for each in (blob, soon))
+    (five,) = detections.correct(Blobs.of([blob], 3), told(box, 5 * noise))
     assert two.position[1] < one.position[1]
     np.testing.assert_allclose(two.position, five.position)
 
 
 def test_doubt_grows_with_time_alike_in_one_step_and_in_many() -> None:
     steps = Blobs.of([blob_at(100.0, 50.0).changed(existence=4.0, noticed=3.0)], 3)
-    (once,) = detections.moved(steps, 0.4, 0.9, True)
+    (once,) = detections.predict(steps, 0.4, 0.9, True)
     for _ in range(10):
-        steps = detections.moved(steps, 0.04, 0.9, True)
+        steps = detections.predict(steps, 0.04, 0.9, True)
     (many,) = steps
     assert many.existence == pytest.approx(once.existence)
     assert many.noticed == pytest.approx(once.noticed)

@@ -9,7 +9,7 @@ from rsmcm.apps.scenes.crowd import crowd
 from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.chains.objects import blob_scene
 from rsmcm.chains.objects.blob_records import RECORD
-from rsmcm.chains.objects.registration import deal, patch_bounds
+from rsmcm.chains.objects.registration import assign_shards, patch_bounds
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import PixelLabels
 from rsmcm.models.numerics.threads import set_threads, thread_count
@@ -22,10 +22,10 @@ def test_blobs_that_may_meet_are_in_one_lot(seed: int, n_blobs: int, count: int)
     table = np.zeros(n_blobs, RECORD)
     table["position"] = random.integers(0, 400, (n_blobs, 2))
     table["rows"], table["columns"] = random.integers(10, 50, (2, n_blobs))
-    lots = np.zeros(n_blobs, np.int64)
-    deal(table, count, lots)
-    assert lots.min() >= 0
-    assert lots.max() < count
+    shards = np.zeros(n_blobs, np.int64)
+    assign_shards(table, count, shards)
+    assert shards.min() >= 0
+    assert shards.max() < count
     for behind in range(n_blobs):
         top, left, rows, columns = patch_bounds(table[behind])
         for front in range(behind):
@@ -34,7 +34,7 @@ def test_blobs_that_may_meet_are_in_one_lot(seed: int, n_blobs: int, count: int)
             room = [table["rows"][front] + 4, table["columns"][front] + 4]
             overlap = np.minimum(first + room, [top + rows, left + columns]) - np.maximum(first, [top, left])
             if (overlap > 0).all():
-                assert lots[behind] == lots[front]
+                assert shards[behind] == shards[front]
 
 
 @pytest.mark.parametrize("count", [2, 3, 4])

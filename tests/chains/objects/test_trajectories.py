@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.objects.object_trajectories import (
+    ArrivalModel,
     Boxes,
-    Comings,
     Motion,
-    joined,
-    joins,
+    find_joins,
+    join,
     messages_of,
-    smoothed,
+    smooth_track,
 )
 
 MOTION = Motion(0.4, 0.1, 1.0)
 SIZE = (400, 600)
 RATE = 25
-COMINGS = Comings(SIZE, 0.2, 3.0)
+ARRIVALS = ArrivalModel(SIZE, 0.2, 3.0)
 TIMES = np.arange(200) / RATE
 
 
@@ -44,7 +44,7 @@ def walk(
 
 def test_smoothing_follows_a_straight_walk_through_gaps() -> None:
     seen = np.r_[5:40, 70:120]
-    track = smoothed(walk(3, seen, (100, 200), (40, 10)), TIMES, MOTION)
+    track = smooth_track(walk(3, seen, (100, 200), (40, 10)), TIMES, MOTION)
     truth = walk(3, np.arange(5, 120), (100, 200), (40, 10))
     found = track.boxes()
     assert (track.first, track.last, track.identity) == (5, 119, 3)
@@ -57,8 +57,8 @@ def test_smoothing_follows_a_straight_walk_through_gaps() -> None:
 
 def test_in_a_long_gap_nobody_is_reported_in_the_middle() -> None:
     seen = np.r_[5:40, 115:150]
-    track = smoothed(walk(3, seen, (100, 200), (40, 10)), TIMES, MOTION)
-    known = set(track.boxes().frames[track.known()].tolist())
+    track = smooth_track(walk(3, seen, (100, 200), (40, 10)), TIMES, MOTION)
+    known = set(track.boxes().frames[track.reported()].tolist())
     assert set(seen.tolist()) < known < set(range(5, 150))
     assert 41 in known
     assert 113 in known
@@ -70,7 +70,7 @@ def test_smoothing_takes_noise_away_and_says_how_much_is_left() -> None:
     for seed in range(20):
         seen = walk(seed, np.arange(0, 100), (100, 200), noise=3.0)
         truth = walk(seed, np.arange(0, 100), (100, 200))
-        found = smoothed(seen, TIMES, MOTION).boxes()
+        found = smooth_track(seen, TIMES, MOTION).boxes()
         errors.append(found.means - truth.means)
         raw.append(seen.means - truth.means)
         stated.append(found.variances)
@@ -81,10 +81,10 @@ def test_smoothing_takes_noise_away_and_says_how_much_is_left() -> None:
 
 def test_who_is_lost_behind_something_is_the_same_afterwards() -> None:
     one, other = walk(1, range(20, 60), (100, 200)), walk(2, range(90, 150), (100, 200))
-    tracks = [smoothed(track, TIMES, MOTION) for track in (one, other)]
-    next_of = joins(tracks, TIMES, MOTION, COMINGS)
+    tracks = [smooth_track(track, TIMES, MOTION) for track in (one, other)]
+    next_of = find_joins(tracks, TIMES, MOTION, ARRIVALS)
     assert next_of == {0: 1}
-    together = joined(Boxes.together([one, other]), tracks, next_of)
+    together = join(Boxes.together([one, other]), tracks, next_of)
     assert set(together.identities.tolist()) == {1}
     np.testing.assert_array_equal(together.frames, np.r_[20:60, 90:150])
 
@@ -99,23 +99,23 @@ def test_others_are_others() -> None:
         (lost, walk(5, range(150, 190), (100, 200))),  # after too long
         (left, walk(5, range(100, 150), (950, 300), (-90, 0))),  # somebody comes, fast, where he went
     ):
-        tracks = [smoothed(each, TIMES, MOTION) for each in (track, new)]
-        assert joins(tracks, TIMES, MOTION, COMINGS) == {}
+        tracks = [smooth_track(each, TIMES, MOTION) for each in (track, new)]
+        assert find_joins(tracks, TIMES, MOTION, ARRIVALS) == {}
 
 
 def test_two_who_are_hidden_at_once_are_told_apart() -> None:
     """Each alone could be either; together only one way is likely."""
     ends = [walk(1, range(0, 50), (100, 200)), walk(2, range(0, 50), (100, 226))]
     begins = [walk(3, range(70, 120), (100, 213)), walk(4, range(70, 120), (100, 232))]
-    tracks = [smoothed(each, TIMES, MOTION) for each in (*ends, *begins)]
-    assert joins(tracks, TIMES, MOTION, COMINGS) == {0: 2, 1: 3}
+    tracks = [smooth_track(each, TIMES, MOTION) for each in (*ends, *begins)]
+    assert find_joins(tracks, TIMES, MOTION, ARRIVALS) == {0: 2, 1: 3}
 
 
 def test_tracks_that_were_not_believed_are_left_out() -> None:
     boxes = Boxes.together([walk(1, range(0, 50), (100, 200)), walk(2, range(10, 12), (300, 100))])
-    tracks = [smoothed(boxes.tracks()[0], TIMES, MOTION)]
-    assert set(joined(boxes, tracks, {}).identities.tolist()) == {1}
-    assert len(joined(boxes, [], {})) == 0
+    tracks = [smooth_track(boxes.tracks()[0], TIMES, MOTION)]
+    assert set(join(boxes, tracks, {}).identities.tolist()) == {1}
+    assert len(join(boxes, [], {})) == 0
 
 
 def test_boxes_become_messages_and_back() -> None:
@@ -143,8 +143,8 @@ def test_a_mask_of_boxes_leaves_room() -> None:
 
 @pytest.mark.parametrize("place", [(100, 200), (20, 200), (590, 200), (300, 62), (300, 399)])
 def test_the_edge_is_near_where_a_box_touches_it(place: tuple[float, float]) -> None:
-    track = smoothed(walk(1, range(10), place, (0.0, 0.0)), TIMES, MOTION)
-    assert COMINGS.at_edge(track, 0) == (place != (100, 200))
-    inside = smoothed(walk(2, range(10), (100, 200), (0.0, 0.0)), TIMES, MOTION)
-    assert COMINGS.log_new(track) >= COMINGS.log_new(inside)
-    assert COMINGS.log_back(track) <= COMINGS.log_back(inside)
+    track = smooth_track(walk(1, range(10), place, (0.0, 0.0)), TIMES, MOTION)
+    assert ARRIVALS.at_edge(track, 0) == (place != (100, 200))
+    inside = smooth_track(walk(2, range(10), (100, 200), (0.0, 0.0)), TIMES, MOTION)
+    assert ARRIVALS.log_new(track) >= ARRIVALS.log_new(inside)
+    assert ARRIVALS.log_back(track) <= ARRIVALS.log_back(inside)
