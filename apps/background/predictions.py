@@ -141,6 +141,6 @@ def _observed(evidence: BoxMessage) -> GaussianMessage | None:
 def _covered(layers: LayerStack, size: tuple[int, int]) -> NDArray[np.bool_]:
     """Pixels that layers may cover."""
     covered = np.zeros(size, bool)
-    for region in layers.regions(None, size):
-        covered[region.window] |= region.clear < 1 - COVERED
+    for part in layers.composed(None, size):
+        covered[part.window] |= part.clear < 1 - COVERED
     return covered

@@ -196,7 +196,7 @@ class Scene(NamedTuple):
     """A frame beside its picture: background, composed layers, and expected sizes."""
 
     background: StoredPlanes  # picture of the empty scene
-    boxes: NDArray[np.int64]  # (n, 4), where regions are; see `Composition`
+    regions: NDArray[np.int64]  # (n, 4); see `Composition`
     starts: NDArray[np.int64]  # (n,)
     explained: NDArray[np.float32]  # of their pixels
     # (n, 2) px, heights and widths as they are usual for blobs, and expected by others
@@ -368,7 +368,7 @@ def _set_explained(scene, top, left, out):
     rows, columns = out.shape
     out[:] = _f4(1)
     for k in range(scene.starts.size):
-        its_top, its_left, its_rows, its_columns = scene.boxes[k]
+        its_top, its_left, its_rows, its_columns = scene.regions[k]
         first, end = max(left, its_left), min(left + columns, its_left + its_columns)
         if first >= end:
             continue
@@ -598,7 +598,7 @@ class BlobScene:
         assert background is not None
         scene = Scene(
             background.colours,
-            composed.boxes,
+            composed.regions,
             composed.starts,
             composed.explained,
             self.expected_sizes(blobs),

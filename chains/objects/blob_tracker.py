@@ -21,7 +21,7 @@ from typing import overload
 import numpy as np
 
 from ...inference.engine.protocols import Cavity, Incoming, Port
-from ...models.core.bounds import POSITIVE, SHARE, check_bounds
+from ...models.core.checks import Positive, Share, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import BoxMessage
@@ -34,13 +34,6 @@ from .blobs import Blob, Blobs, BlobState, front_to_back, layers_of, likely_size
 from .groups import alone, fragment_times, halves, merged, parting_columns, with_parts
 from .registration import register_blobs
 
-MORE_THAN_0 = (
-    "min_area", "mask_time", "colour_time", "colour_variance", "strength", "likelihood_power", "acceleration",
-    "initial_velocity_std", "max_coast_time", "max_hidden_time", "confirmation_time", "ghost_threshold",
-    "split_time", "size_time",
-)  # fmt: skip
-"""Parameters of `BlobTracker` that must be more than 0."""
-
 SWEEP = 0.8  # s after which a mask is freed of crumbs again
 OF_TRACKER = (
     "outliers", "strength", "colour_variance", "likelihood_power", "ghost_threshold", "confirmation_time",
@@ -52,6 +45,7 @@ FADING = 0.06  # s, time constant with which a mask fades where it reaches too f
 
 
 @short_repr
+@checked
 @dataclass(frozen=True)
 class BlobTracker:
     """Tracker of any number of blobs.
@@ -90,27 +84,24 @@ class BlobTracker:
         s in which a blob's usual size follows its box; its mask does not reach much further.
     """
 
-    min_area: float = 0.0003
-    mask_time: float = 0.4
-    colour_time: float = 0.4
-    colour_variance: float = 300.0
-    outliers: float = 0.1
-    strength: float = 10.0
-    likelihood_power: float = 0.15
-    acceleration: float = 0.9
-    initial_velocity_std: float = 2.0
-    max_coast_time: float = 0.6
-    max_hidden_time: float = 3.0
-    confirmation_time: float = 0.35
-    ghost_threshold: float = 5.0
-    split_time: float = 0.4
-    size_time: float = 2.0
+    min_area: Positive = 0.0003
+    mask_time: Positive = 0.4
+    colour_time: Positive = 0.4
+    colour_variance: Positive = 300.0
+    outliers: Share = 0.1
+    strength: Positive = 10.0
+    likelihood_power: Positive = 0.15
+    acceleration: Positive = 0.9
+    initial_velocity_std: Positive = 2.0
+    max_coast_time: Positive = 0.6
+    max_hidden_time: Positive = 3.0
+    confirmation_time: Positive = 0.35
+    ghost_threshold: Positive = 5.0
+    split_time: Positive = 0.4
+    size_time: Positive = 2.0
     name: str = "blobs"
 
     ports = (Port(PixelLabels, Cavity.OTHERS), Port(ObjectBoxes, optional=True))
-
-    def __post_init__(self) -> None:
-        check_bounds(self, {**dict.fromkeys(MORE_THAN_0, POSITIVE), "outliers": SHARE})
 
     def initial(self, frame: Frame) -> BlobState:
         """Return a state without objects: what stands there at first is background until it moves."""

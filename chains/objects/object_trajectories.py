@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ...inference.engine.protocols import BatchIncoming, Port, Smoothed
 from ...inference.kalman import PointStates, filter_tracks, kinematic, smooth
+from ...models.core.checks import NotNegative, Positive, checked
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import Rows, short_repr
 from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage
@@ -299,6 +300,7 @@ class ObjectsOverTime:
 
 
 @short_repr
+@checked
 @dataclass(frozen=True)
 class ObjectTrajectories:
     """Batch chain over the boxes of objects.
@@ -317,11 +319,11 @@ class ObjectTrajectories:
         s for which an object must have been seen in all.
     """
 
-    acceleration: float = 0.9
-    growth: float = 0.5
-    initial_velocity_std: float = 1.0
-    max_gap_time: float = 3.0
-    min_seen_time: float = 0.35
+    acceleration: Positive = 0.9
+    growth: Positive = 0.5
+    initial_velocity_std: Positive = 1.0
+    max_gap_time: Positive = 3.0
+    min_seen_time: NotNegative = 0.35
     name: str = "trajectories"
 
     ports = (Port(ObjectBoxes),)

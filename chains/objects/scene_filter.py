@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from ...inference.engine.graph import MultiChain
 from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ...inference.engine.recursive_bp import Belief, ForwardPass, RecursiveBP, RunState
+from ...models.core.checks import Count, Positive, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import BoxMessage
@@ -82,6 +83,7 @@ class SceneTrajectory:
 
 
 @short_repr
+@checked
 @dataclass(frozen=True)
 class SceneFilter:
     """Batch chain of background and objects: filtered over a film from its empty scene.
@@ -106,9 +108,9 @@ class SceneFilter:
     """
 
     model: MultiChain
-    memory: float = 30.0
-    most_frames: int = 48
-    most_bytes: int = 1 << 28
+    memory: Positive = 30.0
+    most_frames: Count = 48
+    most_bytes: Count = 1 << 28
     name: str = "scene"
 
     ports = (Port(PixelLabels, sole="background"), Port(ObjectBoxes, optional=True))

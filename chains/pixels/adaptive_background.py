@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Cavity, Incoming, Port
-from ...models.core.bounds import NOT_NEGATIVE, POSITIVE, PROBABILITY, check_bounds
+from ...models.core.checks import NotNegative, Positive, PositiveOrInfinite, Probability, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.pixels import colour
@@ -96,6 +96,7 @@ class BackgroundState:
 
 
 @short_repr
+@checked
 @dataclass(frozen=True)
 class AdaptiveBackground:
     """Per-pixel adaptive background: a Gaussian per pixel under changing light.
@@ -121,20 +122,15 @@ class AdaptiveBackground:
         estimate a smooth field of light in every frame, so that clouds and lamps do not make foreground.
     """
 
-    prior: float = 0.95
-    noise: float = 30.0
-    noise_rate: float = 0.4
-    drift: float = 1.25
-    first_variance: float = 20.0
-    settle_time: float = 3.0
-    pooling: float = 0.3
+    prior: Probability = 0.95
+    noise: Positive = 30.0
+    noise_rate: NotNegative = 0.4
+    drift: NotNegative = 1.25
+    first_variance: Positive = 20.0
+    settle_time: PositiveOrInfinite = 3.0
+    pooling: NotNegative = 0.3
     follow_light: bool = True
     name: str = "background"
-
-    def __post_init__(self) -> None:
-        positive = dict.fromkeys(("noise", "first_variance", "settle_time"), POSITIVE)
-        others = dict.fromkeys(("noise_rate", "drift", "pooling"), NOT_NEGATIVE)
-        check_bounds(self, {"prior": PROBABILITY, **positive, **others})
 
     @property
     def ports(self) -> tuple[Port, ...]:
@@ -187,9 +183,9 @@ class AdaptiveBackground:
         channels = len(state.mean)
         flat = np.ascontiguousarray(image).reshape(-1)
         composed = others.layers.composition(image, state.size)
-        if len(composed.boxes):
+        if len(composed.regions):
             update_behind(
-                composed.boxes, composed.shift, flat, subtraction.smoothed, prediction.pixels, light,
+                composed.regions, composed.shift, flat, subtraction.smoothed, prediction.pixels, light,
                 prediction.model, prediction.rounding, colour.to_pixels(channels), after, second, covered,
             )  # fmt: skip
         sway = learned_rates(

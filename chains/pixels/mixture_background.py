@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Incoming, Port
-from ...models.core.bounds import NOT_NEGATIVE, POSITIVE, Bound, check_bounds
+from ...models.core.checks import Count, NotNegative, Positive, Probability, Share, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.numerics.compiled import compiled, exponential, logarithm
@@ -300,6 +300,7 @@ class MixtureState:
 
 
 @short_repr
+@checked
 @dataclass(frozen=True)
 class MixtureBackground:
     """Per-pixel mixture of Gaussians, for scenes in which pixels alternate between several colours.
@@ -323,22 +324,15 @@ class MixtureBackground:
         weight of what the 5 x 5 pixels about a pixel show in its own log odds.
     """
 
-    prior: float = 0.95
-    components: int = 3
-    rate: float = 0.05
-    background_share: float = 0.8
-    first_variance: float = 30.0
-    pooling: float = 0.3
+    prior: Probability = 0.95
+    components: Count = 3
+    rate: Positive = 0.05
+    background_share: Share = 0.8
+    first_variance: Positive = 30.0
+    pooling: NotNegative = 0.3
     name: str = "background"
 
     ports = (Port(PixelLabels, sole="background"),)
-
-    def __post_init__(self) -> None:
-        inside: Bound = (lambda value: 0 < value < 1, "more than 0 and less than 1")
-        positive = dict.fromkeys(("rate", "first_variance"), POSITIVE)
-        least: Bound = (lambda count: count >= 1, "1 or more")
-        shares = {"prior": inside, "background_share": inside}
-        check_bounds(self, {**shares, **positive, "components": least, "pooling": NOT_NEGATIVE})
 
     def initial(self, frame: Frame) -> MixtureState:
         """Return one component for every pixel, the first image."""
@@ -378,10 +372,10 @@ class MixtureBackground:
         rate = float(-np.expm1(-self.rate * state.elapsed))
         rates = np.full((height, width), rate, np.float32)
         log_odds = prediction.compare(image).smoothed.reshape(height, width)
-        for region in others.regions:
-            relative = 1 / (self.prior + (1 - self.prior) * np.exp(-region.shift))
-            revealed = (region.shift > REVEALED) & (log_odds[region.window] < 0)
-            rates[region.window] = np.where(revealed, 1, rate * np.minimum(relative, 1))
+        for part in others.composed_layers:
+            relative = 1 / (self.prior + (1 - self.prior) * np.exp(-part.shift))
+            revealed = (part.shift > REVEALED) & (log_odds[part.window] < 0)
+            rates[part.window] = np.where(revealed, 1, rate * np.minimum(relative, 1))
         mixture = prediction.update(image, rates.reshape(-1), 0.5 * rate, self.first_variance)
         return replace(state, mixture=mixture, elapsed=0.0)
 

@@ -149,8 +149,9 @@ def learn_second_colours(
 
 @compiled
 def update_behind(
-    boxes, shifts, pixels, log_odds, before, light_field, model, rounding, from_planes, after, second, covered
-):
+    regions, shifts, pixels, log_odds, before, light_field, model, rounding, from_planes, after, second,
+    covered,
+):  # fmt: skip
     """Update the background of some regions again, with what layers say of it.
 
     Pixels are weighted by their log odds and what is said of them. Where others are sure of background that
@@ -159,14 +160,14 @@ def update_behind(
     lasts there. Where they are sure of an object, in the beginning, and it looks as the prediction does, that
     was learned from the object: the background is unknown there.
 
-    Of each region `boxes` `(n, 4)` have top, left, height and width px, and `shifts` in one row after the
+    Of each region `regions` `(n, 4)` have top, left, height and width px, and `shifts` in one row after the
     other the log ratio of what layers say for background and for objects. What is `covered` becomes 255 where
     an object is predicted, and `REVEALED` where the picture was taken as it is.
     """
     width = light_field.rows.shape[1]
     start = 0
-    for region in range(len(boxes)):
-        top, left, height, columns = boxes[region]
+    for region in range(len(regions)):
+        top, left, height, columns = regions[region]
         # light, squared distance, step; then the differences from the prediction in all planes
         work = np.empty((3 + before.mean.shape[0], columns), np.float32)
         for y in range(top, top + height):

@@ -14,17 +14,17 @@ from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import Layer, LayerStack, PixelLabels, PixelMessage
 from scipy.linalg import expm
 
-box = (40, 70, 28, 16)  # top, left, height, width, px
+region = (40, 70, 28, 16)  # top, left, height, width, px
 rates = np.array([[-1, 1], [1, -1]]) / 20  # per second: it opens and closes about once in 20 s
 
 
 def message_of(probabilities, pixels):
-    mask = np.full(box[2:], probabilities[1], np.float32)
-    return PixelMessage(layers=LayerStack([Layer(*box[:2], mask, appearance=None)]))
+    mask = np.full(region[2:], probabilities[1], np.float32)
+    return PixelMessage(layers=LayerStack([Layer(*region[:2], mask, appearance=None)]))
 
 
 def log_likelihood(message, pixels):
-    nats = message.log_likelihood_ratio(box).mean()  # for the closed door, a pixel
+    nats = message.log_likelihood_ratio(region).mean()  # for the closed door, a pixel
     return [3 * nats, 0]  # neighbours are alike: worth three of them
 
 

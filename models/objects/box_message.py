@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.bounds import POSITIVE, PROBABILITY, check_bounds
+from ..core.checks import Positive, Probability, checked
 from ..core.gaussian_message import GaussianMessage
 from ..core.identities import find, union
 from ..core.short_repr import short_repr
@@ -21,13 +21,14 @@ BOX = 4
 
 
 @short_repr
+@checked
 @dataclass(frozen=True)
 class Scores:
     """Mean scores of true and of false boxes: Gaussians with one deviation, so that log odds are linear."""
 
     true: float
     false: float
-    deviation: float
+    deviation: Positive
 
     def log_ratio(self, scores: Numbers) -> Numbers:
         """Return `(n,)` nats: log of p(score | true box) over p(score | false box)."""
@@ -36,6 +37,7 @@ class Scores:
 
 
 @short_repr
+@checked
 @dataclass(frozen=True)
 class BoxDetector:
     """Error model of a detector of boxes.
@@ -55,24 +57,15 @@ class BoxDetector:
         objects that are found in a frame for the first time, on average.
     scores
         what they mean; `None` as long as they mean nothing.
-
-    Raises
-    ------
-    ValueError
-        if a number is out of its range.
     """
 
-    found: float = 0.9
-    clutter: float = 1e-6
-    position: float = 0.08
-    size: float = 0.15
-    doubles: float = 0.1
-    newcomers: float = 0.1
+    found: Probability = 0.9
+    clutter: Positive = 1e-6
+    position: Positive = 0.08
+    size: Positive = 0.15
+    doubles: Positive = 0.1
+    newcomers: Positive = 0.1
     scores: Scores | None = None
-
-    def __post_init__(self) -> None:
-        positive = dict.fromkeys(("clutter", "position", "size", "doubles", "newcomers"), POSITIVE)
-        check_bounds(self, {"found": PROBABILITY, **positive})
 
     def noise(self, boxes: Numbers) -> Numbers:
         """Return `(n, 4)` px^2: variances of the errors of boxes `(n, 4)`."""

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.checks import checked
 from ..core.frame import Frame, GivenBoxes
 from ..core.gaussian_message import GaussianMessage
 from ..core.pictures import FARTHEST, draw_region
@@ -208,6 +209,7 @@ COLOUR = (255, 190, 40)  # BGR, of boxes that are drawn
 
 
 @short_repr
+@checked
 @dataclass(frozen=True)
 class ObjectBoxes:
     """Feature node of the boxes of objects, shared by trackers, ground planes and detectors.

@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.checks import Array, CountFrom0, NotNegative, Positive, between, checked
 from ..core.short_repr import short_repr
 from ..numerics.compiled import compiled, exponential, inlined, logarithm
 from . import colour
@@ -41,9 +42,9 @@ class Pools(NamedTuple):
 
 
 class Composition(NamedTuple):
-    """Layers, composed in regions that are apart, with the maps of `Region`; elsewhere they say nothing."""
+    """Layers composed in regions that are apart, as of `ComposedLayers`; elsewhere they say nothing."""
 
-    boxes: NDArray[np.int64]  # (n, 4): top, left, height, width px of the regions
+    regions: NDArray[np.int64]  # (n, 4): top, left, height, width px
     starts: NDArray[np.int64]  # (n,): where the pixels of each begin in the flat maps
     clear: NDArray[np.float32]
     explained: NDArray[np.float32]
@@ -117,11 +118,11 @@ def _squared_distance(pixels, k, own, j, plane, channels):
 
 
 @compiled
-def compose(layers, pools, members, image, boxes, starts, clear, explained, distance):
+def compose(layers, pools, members, image, regions, starts, clear, explained, distance):
     """Compose layers front to back in their regions, in their order.
 
-    `boxes` and `starts` are those of `Composition`, `members` says in which region each layer is. Without an
-    `image` `(height, width, channels)`, which has no pixels then, any colour is as likely: densities
+    `regions`, `starts` are those of `Composition`, `members` is the region of each layer. Without an `image`
+    `(height, width, channels)`, which has no pixels then, any colour is as likely: densities
     integrate to 1. `distance` has room for the longest row of a layer.
     """
     _, width, channels = image.shape
@@ -130,7 +131,7 @@ def compose(layers, pools, members, image, boxes, starts, clear, explained, dist
         if members[k] < 0:
             continue
         layer, start = layers[k], starts[members[k]]
-        top, left, rows, columns = boxes[members[k]]
+        top, left, rows, columns = regions[members[k]]
         compared = layer.coloured and channels > 0
         half_precision = _f4(0.5 / layer.colour_variance)
         log_ratio = _f4(layer.log_ratio) if compared else _f4(0)
@@ -174,12 +175,14 @@ def shift_of(clear, explained, shift):
 
 
 Map = NDArray[np.float32]
-PixelBox = tuple[int, int, int, int]
+Region = tuple[int, int, CountFrom0, CountFrom0]
+"""Top, left, height, width px of a part of the picture, which may reach over its edges."""
 
 HIGHEST = 1 + 1e-6  # of a mask's values: a probability with the rounding of float32
 
 
 @short_repr
+@checked
 @dataclass(frozen=True, eq=False)
 class Layer:
     """Prediction of one object for the pixels in its region: that it covers them, and with what colour.
@@ -187,7 +190,7 @@ class Layer:
     Parameters
     ----------
     top, left
-        px, of the box; it may reach over the picture's edge.
+        px, of the region; it may reach over the picture's edge.
     mask
         `(height, width)` float32, probability that the object covers the pixel.
     appearance
@@ -203,25 +206,18 @@ class Layer:
 
     top: int
     left: int
-    mask: Map
-    appearance: Map | None
-    colour_variance: float = 300.0
-    outliers: float = 0.1
-    strength: float = 10.0
+    mask: Annotated[Map, Array("height", "width")]
+    appearance: Annotated[Map, Array("channels", "height", "width")] | None
+    colour_variance: Positive = 300.0
+    outliers: Annotated[float, between(0, 1)] = 0.1
+    strength: NotNegative = 10.0
     ghost: bool = False
 
     def __post_init__(self) -> None:
-        mask, appearance = self.mask, self.appearance
-        if mask.ndim != 2 or (appearance is not None and appearance.shape[1:] != mask.shape):
-            shapes = mask.shape if appearance is None else f"{mask.shape} and {appearance.shape}"
+        lowest, highest = self.mask.min(initial=0.0), self.mask.max(initial=0.0)
+        if lowest < 0 or highest > HIGHEST:
             raise ValueError(
-                f"layer: got shapes {shapes}, expected a mask of (height, width) and an appearance of "
-                "(channels, height, width)"
-            )
-        lowest, highest = mask.min(initial=0.0), mask.max(initial=0.0)
-        if not (lowest >= 0 and highest <= HIGHEST):  # also where it is NaN
-            raise ValueError(
-                f"layer: got a mask from {lowest} to {highest}, expected probabilities from 0 to 1"
+                f"mask: got values from {lowest} to {highest}, expected probabilities from 0 to 1"
             )
 
     @property
@@ -245,8 +241,8 @@ def log_density_ratio(channels: int, colour_variance: ArrayLike) -> NDArray[np.f
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class Region:
-    """Layers that overlap, composed: what they say together inside the box that holds them."""
+class ComposedLayers:
+    """Layers that overlap, composed: what they say together inside the region that holds them."""
 
     top: int  # px, inside the picture
     left: int
@@ -255,7 +251,7 @@ class Region:
     shift: Map  # log of clear over explained
 
     @property
-    def box(self) -> PixelBox:
+    def region(self) -> Region:
         """Top, left, height, width px."""
         return self.top, self.left, self.clear.shape[0], self.clear.shape[1]
 
@@ -323,7 +319,7 @@ class LayerStack:
         sheets = (factor if isinstance(factor, LayerSheet) else LayerSheet.of(factor) for factor in layers)
         self.factors = tuple(sheet for sheet in sheets if len(sheet.table))
         self._composed: dict[tuple[int, tuple[int, int]], tuple[Any, Composition]] = {}
-        self._regions: dict[tuple[int, tuple[int, int]], tuple[Region, ...]] = {}
+        self._regions: dict[tuple[int, tuple[int, int]], tuple[ComposedLayers, ...]] = {}
 
     def __len__(self) -> int:
         return sum(len(sheet.table) for sheet in self.factors)
@@ -342,8 +338,8 @@ class LayerStack:
             self._composed[key] = (image, self._compose(image, size))
         return self._composed[key][1]
 
-    def regions(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> tuple[Region, ...]:
-        """The same as maps of two dimensions."""
+    def composed(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> tuple[ComposedLayers, ...]:
+        """Return the composed layers as maps of two dimensions."""
         composed, key = self.composition(image, size), (id(image), size)
         if key not in self._regions and self.factors:
             self._regions[key] = tuple(_regions(composed))
@@ -353,10 +349,10 @@ class LayerStack:
         tables = [sheet.table for sheet in self.factors]
         table = tables[0] if len(tables) == 1 else np.concatenate(tables)
         frames, members = np.empty((len(table), 4), np.int64), np.empty(len(table), np.int64)
-        boxes = frames[: apart(table, size, frames, members)]
-        boxes[:, 2:] -= boxes[:, :2]
-        ends = np.cumsum(boxes[:, 2] * boxes[:, 3])
-        starts, total = ends - boxes[:, 2] * boxes[:, 3], int(ends[-1]) if len(ends) else 0
+        regions = frames[: apart(table, size, frames, members)]
+        regions[:, 2:] -= regions[:, :2]
+        ends = np.cumsum(regions[:, 2] * regions[:, 3])
+        starts, total = ends - regions[:, 2] * regions[:, 3], int(ends[-1]) if len(ends) else 0
         maps = np.empty((3, total), np.float32)
         maps[:2] = 1
         pixels = np.zeros((0, 0, 0), np.uint8) if image is None else np.ascontiguousarray(image)
@@ -365,11 +361,11 @@ class LayerStack:
         first = 0
         for sheet in self.factors:
             end, into = first + len(sheet.table), np.ones((2, total), np.float32)
-            compose(sheet.table, sheet.pools, members[first:end], pixels, boxes, starts, *into, row)
+            compose(sheet.table, sheet.pools, members[first:end], pixels, regions, starts, *into, row)
             maps[:2] *= into
             first = end
         shift_of(*maps)
-        return Composition(boxes, starts, *maps)
+        return Composition(regions, starts, *maps)
 
 
 NO_LAYERS = LayerStack()
@@ -378,10 +374,10 @@ NOTHING = Composition(np.zeros((0, 4), np.int64), np.zeros(0, np.int64), *np.zer
 """What no layers say."""
 
 
-def _regions(composed: Composition) -> Iterator[Region]:
+def _regions(composed: Composition) -> Iterator[ComposedLayers]:
     for (top, left, rows, columns), start in zip(
-        composed.boxes.tolist(), composed.starts.tolist(), strict=True
+        composed.regions.tolist(), composed.starts.tolist(), strict=True
     ):
         pixels = slice(start, start + rows * columns)
         maps = (values[pixels].reshape(rows, columns) for values in composed[2:])
-        yield Region(top, left, *maps)
+        yield ComposedLayers(top, left, *maps)

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.moving_camera import View
+from ..core.checks import checked, shown
 from ..core.frame import Frame
 from ..core.short_repr import short_repr
 from .background import ODDS_STEPS, BackgroundFactor, Subtraction
-from .layers import NO_LAYERS, LayerStack, Region
+from .layers import NO_LAYERS, ComposedLayers, LayerStack, Region
 
 Map = NDArray[np.float32]
 
@@ -24,7 +25,6 @@ NEVER = -80.0  # log odds of background that leave nothing of it
 
 TINT = 0.6
 TINT_COLOUR = (60, 60, 255)  # what is drawn over the foreground: its share, and BGR
-Box = tuple[int, int, int, int]
 Window = tuple[slice, slice]
 
 
@@ -53,6 +53,8 @@ class PixelMessage:
     ------
     TypeError
         if `layers` is no `LayerStack`.
+    ValueError
+        if the image is of another kind, or empty.
     """
 
     background: BackgroundFactor | None = None
@@ -62,9 +64,12 @@ class PixelMessage:
 
     def __post_init__(self) -> None:
         if not isinstance(self.layers, LayerStack):
-            raise TypeError(
-                f"pixel message: got {type(self.layers).__name__} for layers, expected LayerStack([...])"
-            )
+            raise TypeError(f"layers: got {shown(self.layers)}, expected LayerStack([...])")
+        image: object = self.image
+        if image is not None and not (
+            isinstance(image, np.ndarray) and image.dtype == np.uint8 and image.ndim in (2, 3) and image.size
+        ):
+            raise ValueError(f"image: got {shown(image)}, expected uint8 (height, width[, 3]) with pixels")
 
     def __mul__(self, other: Self) -> Self:
         if self.background is not None and other.background is not None:
@@ -102,18 +107,18 @@ class PixelMessage:
         return self.background.compare(self.image)
 
     @property
-    def regions(self) -> tuple[Region, ...]:
+    def composed_layers(self) -> tuple[ComposedLayers, ...]:
         """The layers, composed; everywhere else they say nothing."""
-        return self.layers.regions(self.image, self.size)
+        return self.layers.composed(self.image, self.size)
 
     def foreground(self) -> NDArray[np.uint8]:
         """Return `(height, width)` uint8: 255 where P(B=0) is over one half, else 0."""
         out = self._log_odds()
         mask: NDArray[np.uint8] = np.empty(out.shape, np.uint8)
         np.right_shift(out, 7, out=mask.view(np.int8))  # all bits are the sign's
-        for region in self.regions:
-            window = region.window
-            odds = out[window] * np.float32(1 / ODDS_STEPS) + region.shift
+        for part in self.composed_layers:
+            window = part.window
+            odds = out[window] * np.float32(1 / ODDS_STEPS) + part.shift
             mask[window] = np.where(odds < 0, 255, 0)
         return mask
 
@@ -122,12 +127,13 @@ class PixelMessage:
         probability: Map = np.float32(1) / (np.float32(1) + np.exp(-self.log_odds()))
         return probability
 
-    def log_odds(self, box: Box | None = None) -> Map:
+    @checked
+    def log_odds(self, region: Region | None = None) -> Map:
         """Return the log of P(B=1) over P(B=0), by all factors of the message.
 
         Parameters
         ----------
-        box
+        region
             top, left, height and width px; it may reach over the picture's edge, where odds are even. The
             whole picture where it is left out.
 
@@ -138,25 +144,26 @@ class PixelMessage:
             layers they are within +-6.
         """
         odds = self._log_odds() * np.float32(1 / ODDS_STEPS)
-        for region in self.regions:
-            odds[region.window] += region.shift
-        if box is None:
+        for part in self.composed_layers:
+            odds[part.window] += part.shift
+        if region is None:
             return odds
-        window, place = _inside(box, self.size)
-        out = np.zeros(box[2:], np.float32)
+        window, place = _inside(region, self.size)
+        out = np.zeros(region[2:], np.float32)
         out[place] = odds[window]
         return out
 
-    def log_likelihood_ratio(self, box: Box | None = None) -> Map:
+    @checked
+    def log_likelihood_ratio(self, region: Region | None = None) -> Map:
         """Return the log of p(image | background is seen) over p(image | any colour is), pixel by pixel.
 
         This is what the image says of labels, without anybody's prior and without layers: `(height, width)`
-        float32 nats; 0 where there is no image or no background to compare it with. `box` is as of
+        float32 nats; 0 where there is no image or no background to compare it with. `region` is as of
         `log_odds`.
         """
-        out = np.zeros(self.size if box is None else box[2:], np.float32)
+        out = np.zeros(self.size if region is None else region[2:], np.float32)
         if self.subtraction is not None and self.background is not None:
-            window, place = _inside(box or (0, 0, *self.size), self.size)
+            window, place = _inside(region or (0, 0, *self.size), self.size)
             prior = np.log(self.background.prior) - np.log1p(-self.background.prior)
             out[place] = self._log_odds()[window] * np.float32(1 / ODDS_STEPS) - np.float32(prior)
         return out
@@ -178,7 +185,7 @@ class PixelMessage:
             return 0.0
         if image is None:
             clear, covered = background.prior, 1 - background.prior
-            masses = (clear * region.clear + covered * region.explained for region in self.regions)
+            masses = (clear * part.clear + covered * part.explained for part in self.composed_layers)
             return sum(float(np.log(mass, dtype=np.float64).sum()) for mass in masses)
         hidden = None if self.view is None else self.view.hidden
         if not self.layers and hidden is None:
@@ -191,15 +198,16 @@ class PixelMessage:
         """Of the image; what is `hidden` `(height, width)` counts as pixels of any colour."""
         shift = np.zeros(self.size, np.float32)
         explained = 0.0
-        for region in self.regions:
-            shift[region.window] = region.shift
-            seen = region.explained if hidden is None else region.explained[~hidden[region.window]]
+        for part in self.composed_layers:
+            shift[part.window] = part.shift
+            seen = part.explained if hidden is None else part.explained[~hidden[part.window]]
             explained += float(np.log(seen, dtype=np.float64).sum())
         if hidden is not None:
             shift[hidden] = NEVER
             explained -= int(hidden.sum()) * float(np.log1p(-background.prior))
         return background.log_likelihood(image, shift.reshape(-1)) + explained
 
+    @checked
     def log_density(self, among: NDArray[np.bool_]) -> float:
         """Return the log probability (nats) of what the image shows at some pixels, given all other factors.
 
@@ -217,19 +225,21 @@ class PixelMessage:
         """
         if self.image is None:
             raise ValueError("pixel message: got no image, expected one whose density is asked for")
+        if among.shape != self.size:
+            raise ValueError(f"among: got shape {among.shape}, expected that of the image, {self.size}")
         channels = 1 if self.image.ndim == 2 else self.image.shape[2]
         uniform = -channels * float(np.log(256.0))
         clear = 0.5 if self.background is None else self.background.prior
         total = 0.0
-        for region in self.layers.regions(None, self.size):
-            mass = clear * region.clear + (1 - clear) * region.explained
-            total -= float(np.log(mass[among[region.window]], dtype=np.float64).sum())
+        for part in self.layers.composed(None, self.size):
+            mass = clear * part.clear + (1 - clear) * part.explained
+            total -= float(np.log(mass[among[part.window]], dtype=np.float64).sum())
         if self.background is not None:
             total += self._log_mass_of_seen(self.background, self.image, ~among)
             return total - uniform * int((~among).sum())
-        for region in self.regions:
-            mass = 0.5 * region.clear + 0.5 * region.explained
-            total += float(np.log(mass[among[region.window]], dtype=np.float64).sum())
+        for part in self.composed_layers:
+            mass = 0.5 * part.clear + 0.5 * part.explained
+            total += float(np.log(mass[among[part.window]], dtype=np.float64).sum())
         return total + uniform * int(among.sum())
 
     def _log_odds(self) -> NDArray[np.int8]:
@@ -243,6 +253,7 @@ class PixelMessage:
 
 
 @short_repr
+@checked
 @dataclass(frozen=True)
 class PixelLabels:
     """Feature node of per-pixel labels and colours, shared by background, blobs, and whatever covers pixels.
@@ -274,10 +285,11 @@ def tint(picture: NDArray[np.uint8], foreground: Map) -> None:
     picture[...] = np.rint(picture + share * (np.array(TINT_COLOUR) - picture))
 
 
-def _inside(box: Box, size: tuple[int, int]) -> tuple[Window, Window]:
+def _inside(region: Region, size: tuple[int, int]) -> tuple[Window, Window]:
     """Rows and columns of the part of a region that is inside: in the picture, and in the region."""
     spans = [
-        (start, min(start + length, end)) for start, length, end in zip(box[:2], box[2:], size, strict=True)
+        (start, min(start + length, end))
+        for start, length, end in zip(region[:2], region[2:], size, strict=True)
     ]
     rows, columns = (slice(max(start, 0), max(stop, 0)) for start, stop in spans)
     top, left = (slice(max(-start, 0), max(stop - start, max(-start, 0))) for start, stop in spans)
@@ -285,6 +297,7 @@ def _inside(box: Box, size: tuple[int, int]) -> tuple[Window, Window]:
 
 
 @short_repr
+@checked
 @dataclass(frozen=True)
 class ScenePixels(PixelLabels):
     """Labels and colours of the scene's pixels, and the map by which a frame shows them.
