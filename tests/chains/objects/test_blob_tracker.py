@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from rsmcm.apps.scenes import sleeping_man
 from rsmcm.chains import AdaptiveBackground, BlobTracker, GroundPlane
 from rsmcm.chains.objects.blob_records import RECORD
-from rsmcm.chains.objects.blob_tracker import MORE_THAN_0
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.models import Frame, ObjectBoxes, PixelLabels
 
@@ -110,9 +108,6 @@ def test_one_thing_is_one_track_from_its_birth_to_its_exit(walked):
     assert seen[0] <= 14
     assert 70 <= seen[-1] <= 76
     assert not walked[-1]["blobs"].blobs
-
-
-def test_box_and_velocity_are_those_of_the_thing(walked):
     for number in range(15, 64):
         (track,) = tracks_of(walked[number])
         assert track.box == pytest.approx((-20 + 60 * number * DT, 50, 16, 40), abs=2)
@@ -120,18 +115,16 @@ def test_box_and_velocity_are_those_of_the_thing(walked):
         assert track.confidence > 0.9
 
 
-@pytest.mark.parametrize("time", [0.01, 0.2, 0.5])
-def test_an_object_is_reported_after_it_was_seen_for_a_while(walk, time):
-    for belief in run(walk[:25], confirmation_time=time):
+def test_an_object_is_reported_after_it_was_seen_for_a_while(walk):
+    for belief in run(walk[:25], confirmation_time=0.5):
         (blob,) = belief["blobs"].blobs or (None,)
-        assert bool(tracks_of(belief)) == (blob is not None and blob.seen >= time)
+        assert bool(tracks_of(belief)) == (blob is not None and blob.seen >= 0.5)
     assert blob.seen > 0.6
 
 
 @pytest.mark.parametrize(
-    ("size", "speed"), [(TALL, 20), (TALL, -40), (TALL, 60), ((40, 30), -40), ((40, 30), 60)]
+    ("size", "speed", "colour"), [(TALL, -40, BLUE), (TALL, 60, DARK), ((40, 30), 60, BLUE)]
 )
-@pytest.mark.parametrize("colour", [BLUE, DARK])
 def test_what_enters_over_the_edge_is_one_object(size, speed, colour):
     """What enters fast or is wide may keep a tail of the scene behind it, up to half its width."""
     start = -size[1] if speed > 0 else WIDTH
@@ -160,7 +153,7 @@ def test_what_vanishes_is_given_up_when_patience_is_over():
 
 
 def test_what_has_stopped_stays_foreground_and_the_scene_behind_it_stays_known():
-    frames = film(360, (TALL, RED, stopping))
+    frames = film(170, (TALL, RED, stopping))
     thing = np.s_[52:88, 62:74]
     correct, forgetful = run(frames), run(frames, feedback=False)
     assert identities(correct) == {1}
@@ -223,9 +216,9 @@ def test_head_and_body_that_are_born_apart_become_one():
     assert track.box == pytest.approx((19 + 40 * 59 * DT, 30, 16, 42), abs=3)
 
 
-@pytest.mark.parametrize("left", [48, 52, 54])
-def test_where_something_was_from_the_start_there_is_no_ghost_for_long(left):
-    beliefs = run(film(120, (TALL, DARK, lambda time: (left + 60 * max(0, time - 0.4), 50))))
+def test_where_something_was_from_the_start_there_is_no_ghost_for_long():
+    left = 48
+    beliefs = run(film(90, (TALL, DARK, lambda time: (left + 60 * max(0, time - 0.4), 50))))
     place = np.s_[50:90, left : left + 16]
     assert max((belief["pixels"].foreground()[place] > 0).mean() for belief in beliefs[10:30]) > 0.5
     for belief in beliefs[10 + 50 :]:
@@ -254,102 +247,39 @@ def test_missing_frames_are_bridged_by_the_motion(walk):
     assert seen[9] == pytest.approx(seen[0] + 9 * DT)
 
 
-def test_half_the_frames_show_the_same(walk, walked):
-    """Reported within a frame of the same time, in the same places and at the same speed."""
-    slow = list(engine().run(walk[::2], dt=2 * DT))
-    first = [next(k for k, belief in enumerate(beliefs) if tracks_of(belief)) for beliefs in (walked, slow)]
-    assert abs(first[0] - 2 * first[1]) <= 2
-    for number in range(9, 32):
-        (track,), (other,) = tracks_of(walked[2 * number]), tracks_of(slow[number])
-        assert other.box == pytest.approx(track.box, abs=2)
-        assert other.velocity == pytest.approx(track.velocity, abs=6)
-
-
-@pytest.mark.parametrize("colour", [WHITE, DARK])
-def test_grey_pictures(colour):
-    beliefs = run(film(80, (TALL, colour, moving(-20, 50, 60)), grey=True))
+def test_grey_pictures():
+    beliefs = run(film(60, (TALL, WHITE, moving(-20, 50, 60)), grey=True))
     assert identities(beliefs) == {1}
-    for number in range(20, 64):
+    for number in range(20, 60):
         (track,) = tracks_of(beliefs[number])
         assert track.box == pytest.approx((-20 + 60 * number * DT, 50, 16, 40), abs=3)
     assert beliefs[40]["blobs"].blobs[0].appearance.shape[0] == 1
 
 
 def test_without_objects_nothing_is_said():
-    frames = film(10)
-    both, pixels = run(frames), PixelLabels()
-    alone = list(RecursiveBP(MultiChain().connect(AdaptiveBackground(), pixels)).run(frames, dt=DT))
-    for belief, other in zip(both, alone, strict=True):
-        assert not belief["blobs"].blobs
-        assert not belief["pixels"].layers
-        np.testing.assert_array_equal(belief["pixels"].foreground(), other["pixels"].foreground())
-        assert belief["background"].mean.tobytes() == other["background"].mean.tobytes()
-        assert belief.log_evidence == other.log_evidence
-    tracker, message = BlobTracker(), pixels.uniform()
-    state = tracker.initial(Frame(frames[0], 0.0, 1))
-    said = tracker.message(state, pixels, Incoming({pixels: message}))
-    assert not said.layers
-    assert said.background is None
-    assert said.image is None
+    tracker, pixels = BlobTracker(), PixelLabels()
+    state = tracker.initial(Frame(film(1)[0], 0.0, 1))
+    message = tracker.message(state, pixels, Incoming({pixels: pixels.uniform()}))
+    assert not message.layers
+    assert message.background is None
+    assert message.image is None
 
 
-def test_states_are_values(walk):
-    beliefs = run(walk[:30])
-    state, tracker = beliefs[-1].state, engine()
-    kept = [contents(blob) for blob in state_blobs(state)]
-    first = tracker.step(state, Frame(walk[30], 30 * DT, 31))
-    assert kept == [contents(blob) for blob in state_blobs(state)]
-    tracker.step(state, Frame(walk[60], 30 * DT, 31))
-    again = tracker.step(state, Frame(walk[30], 30 * DT, 31))
-    assert same(first["blobs"], again["blobs"])
-    assert kept == [contents(blob) for blob in state_blobs(state)]
-
-
-def state_blobs(state):
-    return state.states["blobs"].blobs
-
-
-def test_the_same_run_twice_gives_the_same_bytes(walk, walked):
-    for belief, other in zip(walked, run(walk), strict=True):
-        assert same(belief["blobs"], other["blobs"])
-        assert tracks_of(belief) == tracks_of(other)
-        assert belief["pixels"].foreground().tobytes() == other["pixels"].foreground().tobytes()
-
-
-@pytest.mark.parametrize("at", [8, 30])
-def test_a_saved_run_with_blobs_goes_on_as_if_it_had_not_stopped(walk, walked, at, tmp_path):
-    engine().save(tmp_path / "state.npz", walked[at].state)
+def test_a_saved_run_with_blobs_goes_on_as_if_it_had_not_stopped(walk, walked, tmp_path):
+    engine().save(tmp_path / "state.npz", walked[30].state)
     state, _ = engine().load(tmp_path / "state.npz")
-    assert state_blobs(state)
-    assert same(state.states["blobs"], walked[at]["blobs"])
-    for belief, other in zip(engine().run(walk[at + 1 :], dt=DT, state=state), walked[at + 1 :], strict=True):
+    assert state.states["blobs"].blobs
+    resumed = engine().run(walk[31:50], dt=DT, state=state)
+    for belief, other in zip(resumed, walked[31:50], strict=True):
         assert same(belief["blobs"], other["blobs"])
         assert tracks_of(belief) == tracks_of(other)
-
-
-@pytest.mark.parametrize("name", MORE_THAN_0)
-@pytest.mark.parametrize("value", [0, -1.5, float("nan")])
-def test_parameters_must_be_positive(name, value):
-    with pytest.raises(ValueError, match=rf"^{name}: got {value}, expected more than 0$"):
-        BlobTracker(**{name: value})
-
-
-@pytest.mark.parametrize("value", [0, 1, -0.1, 3, float("nan")])
-def test_outliers_are_a_share(value):
-    with pytest.raises(ValueError, match=rf"^outliers: got {value}, expected a share"):
-        BlobTracker(outliers=value)
-
-
-def test_a_start_needs_an_image():
-    with pytest.raises(ValueError, match="frame 3: got no image"):
-        BlobTracker().initial(Frame(None, 0.0, 3))
 
 
 def test_three_chains_compose_and_the_ground_hears_of_boxes(walk):
-    beliefs = run(walk, ground=True)
+    beliefs = run(walk[:50], ground=True)
     assert identities(beliefs) == {1}
     assert not len(beliefs[5]["objects"].objects)
-    for number in range(32, 64):
+    for number in range(32, 50):
         (track,) = tracks_of(beliefs[number])
         assert track.box == pytest.approx((-20 + 60 * number * DT, 50, 16, 40), abs=3)
         mean, covariance = beliefs[number]["objects"].objects.marginal(1)
@@ -357,9 +287,3 @@ def test_three_chains_compose_and_the_ground_hears_of_boxes(walk):
         assert mean == pytest.approx((x + width / 2, y + height, width, height), abs=3)
         assert (covariance.diagonal() > 0).all()
         assert list(beliefs[number]["ground"].identities) == [1]
-
-
-def test_a_parked_car_that_leaves_is_a_few_tracks():
-    """Its edges set off as eight blobs; parts that it leaves over may be reported."""
-    beliefs = list(engine(ground=True).run(sleeping_man(80, enter=1000, car_leaves=10)))
-    assert 1 <= len(identities(beliefs)) <= 4

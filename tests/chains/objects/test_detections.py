@@ -1,7 +1,6 @@
 """What detections do to blobs: against a dense Kalman filter, and on films whose people are known."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -132,8 +131,8 @@ def test_doubt_grows_with_time_alike_in_one_step_and_in_many() -> None:
 
 
 def test_without_boxes_the_detectors_chain_changes_no_byte() -> None:
-    images = film(40, (-20, 60.0))
-    for one, two in zip(run(images, [None] * 40), run(images, [None] * 40, detector=False), strict=True):
+    images = film(20, (-20, 60.0))
+    for one, two in zip(run(images, [None] * 20), run(images, [None] * 20, detector=False), strict=True):
         assert one["blobs"].tracks() == two["blobs"].tracks()
         assert one["pixels"].foreground().tobytes() == two["pixels"].foreground().tobytes()
         assert one["ground"].scene.tobytes() == two["ground"].scene.tobytes()
@@ -142,7 +141,7 @@ def test_without_boxes_the_detectors_chain_changes_no_byte() -> None:
 def test_who_is_found_keeps_one_identity_and_who_is_not_is_not_reported() -> None:
     """Two walk; the detector knows the first one only."""
     known, unknown = (-16, 40.0), (150, -30.0)
-    beliefs = run(film(60, known, unknown), [boxes_at(number, known) for number in range(60)])
+    beliefs = run(film(40, known, unknown), [boxes_at(number, known) for number in range(40)])
     for number in range(15, 40):
         (track,) = beliefs[number]["blobs"].tracks()
         assert track.box == pytest.approx((-16 + 40 * number * DT, 50, 16, 40), abs=3)
@@ -154,20 +153,20 @@ def test_who_is_found_keeps_one_identity_and_who_is_not_is_not_reported() -> Non
 def test_two_who_walk_together_are_two() -> None:
     """With half a width between them."""
     pair = (-40, 40.0), (-16, 40.0)
-    beliefs = run(film(60, *pair), [boxes_at(number, *pair) for number in range(60)])
-    for number in range(20, 50):
+    beliefs = run(film(40, *pair), [boxes_at(number, *pair) for number in range(40)])
+    for number in range(20, 40):
         one, two = sorted(beliefs[number]["blobs"].tracks(), key=lambda track: track.box[0])
         for track, start in ((one, -40), (two, -16)):
             assert track.box == pytest.approx((start + 40 * number * DT, 50, 16, 40), abs=4)
-    assert len({track.identity for belief in beliefs[20:50] for track in belief["blobs"].tracks()}) == 2
+    assert len({track.identity for belief in beliefs[20:] for track in belief["blobs"].tracks()}) == 2
 
 
 def test_a_detector_on_every_fifth_frame_is_enough() -> None:
     """In between the pixels show where somebody is, or at least the motion does."""
     walker = (-16, 40.0)
-    given = [boxes_at(number, walker) if number % 5 == 0 else None for number in range(60)]
-    beliefs = run(film(60, walker), given)
-    found = [belief["blobs"].tracks() for belief in beliefs[20:44]]
+    given = [boxes_at(number, walker) if number % 5 == 0 else None for number in range(44)]
+    beliefs = run(film(44, walker), given)
+    found = [belief["blobs"].tracks() for belief in beliefs[20:]]
     assert {track.identity for tracks in found for track in tracks} == {found[0][0].identity}
     assert sum(len(tracks) for tracks in found) >= 22
     for number, tracks in enumerate(found, 20):
@@ -186,18 +185,6 @@ def test_who_vanishes_is_given_up_and_a_single_false_box_is_no_track() -> None:
     assert all(len(belief["blobs"].tracks()) <= 1 for belief in beliefs[12:])
 
 
-def test_a_saved_run_goes_on_as_if_it_had_not_stopped(tmp_path: Path) -> None:
-    walker = (-16, 40.0)
-    images, given = film(40, walker), [boxes_at(number, walker) for number in range(40)]
-    beliefs = run(images, given)
-    engine().save(tmp_path / "state.npz", beliefs[19].state)
-    state, _ = engine().load(tmp_path / "state.npz")
-    frames = [Frame(images[k], k * DT, k + 1, boxes=given[k]) for k in range(20, 40)]
-    for one, two in zip(engine().run(frames, state=state), beliefs[20:], strict=True):
-        assert one["blobs"].tracks() == two["blobs"].tracks()
-        assert one.log_evidence == two.log_evidence
-
-
 def test_a_detector_that_finds_nothing_has_run() -> None:
     images = film(8, (20, 0.0))
     nothing = GivenBoxes(np.zeros((0, 4)))
@@ -211,10 +198,9 @@ def test_a_detector_that_finds_nothing_has_run() -> None:
     assert existence[-1] < existence[3] - 3
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-def test_somebody_found_where_there_is_no_image_gets_the_colours_of_the_next(channels: int) -> None:
+def test_somebody_found_where_there_is_no_image_gets_the_colours_of_the_next() -> None:
     thing = (40, 0.0)
-    images = [image if channels == 3 else image[..., 0].copy() for image in film(10, thing)]
+    images = [image[..., 0].copy() for image in film(10, thing)]
     shown = [images[0], None, None, *images[3:]]
     given = [None, *(boxes_at(number, thing) for number in range(1, 10))]
     frames = [
@@ -224,18 +210,9 @@ def test_somebody_found_where_there_is_no_image_gets_the_colours_of_the_next(cha
     beliefs = list(engine().run(frames))
     assert [len(belief.states["blobs"].tracks()) for belief in beliefs] == [0] + [1] * 9
     (blob,) = beliefs[-1].states["blobs"].blobs
-    assert blob.appearance.shape == (channels, *blob.mask.shape)
+    assert blob.appearance.shape == (1, *blob.mask.shape)
     middle = blob.appearance[0, blob.mask.shape[0] // 2, blob.mask.shape[1] // 2]
     assert abs(middle - 30) < 5
-
-
-@pytest.mark.filterwarnings("error")
-def test_the_smallest_boxes_are_drawn_without_overflow() -> None:
-    for width, height in [(0.01, 0.01), (1.0, 1.0), (1.0, 30.0)]:
-        mask = detections._ellipse(width, height)
-        assert np.isfinite(mask).all()
-        assert mask.min() >= 0
-        assert mask.max() <= detections.SURE_COVER
 
 
 def test_boxes_alone_are_nothing_to_start_from() -> None:

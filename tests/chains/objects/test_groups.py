@@ -46,16 +46,13 @@ class Scene:
 
 
 def test_the_ratio_of_two_and_one_is_that_of_their_densities_of_width():
-    spread = math.hypot(0.05 * 40, 0.1 * 16)
+    std = math.hypot(0.05 * 40, 0.1 * 16)
     for width in (22, 26, 30, 35):
-        one = math.exp(-0.5 * ((width - 16) / spread) ** 2) / (spread * math.sqrt(2 * math.pi))
+        one = math.exp(-0.5 * ((width - 16) / std) ** 2) / (std * math.sqrt(2 * math.pi))
         found = pair_evidence((30, 20, width, 40), people())
         assert found == pytest.approx(math.log((1 / 16) / one))
-
-
-@pytest.mark.parametrize("width", [10, 16, 18, 37, 60])
-def test_one_is_not_two_and_nor_is_what_is_wider_than_two(width):
-    assert pair_evidence((30, 20, width, 40), people()) < 0
+    for width in (10, 16, 18, 37, 60):
+        assert pair_evidence((30, 20, width, 40), people()) < 0
 
 
 @pytest.mark.parametrize(

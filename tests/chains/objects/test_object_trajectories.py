@@ -1,14 +1,148 @@
-"""Trajectories as a chain of a whole film: what a tracker says, smoothed, joined, and cleaned."""
+"""Trajectories of objects: smoothing against known motions, joins, and the batch chain."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
+from numpy.typing import NDArray
 from rsmcm.chains import ObjectTrajectories
+from rsmcm.chains.objects.object_trajectories import (
+    ArrivalModel,
+    Boxes,
+    Motion,
+    find_joins,
+    join,
+    messages_of,
+    smooth_track,
+)
 from rsmcm.inference import BatchIncoming, CoordinateAscent, MultiChain, Port, Smoothed
 from rsmcm.models import Frame, ObjectBoxes
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.objects.box_message import BoxMessage
+
+MOTION = Motion(0.4, 0.1, 1.0)
+SIZE = (400, 600)
+RATE = 25
+ARRIVALS = ArrivalModel(SIZE, 0.2, 3.0)
+TIMES = np.arange(200) / RATE
+
+
+def walk(
+    identity: int,
+    frames: Sequence[int] | NDArray[np.int64],
+    start: tuple[float, float],
+    velocity: tuple[float, float] = (50.0, 0.0),
+    height: float = 60.0,
+    noise: float = 0.0,
+) -> Boxes:
+    """Somebody who walks straight on, seen in these frames; `start` is in frame 0."""
+    at = np.asarray(frames, np.int64)
+    random = np.random.default_rng(identity)
+    means = np.column_stack(
+        [start[axis] + velocity[axis] * TIMES[at] for axis in range(2)]
+        + [np.full(len(at), 0.4 * height), np.full(len(at), height)]
+    )
+    means += noise * random.normal(size=means.shape)
+    variances = np.full(means.shape, max(noise, 1.0) ** 2)
+    return Boxes(at, np.full(len(at), identity), means, variances)
+
+
+def test_smoothing_follows_a_straight_walk_through_gaps() -> None:
+    seen = np.r_[5:40, 70:120]
+    track = smooth_track(walk(3, seen, (100, 200), (40, 10)), TIMES, MOTION)
+    truth = walk(3, np.arange(5, 120), (100, 200), (40, 10))
+    found = track.boxes()
+    assert (track.first, track.last, track.identity) == (5, 119, 3)
+    np.testing.assert_array_equal(np.flatnonzero(track.seen) + 5, seen)
+    np.testing.assert_array_equal(found.frames, truth.frames)
+    np.testing.assert_allclose(found.means, truth.means, atol=0.3)
+    hidden = found.variances[50 - 5]
+    assert (hidden[:2] > 2 * found.variances[30 - 5][:2]).all()
+    # in a longer gap it is not reported in the middle
+    track = smooth_track(walk(3, np.r_[5:40, 115:150], (100, 200), (40, 10)), TIMES, MOTION)
+    reported = set(track.boxes().frames[track.reported()].tolist())
+    assert {*range(5, 42), *range(113, 150)} <= reported
+    assert not reported & set(range(70, 85))
+
+
+def test_smoothing_takes_noise_away_and_says_how_much_is_left() -> None:
+    errors, stated, raw = [], [], []
+    for seed in range(20):
+        seen = walk(seed, np.arange(0, 100), (100, 200), noise=3.0)
+        truth = walk(seed, np.arange(0, 100), (100, 200))
+        found = smooth_track(seen, TIMES, MOTION).boxes()
+        errors.append(found.means - truth.means)
+        raw.append(seen.means - truth.means)
+        stated.append(found.variances)
+    assert np.square(errors).mean() < 0.25 * np.square(raw).mean()
+    nees = np.mean(np.square(errors) / stated)
+    assert 0.2 < nees < 1.2  # straight walks vary less than the model expects
+
+
+def test_who_is_lost_behind_something_is_the_same_afterwards() -> None:
+    one, other = walk(1, range(20, 60), (100, 200)), walk(2, range(90, 150), (100, 200))
+    tracks = [smooth_track(track, TIMES, MOTION) for track in (one, other)]
+    next_of = find_joins(tracks, TIMES, MOTION, ARRIVALS)
+    assert next_of == {0: 1}
+    together = join(Boxes.together([one, other]), tracks, next_of)
+    assert set(together.identities.tolist()) == {1}
+    np.testing.assert_array_equal(together.frames, np.r_[20:60, 90:150])
+
+
+def test_others_are_others() -> None:
+    lost = walk(1, range(20, 60), (100, 200))
+    left = walk(2, range(0, 60), (480, 300))  # at the edge in frame 60
+    for track, new in (
+        (lost, walk(5, range(90, 150), (380, 200))),  # elsewhere
+        (lost, walk(5, range(90, 150), (712, 200), (-120, 0))),  # where he would be, running back
+        (lost, walk(5, range(90, 150), (100, 200), height=120)),  # twice as large
+        (lost, walk(5, range(150, 190), (100, 200))),  # after too long
+        (left, walk(5, range(100, 150), (950, 300), (-90, 0))),  # somebody comes, fast, where he went
+    ):
+        tracks = [smooth_track(each, TIMES, MOTION) for each in (track, new)]
+        assert find_joins(tracks, TIMES, MOTION, ARRIVALS) == {}
+
+
+def test_two_who_are_hidden_at_once_are_told_apart() -> None:
+    """Each alone could be either; together only one way is likely."""
+    ends = [walk(1, range(0, 50), (100, 200)), walk(2, range(0, 50), (100, 226))]
+    begins = [walk(3, range(70, 120), (100, 213)), walk(4, range(70, 120), (100, 232))]
+    tracks = [smooth_track(each, TIMES, MOTION) for each in (*ends, *begins)]
+    assert find_joins(tracks, TIMES, MOTION, ARRIVALS) == {0: 2, 1: 3}
+
+
+def test_boxes_become_messages_and_back() -> None:
+    boxes = Boxes.together([walk(4, range(3, 9), (100, 200)), walk(1, range(5, 7), (300, 100), noise=2.0)])
+    assert [track.identities[0] for track in boxes.tracks()] == [1, 4]
+    messages = messages_of(boxes, 12)
+    assert [len(message.objects) for message in messages] == [0, 0, 0, 1, 1, 2, 2, 1, 1, 0, 0, 0]
+    again = Boxes.of([message.objects for message in messages])
+    np.testing.assert_array_equal(again.frames, boxes.frames)
+    np.testing.assert_array_equal(again.identities, boxes.identities)
+    np.testing.assert_allclose(again.means, boxes.means)
+    np.testing.assert_allclose(again.variances, boxes.variances)
+    assert len(Boxes.of([])) == 0
+
+
+def test_a_mask_of_boxes_leaves_room() -> None:
+    box = Boxes(np.zeros(1, np.int64), np.ones(1, np.int64), np.array([[20.0, 30, 10, 20]]), np.ones((1, 4)))
+    mask = box.mask((40, 50), 0.1)
+    assert mask.sum() == 24 * 12
+    assert mask[8:32, 14:26].all()
+    assert not box.only(np.zeros(1, bool)).mask((40, 50), 0.1).any()
+    outside = Boxes(box.frames, box.identities, np.array([[-30.0, 30, 10, 20]]), box.variances)
+    assert not outside.mask((40, 50), 0.1).any()
+
+
+@pytest.mark.parametrize("place", [(100, 200), (20, 200), (590, 200), (300, 62), (300, 399)])
+def test_the_edge_is_near_where_a_box_touches_it(place: tuple[float, float]) -> None:
+    track = smooth_track(walk(1, range(10), place, (0.0, 0.0)), TIMES, MOTION)
+    assert ARRIVALS.at_edge(track, 0) == (place != (100, 200))
+    inside = smooth_track(walk(2, range(10), (100, 200), (0.0, 0.0)), TIMES, MOTION)
+    assert ARRIVALS.log_new(track) >= ARRIVALS.log_new(inside)
+    assert ARRIVALS.log_back(track) <= ARRIVALS.log_back(inside)
+
 
 N_FRAMES = 100
 BOXES = ObjectBoxes()

@@ -1,11 +1,18 @@
-"""Finding blobs again, against plain numpy in float64."""
+"""Registration of blobs, against plain numpy in float64, and on several threads."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.apps.scenes.crowd import crowd
+from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.chains.objects import registration as kernels
 from rsmcm.chains.objects.blob_records import RECORD, Patch
+from rsmcm.chains.objects.registration import assign_shards, patch_bounds
+from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.models import PixelLabels
+from rsmcm.models.numerics.threads import set_threads, thread_count
 
 from ...support.blob_patches import F4, density_of, sprite, textured
 
@@ -36,8 +43,7 @@ def searched(reach, expected, step, patch, rivals, blob):
     return kernels.search(reach, expected, F4(0.15), step, wide, others, whole, packed, rest)
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("shift", [(0, 0), (3, -2), (-5, 6), (7, 7)])
+@pytest.mark.parametrize(("channels", "shift"), [(1, (3, -2)), (3, (-5, 6)), (3, (7, 7))])
 def test_search_finds_a_shifted_blob(channels, shift):
     found = searched(8, kernels.Expected(0.0, 0.0, 0.001), 1, *registration(channels, *shift))
     assert found[:2] == pytest.approx(shift, abs=0.5)
@@ -45,10 +51,10 @@ def test_search_finds_a_shifted_blob(channels, shift):
     assert 0.1 <= found[3] <= 25
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("size", [(40, 21), (30, 32), (21, 50)])
-@pytest.mark.parametrize("step", [1, 3])
-@pytest.mark.parametrize("open_", [0.5, 0.0])
+@pytest.mark.parametrize(
+    ("channels", "size", "step", "open_"),
+    [(1, (40, 21), 1, 0.5), (3, (40, 21), 1, 0.0), (3, (30, 32), 3, 0.5), (3, (21, 50), 3, 0.0)],
+)
 def test_search_maximises_the_stated_sum(channels, size, step, open_):
     """Its variances and sub-pixel place are those of the scores in plain float64."""
     patch, rivals, blob = registration(channels, 2, -1, size=size)
@@ -84,7 +90,7 @@ def test_search_stays_at_the_prior_where_pixels_say_nothing():
     assert (variance_y, variance_x) == (25, 25)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(1, 90), st.integers(1, 90), st.integers(0, 40), st.integers(0, 40), st.floats(0.1, 200))
 def test_no_patch_reaches_beyond_its_bounds(rows, columns, top, left, variance):
     blob = np.zeros(1, RECORD)
@@ -100,3 +106,47 @@ def test_no_patch_reaches_beyond_its_bounds(rows, columns, top, left, variance):
     assert part[0] + 2 * reach + step * packed[0] <= height
     assert part[1] + 2 * reach + packed[1] <= width
     assert height * width * 4 <= kernels.scratch_for_search(blob, 0)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 30), st.integers(1, 4))
+def test_blobs_that_may_meet_are_in_one_shard(seed: int, n_blobs: int, count: int) -> None:
+    random = np.random.default_rng(seed)
+    table = np.zeros(n_blobs, RECORD)
+    table["position"] = random.integers(0, 400, (n_blobs, 2))
+    table["rows"], table["columns"] = random.integers(10, 50, (2, n_blobs))
+    shards = np.zeros(n_blobs, np.int64)
+    assign_shards(table, count, shards)
+    assert shards.min() >= 0
+    assert shards.max() < count
+    for behind in range(n_blobs):
+        top, left, rows, columns = patch_bounds(table[behind])
+        for front in range(behind):
+            # its smallest reach is 2 px, and it covers pixels of its own box alone
+            first = table["position"][front] - 2
+            room = [table["rows"][front] + 4, table["columns"][front] + 4]
+            overlap = np.minimum(first + room, [top + rows, left + columns]) - np.maximum(first, [top, left])
+            if (overlap > 0).all():
+                assert shards[behind] == shards[front]
+
+
+def states_of(frames: list[NDArray[np.uint8]]) -> list[bytes]:
+    """All that is known of blobs after each frame."""
+    pixels = PixelLabels()
+    model = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)
+    states = [belief["blobs"].blobs for belief in RecursiveBP(model).run(frames)]
+    assert len(states[-1]) > 5
+    return [blobs.words.tobytes() + blobs.masks.tobytes() for blobs in states]
+
+
+def test_any_number_of_threads_gives_the_same_bytes() -> None:
+    frames = list(crowd(10, 25, (300, 400)))
+    before = thread_count()
+    try:
+        results = []
+        for threads in (1, 2, 3):
+            set_threads(threads)
+            results.append(states_of(frames))
+        assert results[0] == results[1] == results[2]
+    finally:
+        set_threads(before)

@@ -91,23 +91,12 @@ def exact(prediction, image):
     return light, before, total, difference, odds
 
 
-def reading_of(prediction, image):
-    """Own log odds before second colours and neighbours, and the update."""
-    return prediction.compare(image), prediction.update(image)
-
-
 @pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_log_odds(channels, seed):
-    prediction, image = scene(channels, seed)
-    expected = np.clip(exact(prediction, image)[-1], -6, 6)
-    np.testing.assert_allclose(prediction.compare(image).log_odds * STEP, expected, atol=QUANTISATION)
-
-
-@pytest.mark.parametrize("channels", [1, 3])
-def test_update(channels):
+def test_log_odds_and_update(channels):
     prediction, image = scene(channels)
     light, before, total, difference, odds = exact(prediction, image)
+    stored = prediction.compare(image).log_odds * STEP
+    np.testing.assert_allclose(stored, np.clip(odds, -6, 6), atol=QUANTISATION)
     weight = 1 / (1 + np.exp(-np.clip(odds, -6, 6)))
     gain = light * before / total
     square = (difference**2).mean(axis=0)
@@ -137,8 +126,7 @@ def plainly(mean, variance, noise, image, prediction):
     return mean, np.clip(spread, 0.5, 60), np.clip(grain, 20, 400), odds
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("drift", [0.0, 0.05])
+@pytest.mark.parametrize(("channels", "drift"), [(3, 0.0), (1, 0.05)])
 def test_over_a_long_film_16_bits_say_what_float64_does(channels, drift):
     """The scene drifts, light comes and goes, things pass; without a drift a mean moves by 1/40 of a step."""
     rng, size = np.random.default_rng(11), (24, 32)
@@ -148,7 +136,7 @@ def test_over_a_long_film_16_bits_say_what_float64_does(channels, drift):
         colour.to_planes(room.astype(np.uint8)), np.full(768, 20, np.float32), np.full(768, 100, np.float32)
     )
     known, differing, compared = decoded(state), 0, 0
-    for frame in range(400):
+    for frame in range(250):
         light = 1 + 0.3 * np.sin(frame / 40)
         shown = light * (room + 0.02 * frame) + rng.normal(0, 1, shape) * grain
         shown[(frame % 60) // 4 : (frame % 60) // 4 + 8, 8:16] = 20
@@ -253,7 +241,7 @@ def pooled_plainly(log_odds, prior, share):
     return np.clip(log_odds + np.float32(share) * around, -127, 127)
 
 
-@pytest.mark.parametrize("size", [(23, 37), (1, 40), (3, 3), (2, 64), (40, 1)])
+@pytest.mark.parametrize("size", [(23, 37), (1, 40), (3, 3)])
 def test_pooling(size):
     log_odds = np.random.default_rng(6).integers(-120, 121, size).astype(np.int8)
     pooled = np.empty(log_odds.size, np.int8)
@@ -261,20 +249,13 @@ def test_pooling(size):
     np.testing.assert_allclose(pooled.reshape(size), pooled_plainly(log_odds, 44, 0.3), atol=1)
 
 
-def test_no_pooling_leaves_every_pixel_alone():
-    prediction, image = scene(3, pooling=0.0)
-    reading = prediction.compare(image)
-    np.testing.assert_array_equal(reading.smoothed, reading.log_odds)
-
-
 @pytest.mark.parametrize("channels", [1, 3])
 def test_bands_and_threads_change_nothing(channels):
-    image = scene(channels)[1]
     results = []
-    for threads in (1, 2, 3, 23, 50):
+    for threads in (1, 3, 50):
         set_threads(threads)
-        prediction = scene(channels)[0]
-        reading, after = reading_of(prediction, image)
+        prediction, image = scene(channels)
+        reading, after = prediction.compare(image), prediction.update(image)
         results.append((reading.log_odds, reading.smoothed, after.mean, after.variance, after.noise))
     for other in results[1:]:
         assert [a.tobytes() for a in other] == [a.tobytes() for a in results[0]]
@@ -380,17 +361,3 @@ def test_spans_are_where_there_is_foreground():
         found = {int(start) for start in spans[: foreground_spans(log_odds, spans)]}
         wanted = {int(i) // 64 * 64 for i in np.flatnonzero(log_odds < 0)}
         assert wanted <= found <= wanted | {size // 64 * 64}
-
-
-def test_the_same_image_is_read_once_and_its_update_given_away():
-    prediction, image = scene(3)
-    assert prediction.compare(image) is prediction.compare(image)
-    first, second = prediction.update(image), prediction.update(image)
-    assert first.mean is not second.mean
-    np.testing.assert_array_equal(first.mean, second.mean)
-
-
-def test_a_view_of_a_picture():
-    prediction, image = scene(3)
-    wide = np.repeat(image, 2, axis=1)[:, ::2]
-    np.testing.assert_array_equal(scene(3)[0].compare(wide).smoothed, prediction.compare(image).smoothed)

@@ -1,7 +1,5 @@
 """The mixture background against a textbook version, and beside the chain that it replaces."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import sleeping_man
@@ -84,13 +82,12 @@ def run(chain, images, dt=1 / 25):
     return np.array(masks), belief
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("components", [1, 3, 5])
+@pytest.mark.parametrize(("channels", "components"), [(1, 1), (3, 3), (1, 5)])
 def test_it_is_stauffer_and_grimson_s(channels, components):
     chain = MixtureBackground(components=components, rate=0.7, pooling=0.0)
     pixels = PixelLabels()
     dt, textbook = 0.1, None
-    for belief in RecursiveBP(MultiChain().connect(chain, pixels)).run(random_images(channels, 60), dt):
+    for belief in RecursiveBP(MultiChain().connect(chain, pixels)).run(random_images(channels, 30), dt):
         image = belief.frame.image
         planes = planes_of(image).T
         if textbook is None:
@@ -111,25 +108,24 @@ def test_it_is_stauffer_and_grimson_s(channels, components):
             assert mixture.variances[k, pixel] == pytest.approx(variance, rel=1e-4, abs=1e-2)
 
 
-@pytest.mark.parametrize("shape", [SIZE, (*SIZE, 3)])
-def test_what_waves_is_background(shape):
+def test_what_waves_is_background():
     rng = np.random.default_rng(1)
     images = [
-        np.clip((60 if number // 3 % 2 else 160) + rng.normal(0, 3, shape), 0, 255).astype(np.uint8)
-        for number in range(600)
+        np.clip((60 if number // 3 % 2 else 160) + rng.normal(0, 3, (*SIZE, 3)), 0, 255).astype(np.uint8)
+        for number in range(300)
     ]
     mixed, belief = run(MixtureBackground(), images)
     single, _ = run(AdaptiveBackground(settle_time=np.inf, follow_light=False), images)
     assert not mixed[-50:].any()
     assert (single[-48:] > 0).mean() == pytest.approx(0.5)
     picture = belief["background"].picture()
-    assert picture.shape == shape
+    assert picture.shape == (*SIZE, 3)
     assert picture.dtype == np.uint8
 
 
 def test_a_new_look_becomes_background_in_time():
     chain = MixtureBackground()
-    images = [np.full(SIZE, 60 if number < 100 else 160, np.uint8) for number in range(400)]
+    images = [np.full(SIZE, 60 if number < 100 else 160, np.uint8) for number in range(230)]
     masks, _ = run(chain, images)
     expected = -np.log(chain.background_share) / chain.rate
     foreground = (masks > 0).all(axis=(1, 2))
@@ -177,8 +173,7 @@ def test_where_a_ghost_is_the_picture_is_taken_as_it_is():
     np.testing.assert_allclose(after.mixture.weights.sum(axis=0), 1, rtol=1e-6)
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("shifted", [False, True])
+@pytest.mark.parametrize(("channels", "shifted"), [(1, False), (3, True)])
 def test_likelihood(channels, shifted):
     rng = np.random.default_rng(2)
     *_, image = random_images(channels, 20)
@@ -200,7 +195,7 @@ def test_likelihood(channels, shifted):
 
 def test_a_tracked_person_who_stands_stays_foreground():
     """Beside it, the same chains without feedback: the person becomes background."""
-    scene = sleeping_man(260, 0, size=(160, 120), stand=400, light_drift=0.0)
+    scene = sleeping_man(230, 0, size=(160, 120), stand=400, light_drift=0.0)
     recall = {}
     for feedback in (True, False):
         pixels = PixelLabels()
@@ -215,33 +210,3 @@ def test_a_tracked_person_who_stands_stays_foreground():
         recall[feedback] = found / visible
     assert recall[True] > 0.8
     assert recall[False] < 0.4
-
-
-@pytest.mark.parametrize("channels", [1, 3])
-def test_a_saved_run_goes_on_as_if_nothing_had_happened(channels, tmp_path):
-    pixels = PixelLabels()
-    engine = RecursiveBP(MultiChain().connect(MixtureBackground(), pixels))
-    images = list(random_images(channels, 12))
-    *_, middle = engine.run(images[:6])
-    engine.save(tmp_path / "state.npz", middle.state)
-    state, _ = engine.load(tmp_path / "state.npz")
-    *_, straight = engine.run(images[6:], state=middle.state)
-    *_, resumed = engine.run(images[6:], state=state)
-    for name in ("weights", "means", "variances"):
-        one, other = (getattr(belief["background"].mixture, name) for belief in (straight, resumed))
-        np.testing.assert_array_equal(one, other)
-
-
-def test_a_missing_frame_changes_nothing():
-    chain = MixtureBackground()
-    background = replace(chain.initial(Frame(np.zeros(SIZE, np.uint8), 0.0, 1)), elapsed=2.0)
-    assert chain.update(background, Incoming({PixelLabels(): PixelMessage()})) is background
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"prior": 1.0}, {"background_share": 0.0}, {"rate": 0.0}, {"components": 0}, {"pooling": -1.0}]
-)
-def test_parameters_out_of_range(wrong):
-    (name,) = wrong
-    with pytest.raises(ValueError, match=name):
-        MixtureBackground(**wrong)

@@ -29,7 +29,7 @@ SIZE = (480, 640)
 BLANK = np.zeros(SIZE, np.uint8)
 WHO = np.array([[200.0, 300.0, 40.0, 100.0], [330.0, 310.0, 42.0, 104.0]])
 OFF = np.array([4.0, -3.0, 2.0, 5.0])
-SPREAD = np.diag([3.0, 4.0, 5.0, 6.0]) ** 2
+COVARIANCE = np.diag([3.0, 4.0, 5.0, 6.0]) ** 2
 
 
 def xyxy(boxes: Numbers) -> Numbers:
@@ -43,7 +43,7 @@ def frame(boxes: Numbers, scores: Numbers | None = None) -> Frame:
 
 def known(means: Numbers = WHO, existence: float = 2.0, noticed: float = 1.5) -> BoxMessage:
     identities = np.arange(1, len(means) + 1)
-    gaussian = GaussianMessage.from_moments(identities, means, np.tile(SPREAD, (len(means), 1, 1)))
+    gaussian = GaussianMessage.from_moments(identities, means, np.tile(COVARIANCE, (len(means), 1, 1)))
     odds = (LogOdds(identities, np.full(len(means), each)) for each in (existence, noticed))
     existence_, noticed_ = odds
     return BoxMessage(gaussian, existence=existence_, noticed=noticed_)
@@ -91,7 +91,7 @@ def summed(found: Numbers, prior: BoxMessage, detector: BoxDetector) -> tuple[Nu
     return pairs / total, ratio, float(np.log(total)) - poisson
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32), st.integers(1, 2), st.integers(0, 2), st.floats(-2, 4))
 def test_one_object_or_one_box_is_exact(seed: int, n_objects: int, n_boxes: int, existence: float) -> None:
     """Who is there, which box is whose, and how likely all boxes are."""
@@ -200,14 +200,6 @@ def test_messages_multiply() -> None:
     assert (detector * BoxMessage()).detector is detector.detector
     with pytest.raises(ValueError, match="two factors detector"):
         detector * detector
-
-
-@pytest.mark.parametrize(
-    "values", [{"found": 0}, {"found": 1}, {"clutter": 0}, {"size": -1}, {"position": float("nan")}]
-)
-def test_bad_detectors(values: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=rf"{next(iter(values))}: got"):
-        BoxDetector(**values)  # type: ignore[arg-type]
 
 
 def test_feet() -> None:

@@ -1,11 +1,14 @@
-"""Loops over soft masks against plain numpy."""
+"""Loops over masks and pixels of blobs, against plain numpy."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from rsmcm.chains.objects import blob_records as kernels
 from rsmcm.chains.objects.blob_records import fade_beyond, measured
 from rsmcm.chains.objects.blobs import without_crumbs
+from rsmcm.chains.pixels.background_prediction import colour
 
 F4 = np.float32
 
@@ -24,7 +27,7 @@ def span(hit):
     return (int(places[0]), int(places[-1]) + 1) if places.size else (len(hit), 0)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(masks)
 def test_boxes_and_mass(mask):
     shape = measured(mask)
@@ -36,7 +39,7 @@ def test_boxes_and_mass(mask):
     np.testing.assert_allclose(shape["mass"], mask.sum(dtype=float), rtol=1e-5, atol=1e-6)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(masks)
 def test_the_waist_is_the_narrowest_place_between_upright_parts(mask):
     heights = np.pad(mask.sum(axis=0, dtype=float), 1, mode="edge")
@@ -63,7 +66,7 @@ def test_two_upright_parts_have_a_waist_and_one_has_none():
     assert measured(pair)["waist_depth"] == 1
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(masks, st.floats(0, 20), st.floats(0, 20))
 def test_fade_beyond(mask, height, width):
     def median(masses):
@@ -88,3 +91,63 @@ def test_crumbs_are_spots_of_less_than_a_tenth_of_the_largest():
     np.testing.assert_array_equal(mask, expected)
     assert not without_crumbs(mask)
     assert not without_crumbs(np.zeros((5, 7), F4))
+
+
+@pytest.mark.parametrize(("size", "scale"), [((40, 60), 4), ((7, 5), 1), ((33, 65), 4)])
+def test_count_foreground(size, scale):
+    log_odds = np.random.default_rng(5).integers(-20, 127, size).astype(np.int8)
+    counts = np.full((-(-size[0] // scale), -(-size[1] // scale)), 7, np.int32)
+    kernels.count_foreground(log_odds.reshape(-1), size[1], scale, counts, np.empty(200, np.int64))
+    wide = np.zeros((counts.shape[0] * scale, counts.shape[1] * scale), bool)
+    wide[: size[0], : size[1]] = log_odds < 0
+    expected = wide.reshape(counts.shape[0], scale, counts.shape[1], scale).sum(axis=(1, 3))
+    np.testing.assert_array_equal(counts, expected)
+
+
+@settings(max_examples=20, deadline=None)
+@given(masks, st.integers(-20, 30), st.integers(-20, 40), st.integers(1, 5))
+def test_clear_blocks(mask, top, left, scale):
+    counts = np.random.default_rng(0).integers(1, 9, (7, 9)).astype(np.int32)
+    expected = counts.copy()
+    for row, column in np.argwhere(mask > 0.2):
+        y, x = (top + row) // scale, (left + column) // scale
+        if 0 <= y < 7 and 0 <= x < 9:
+            expected[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2] = 0
+    kernels.clear_blocks(counts, top, left, mask, scale, np.empty(18, F4))
+    np.testing.assert_array_equal(counts, expected)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.sampled_from([1, 3]),
+    st.integers(-12, 25),
+    st.integers(-20, 40),
+    st.integers(1, 14),
+    st.integers(1, 20),
+)
+def test_gather_cuts_a_box_out_of_the_picture(channels, top, left, rows, columns):
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 256, (17, 29, channels)).astype(np.uint8)
+    log_odds = rng.integers(-127, 128, (17, 29)).astype(np.int8)
+    planes, odds, free = (
+        np.full(shape, 9, F4) for shape in ((channels, rows, columns), *[(rows, columns)] * 2)
+    )
+    kernels.gather(image, log_odds, top, left, kernels.Patch(planes, odds, free))
+    wide = colour.to_planes(image if channels == 3 else image[:, :, 0]).reshape(channels, 17, 29)
+    wide, in_nats = np.pad(wide, ((0, 0), (50, 50), (50, 50))), np.pad(log_odds / 20.0, 50)
+    box = (slice(50 + top, 50 + top + rows), slice(50 + left, 50 + left + columns))
+    np.testing.assert_allclose(planes, wide[:, *box], atol=1e-3)
+    np.testing.assert_allclose(odds, in_nats[box], atol=1e-6)
+    np.testing.assert_array_equal(free, np.pad(np.ones((17, 29)), 50)[box])
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(-15, 15), st.integers(-15, 15))
+def test_cover_takes_away_what_a_mask_covers(top, left):
+    rng = np.random.default_rng(1)
+    mask, free = rng.random((7, 9)).astype(F4), rng.random((11, 8)).astype(F4)
+    wide = np.ones((60, 60))
+    wide[20 + top : 27 + top, 20 + left : 29 + left] = 1 - mask
+    expected = free * wide[20:31, 20:28]
+    kernels.cover(free, top, left, mask)
+    np.testing.assert_allclose(free, expected, rtol=1e-6)
