@@ -24,7 +24,7 @@ from .files import GREY, orthographic_parts
 
 
 def known_lens(frames: Sequence[Frame], focal: float | None, picture: Path | None) -> tuple[Lens, str]:
-    """What is known of the camera, and what was taken for granted, in a sentence.
+    """Return what is known of the lens, and a sentence on what is assumed.
 
     The focal length is in px, `None` where it is not given; `picture` is a file of the film that may tell it.
     """
@@ -42,14 +42,14 @@ def known_lens(frames: Sequence[Frame], focal: float | None, picture: Path | Non
 
 
 def camera_in_words(result: Reconstruction) -> str:
-    """For instance "perspective, focal length 660 ± 4 px"; of an affine one why it is that."""
+    """Describe the camera, as in "perspective, focal length 660 ± 4 px", or why it is affine."""
     if result.perspective is not None:
         return f"perspective, {focal_in_words(result.perspective)}"
     return f"affine: {result.affine_reason}" if result.affine_reason else "affine"
 
 
 def focal_in_words(structure: PerspectiveStructure) -> str:
-    """For instance "focal length 660 ± 4 px"."""
+    """Describe the focal length, as in "focal length 660 ± 4 px"."""
     if structure.curvature_deviation == 0:
         return f"focal length {structure.cameras.focal:.5g} px, as given"
     if not math.isfinite(structure.focal_deviation):
@@ -59,7 +59,7 @@ def focal_in_words(structure: PerspectiveStructure) -> str:
 
 
 def facts_of(result: Reconstruction) -> dict[str, Any]:
-    """What the summary of any engine says of points and camera."""
+    """Return the entries of `summary.json` on points and camera, of any engine."""
     return {
         "points": result.n_points,
         "observations": result.n_observations,
@@ -72,7 +72,7 @@ def facts_of(result: Reconstruction) -> dict[str, Any]:
 
 
 def in_words(summary: Mapping[str, Any]) -> list[str]:
-    """Points, and how well they fit."""
+    """Describe the number of points and how well they fit."""
     words = f"{summary['frames']} frames, {summary['points']} points from {summary['tracks']} tracks"
     if not summary["points"]:
         return [words]
@@ -103,7 +103,7 @@ PICTURE_SIDE = 640
 def write_film(
     folder: Path, frames: Sequence[Frame], rate: float, result: Reconstruction | None = None
 ) -> Film:
-    """Write the film without drawings to the folder, with the places of points, and read it again."""
+    """Write the film without drawings, with the places of points, to the folder; read it again."""
     with FilmWriter(folder, rate) as writer:
         for index, frame in enumerate(frames):
             writer.add(frame, dict if result is None else partial(view_row, result, index))
@@ -111,12 +111,12 @@ def write_film(
 
 
 def film_of_tracks(frames: Sequence[Frame], result: Reconstruction) -> tuple[Film, tuple[float, float]]:
-    """A film without pictures that is as large as the points need, and its upper left corner, px."""
+    """Return a film without pictures that is as large as the points need, and its upper left corner, px."""
     return film_of_points(result.places, [frame.number for frame in frames], [frame.time for frame in frames])
 
 
 def view_row(result: Reconstruction, index: int) -> Row:
-    """What is drawn on a frame of the video: see `PointsOverlay`."""
+    """Return what is drawn on a frame: see `PointsOverlay`."""
     shown = evenly_spaced(result.n_points, most_over_film(len(result.observed)))
     places = result.places[index, shown].astype(np.float32)
     return {"id": np.array(shown, np.int32), "points": places, "seen": result.observed[index, shown]}
@@ -131,7 +131,7 @@ def structure_page(
     film: Film,
     corner: tuple[float, float] = EDGE,
 ) -> Page:
-    """Fill the page of a run.
+    """Return the page of a run.
 
     `colours (n_points, 3)` BGR are those of the points in space; the film is of all frames, or of the last
     ones, and `corner` its upper left one, in the points' px.
@@ -177,7 +177,7 @@ def nothing_page(
     summary: Mapping[str, Any],
     film: Film | None,
 ) -> Page:
-    """Fill the page of a run that has found nothing: what is missing, why, and the film that it has seen.
+    """Return the page of a run without a result: what is missing, why, and the film.
 
     `figures` were measured, by names as they are in `summary.json`; without pictures there is no film.
     """
@@ -209,7 +209,7 @@ def _cards(result: Reconstruction, summary: Mapping[str, Any]) -> dict[str, str]
 
 
 def three_sides(result: Reconstruction, colours: NDArray[np.uint8]) -> list[Plot]:
-    """The points of a shape that is not undetermined, from three sides."""
+    """Plot the points of a shape from three sides."""
     centred = result.shape - np.median(result.shape, axis=0)
     # what is badly known lies anywhere, and would make everything else small
     shown = np.all(np.abs(centred) <= 2 * np.quantile(np.abs(centred), 0.9, axis=0), axis=1)
