@@ -44,7 +44,7 @@ def test_chains_are_short() -> None:
         counted = [line for line in block.splitlines() if line.strip() and "import" not in line]
         return len(counted[next(n for n, line in enumerate(counted) if line.startswith(first)) :])
 
-    assert lines(blocks[0], "box = ") <= 15
+    assert lines(blocks[0], "region = ") <= 15
     assert lines(blocks[1], "walkers = ") <= 8
     assert lines(blocks[2], "@dataclass") <= 40
 

@@ -56,16 +56,6 @@ def test_the_waist_is_the_narrowest_place_between_upright_parts(mask):
         )
 
 
-def test_two_upright_parts_have_a_waist_and_one_has_none():
-    pair = np.zeros((20, 21), F4)
-    pair[2:18, 2:9] = pair[2:18, 12:19] = 0.9
-    shape = measured(pair)
-    assert 9 <= shape["waist"] <= 11
-    assert shape["waist_depth"] < 0.1
-    pair[2:18, 9:12] = 0.9
-    assert measured(pair)["waist_depth"] == 1
-
-
 @settings(max_examples=20, deadline=None)
 @given(masks, st.floats(0, 20), st.floats(0, 20))
 def test_fade_beyond(mask, height, width):

@@ -90,6 +90,11 @@ def test_a_box_corrects_place_velocity_and_size_as_a_dense_filter_does() -> None
         assert after.box_variance[axis] == pytest.approx(covariance[2, 2])
     np.testing.assert_allclose(after.box_mean[2:], [20 + 9 / 19 * 4, 30 + 16 / 28 * 3])
     assert after.existence == 2.5
+    # boxes that follow each other soon are worth less
+    soon = blob.changed(unfound=0.2 * detections.WHOLE)
+    (fifth,) = detections.correct(Blobs.of([soon], 3), told(box, noise))
+    (noisy,) = detections.correct(Blobs.of([blob], 3), told(box, 5 * noise))
+    np.testing.assert_allclose(fifth.position, noisy.position)
 
 
 def test_somebody_new_has_the_outline_that_the_detector_gives() -> None:
@@ -104,16 +109,6 @@ def test_somebody_new_has_the_outline_that_the_detector_gives() -> None:
     placed = np.zeros((120, 160), np.float32)
     placed[top : top + blob.mask.shape[0], left : left + blob.mask.shape[1]] = blob.mask
     np.testing.assert_allclose(placed, 0.9 * picture[0])
-
-
-def test_boxes_that_follow_each_other_soon_are_worth_less() -> None:
-    blob, noise = blob_at(100.0, 50.0), np.array([6.0, 6.0, 10.0, 12.0])
-    soon = blob.changed(unfound=0.2 * detections.WHOLE)
-    box = np.array([114.0, 83.0, 24.0, 33.0])
-    (one,), (two,) = (detections.correct(Blobs.of([each], 3), told(box, noise)) for each in (blob, soon))
-    (five,) = detections.correct(Blobs.of([blob], 3), told(box, 5 * noise))
-    assert two.position[1] < one.position[1]
-    np.testing.assert_allclose(two.position, five.position)
 
 
 def test_doubt_grows_with_time_alike_in_one_step_and_in_many() -> None:
@@ -213,13 +208,3 @@ def test_somebody_found_where_there_is_no_image_gets_the_colours_of_the_next() -
     assert blob.appearance.shape == (1, *blob.mask.shape)
     middle = blob.appearance[0, blob.mask.shape[0] // 2, blob.mask.shape[1] // 2]
     assert abs(middle - 30) < 5
-
-
-def test_boxes_alone_are_nothing_to_start_from() -> None:
-    thing = (40, 0.0)
-    given = [boxes_at(number, thing) for number in range(3)]
-    first, second, third = (Frame(None, number * DT, number + 1, boxes=given[number]) for number in range(3))
-    beliefs = list(engine().run([first, replace(second, image=film(2, thing)[1]), third]))
-    assert beliefs[0].frame.missing
-    assert [len(belief.states) for belief in beliefs] == [0, 4, 4]
-    assert [track.identity for track in beliefs[2].states["blobs"].tracks()] == [1]

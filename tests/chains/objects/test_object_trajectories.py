@@ -125,16 +125,6 @@ def test_boxes_become_messages_and_back() -> None:
     assert len(Boxes.of([])) == 0
 
 
-def test_a_mask_of_boxes_leaves_room() -> None:
-    box = Boxes(np.zeros(1, np.int64), np.ones(1, np.int64), np.array([[20.0, 30, 10, 20]]), np.ones((1, 4)))
-    mask = box.mask((40, 50), 0.1)
-    assert mask.sum() == 24 * 12
-    assert mask[8:32, 14:26].all()
-    assert not box.only(np.zeros(1, bool)).mask((40, 50), 0.1).any()
-    outside = Boxes(box.frames, box.identities, np.array([[-30.0, 30, 10, 20]]), box.variances)
-    assert not outside.mask((40, 50), 0.1).any()
-
-
 @pytest.mark.parametrize("place", [(100, 200), (20, 200), (590, 200), (300, 62), (300, 399)])
 def test_the_edge_is_near_where_a_box_touches_it(place: tuple[float, float]) -> None:
     track = smooth_track(walk(1, range(10), place, (0.0, 0.0)), TIMES, MOTION)

@@ -43,14 +43,6 @@ def searched(reach, expected, step, patch, rivals, blob):
     return kernels.search(reach, expected, F4(0.15), step, wide, others, whole, packed, rest)
 
 
-@pytest.mark.parametrize(("channels", "shift"), [(1, (3, -2)), (3, (-5, 6)), (3, (7, 7))])
-def test_search_finds_a_shifted_blob(channels, shift):
-    found = searched(8, kernels.Expected(0.0, 0.0, 0.001), 1, *registration(channels, *shift))
-    assert found[:2] == pytest.approx(shift, abs=0.5)
-    assert 0.1 <= found[2] <= 25
-    assert 0.1 <= found[3] <= 25
-
-
 @pytest.mark.parametrize(
     ("channels", "size", "step", "open_"),
     [(1, (40, 21), 1, 0.5), (3, (40, 21), 1, 0.0), (3, (30, 32), 3, 0.5), (3, (21, 50), 3, 0.0)],

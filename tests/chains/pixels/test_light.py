@@ -34,7 +34,7 @@ def stored(image):
     return fixed_point(planes, planes[0], planes[0]).mean
 
 
-@pytest.mark.parametrize("size", [(23, 37), (576, 768), (2, 2), (5, 1000)])
+@pytest.mark.parametrize("size", [(23, 37), (2, 2), (5, 1000)])
 def test_light_is_interpolated_between_block_centres(size):
     blocks = np.random.default_rng(9).uniform(0.5, 2, (3, 4)).astype(np.float32)
     field = LightField(blocks, size)
@@ -107,18 +107,17 @@ def light_after(frames, wall, covered, dt=0.04):
     return light.blocks, shares
 
 
-@pytest.mark.parametrize("texture", [0, 12])
-@pytest.mark.parametrize("lamp", [1.0, 0.7])
+@pytest.mark.parametrize(("texture", "lamp"), [(0, 0.7), (12, 1.0)])
 def test_a_person_who_stays_is_not_taken_for_shade(texture, lamp):
     wall, covered = room(texture)
     person = 60 + np.random.default_rng(6).normal(0, 4, SIZE)
     seen = lamp * np.where(covered > 0, person, wall)
-    blocks, shares = light_after([seen] * 300, wall, covered)
+    blocks, shares = light_after([seen] * 100, wall, covered)
     assert (shares == 1).sum() > 50
     np.testing.assert_allclose(blocks, lamp, atol=0.03)
 
 
-@pytest.mark.parametrize("dt", [0.02, 0.04, 0.08])
+@pytest.mark.parametrize("dt", [0.02, 0.08])
 def test_shade_on_what_is_wrongly_taken_for_an_object_is_followed_by_its_texture(dt):
     wall, covered = room(16)
     shade = cv2.GaussianBlur(np.where(covered > 0, 0.7, 1.0), (0, 0), 8)

@@ -123,24 +123,6 @@ def test_what_waves_is_background():
     assert picture.dtype == np.uint8
 
 
-def test_a_new_look_becomes_background_in_time():
-    chain = MixtureBackground()
-    images = [np.full(SIZE, 60 if number < 100 else 160, np.uint8) for number in range(230)]
-    masks, _ = run(chain, images)
-    expected = -np.log(chain.background_share) / chain.rate
-    foreground = (masks > 0).all(axis=(1, 2))
-    assert not foreground[:100].any()
-    assert foreground[100:].sum() / 25 == pytest.approx(expected, abs=2 / 25)
-
-
-def test_time_counts_and_not_frames():
-    images = list(random_images(3, 2))
-    slow, fast = (run(MixtureBackground(), images, dt)[1]["background"].mixture for dt in (2.0, 1.0))
-    one = run(MixtureBackground(), [images[0], None, images[1]], 1.0)[1]["background"].mixture
-    np.testing.assert_array_equal(one.weights, slow.weights)
-    assert (fast.weights[1] < slow.weights[1]).any()
-
-
 def heard(chain, background, image, layers):
     """The chain's state after an image, told of layers."""
     told = PixelMessage(image=image, layers=LayerStack(layers))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rsmcm.models.numerics.rotations import cross_matrices, exponential, logarithm, nearest_rotation
 
@@ -13,6 +13,7 @@ def test_no_turn_is_exact() -> None:
     np.testing.assert_array_equal(exponential(np.zeros((2, 3))), np.tile(np.eye(3), (2, 1, 1)))
 
 
+@settings(max_examples=20, deadline=None)
 @given(seeds, st.floats(1e-9, np.pi - 1e-6))
 def test_logarithm_undoes_exponential(seed: int, angle: float) -> None:
     vectors = np.random.default_rng(seed).normal(size=(5, 3))
@@ -20,6 +21,7 @@ def test_logarithm_undoes_exponential(seed: int, angle: float) -> None:
     np.testing.assert_allclose(logarithm(exponential(vectors)), vectors, rtol=1e-6, atol=1e-14)
 
 
+@settings(max_examples=20, deadline=None)
 @given(seeds)
 def test_cross_matrices(seed: int) -> None:
     first, second = np.random.default_rng(seed).normal(size=(2, 4, 3))
@@ -27,6 +29,7 @@ def test_cross_matrices(seed: int) -> None:
     np.testing.assert_allclose(product, np.cross(first, second), atol=1e-14)
 
 
+@settings(max_examples=20, deadline=None)
 @given(seeds)
 def test_nearest_rotation_is_a_rotation_and_no_other_is_nearer(seed: int) -> None:
     random = np.random.default_rng(seed)
