@@ -31,7 +31,7 @@ RECORD = np.dtype(
         ("confidence", np.float64),  # share of its visible part that was seen in the last frame
         ("view", np.float64),  # nats, log ratio of being a ghost and being real by its outline as it is now
         ("past_views", np.float64),  # the same by how it was before
-        ("fragment_time", np.float64),  # s for which it has been much smaller than anybody where it stands
+        ("fragment_time", np.float64),  # s for which it has been much smaller than a person where it stands
         ("whole", np.int64),  # identity of the object that it is a part of; its own if it is one itself
         ("origin", np.float64, (4,)),  # x, y, width, height px of where it appeared
         ("parting", np.float64),  # s for which it has seemed to be two beside each other

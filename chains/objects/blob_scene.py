@@ -49,7 +49,7 @@ from .blob_records import (
     overlap,
     patch_in,
 )
-from .blobs import Blob, Blobs, Map, Pair
+from .blobs import Blob, Blobs, Map, Numbers
 from .registration import make_picture, sprite_of
 
 _f4 = np.float32
@@ -573,9 +573,9 @@ class BlobScene:
         self._layers = layers
         self._objects = None if boxes is None else boxes.objects
 
-    def expected_sizes(self, blobs: Blobs) -> Pair:
+    def expected_sizes(self, blobs: Blobs) -> Numbers:
         """Return `(n, 2)` px, usual height and width, fused with other chains' predictions."""
-        sizes: Pair = np.ascontiguousarray(blobs.table["size"])
+        sizes: Numbers = np.ascontiguousarray(blobs.table["size"])
         if self._objects is None or not len(self._objects.identities) or not len(blobs):
             return sizes
         identities, means, covariances = self._objects.moments
@@ -619,7 +619,7 @@ class BlobScene:
         for record in blobs.table[first:]:
             colour_newborn(record, blobs.pools, self.picture.image)
 
-    def shown_in(self, spot: Spot, blobs: Blobs) -> tuple[Pair, Map, Map]:
+    def shown_in(self, spot: Spot, blobs: Blobs) -> tuple[Numbers, Map, Map]:
         """Return foreground in a spot and around it that no blob covers: top and left, mask, and planes."""
         top, left = spot[0] - MARGIN, spot[1] - MARGIN
         shape = (spot[2] + MARGIN - top, spot[3] + MARGIN - left)

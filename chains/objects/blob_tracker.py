@@ -138,8 +138,8 @@ class BlobTracker:
         blobs, newborn, layers = self._placed(state, incoming)
         if boxes is not None and boxes.association is not None:
             blobs = blobs.select(detections.are_kept(blobs, state.size))
-            everybody, born = blobs.concatenate(newborn), state.born + len(newborn)
-            state = replace(state, blobs=everybody, born=born, detecting=True)
+            all_blobs, born = blobs.concatenate(newborn), state.born + len(newborn)
+            state = replace(state, blobs=all_blobs, born=born, detecting=True)
         if pixels.subtraction is None:
             return state
         scene = BlobScene(pixels, layers, boxes, state.elapsed)

@@ -18,7 +18,7 @@ from ...models.pixels.layers import LAYER, LayerSheet, Pools, log_density_ratio
 from .blob_records import MARGIN, RECORD, UNKNOWN_COLOUR, fill_boxes, measure_all, measured
 
 Map = NDArray[np.float32]
-Pair = NDArray[np.float64]
+Numbers = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 Covariance = tuple[tuple[float, float], tuple[float, float]]
 
@@ -31,7 +31,7 @@ HALF_OVERLAP = 0.37
 Two boxes of one size that are off by a and b of their sides share (1 - a) (1 - b) / (2 - (1 - a) (1 - b)).
 """
 
-OWN_WAY = 3.0  # s after which what still moves, as small as it is, is somebody by itself
+OWN_WAY = 3.0  # s after which what still moves, as small as it is, is an object by itself
 
 COVERED, CRUMB = 0.3, 0.1
 """Probability of cover from which on pixels make a spot, and share of the largest that crumbs have not."""
@@ -62,7 +62,7 @@ class Track:
         )
 
 
-def centre_covariance(variance: Pair) -> Covariance:
+def centre_covariance(variance: Numbers) -> Covariance:
     """Return the covariance of a box's centre from `(4,)` px^2 variances of `ObjectBoxes`."""
     return (
         (float(variance[FOOT_X]), 0.0),
@@ -83,7 +83,7 @@ class Blob:
     def newborn(
         cls,
         identity: int,
-        corner: Pair,
+        corner: Numbers,
         mask: Map,
         planes: Map,
         initial_velocity_std: float,
@@ -188,36 +188,36 @@ class Blobs:
         return Pools(self.masks, self.colours)
 
     @cached_property
-    def _boxes(self) -> tuple[Pair, Pair]:
+    def _boxes(self) -> tuple[Numbers, Numbers]:
         boxes, reported = np.empty((2, len(self.words), 4))
         fill_boxes(self.table, boxes, reported)
         return boxes, reported
 
     @property
-    def boxes(self) -> Pair:
+    def boxes(self) -> Numbers:
         """`(n, 4)` x, y, width, height px of what masks likely cover."""
         return self._boxes[0]
 
     @property
-    def reported_boxes(self) -> Pair:
+    def reported_boxes(self) -> Numbers:
         """`(n, 4)` px: the detected boxes, or else those of the masks."""
         return self._boxes[1]
 
     @property
-    def feet(self) -> Pair:
+    def feet(self) -> Numbers:
         """`(n,)` px, lowest row of the box: what stands lower in the picture is nearer."""
         return self.reported_boxes[:, 1] + self.reported_boxes[:, 3]
 
     @property
-    def ghost_evidence(self) -> Pair:
+    def ghost_evidence(self) -> Numbers:
         """`(n,)` nats, log ratio of ghost and real; being detected counts as real."""
         table = self.table
         real = np.where(table["detected"], np.maximum(table["existence"], 0.0), 0.0)
-        evidence: Pair = table["view"] + table["past_views"] - real
+        evidence: Numbers = table["view"] + table["past_views"] - real
         return evidence
 
     @property
-    def reported_variances(self) -> Pair:
+    def reported_variances(self) -> Numbers:
         """`(n, 4)` px^2 of foot x and y, width and height."""
         table = self.table
         variances = np.where(table["detected"][:, None], table["box_variance"], 0.0)
@@ -225,9 +225,9 @@ class Blobs:
         return variances
 
     @property
-    def existence_probability(self) -> Pair:
+    def existence_probability(self) -> Numbers:
         """`(n,)` probability of being an object that the detector is made to find."""
-        probability: Pair = 1 / (1 + np.exp(-self.table["existence"]))
+        probability: Numbers = 1 / (1 + np.exp(-self.table["existence"]))
         return probability
 
     @property
@@ -273,7 +273,7 @@ class Blobs:
         return replace(self, words=table.view(np.int64).reshape(-1, WORDS))
 
     def sweep(self, due: Mask) -> None:
-        """Free the masks that are `due` `(n,)` of crumbs, in place; nobody else may hold the table yet."""
+        """Free the masks that are `due` `(n,)` of crumbs, in place: the table must be a new one."""
         for k in np.flatnonzero(due).tolist():
             mask = self[k].mask
             if without_crumbs(mask):
@@ -297,7 +297,7 @@ class Blobs:
         )
 
 
-def union(boxes: Pair) -> Pair:
+def union(boxes: Numbers) -> Numbers:
     """Return the box that holds all boxes `(n, 4)` x, y, width, height."""
     first, end = boxes[:, :2].min(axis=0), (boxes[:, :2] + boxes[:, 2:]).max(axis=0)
     return np.concatenate([first, end - first])
@@ -330,7 +330,7 @@ class BlobState:
         return [_track(identity, parts[identity], blobs, confidence, shown) for identity in sorted(parts)]
 
 
-def _track(identity: int, parts: list[int], blobs: Blobs, confidence: Pair, shown: Mask) -> Track:
+def _track(identity: int, parts: list[int], blobs: Blobs, confidence: Numbers, shown: Mask) -> Track:
     """Track of an object with these parts."""
     largest = parts[0] if len(parts) == 1 else parts[int(np.argmax(blobs.table["mass"][parts]))]
     boxes = blobs.reported_boxes[parts]
@@ -369,7 +369,7 @@ def without_crumbs(mask: Map) -> bool:
     return bool(gone.any())
 
 
-def likely_size(mask: Map) -> Pair:
+def likely_size(mask: Map) -> Numbers:
     """Return height and width px of what a mask likely covers, at least 1."""
     shape = measured(mask)
     return np.array([max(shape["bottom"] - shape["top"], 1.0), max(shape["right"] - shape["left"], 1.0)])

@@ -22,19 +22,17 @@ from ...inference.kalman import kinematic
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage, LogOdds
 from .blob_records import FRESH, MARGIN, move
-from .blobs import Blob, Blobs, Map, Pair, box_densities, paste
+from .blobs import Blob, Blobs, Map, Numbers, box_densities, paste
 
 ACCELERATION = 0.4
 """Heights/s^2, standard deviation of what moves a person out of the straight way; it lasts half a second."""
 
-INITIAL_VELOCITY_STD = (
-    0.8  # heights/s, standard deviation of somebody's velocity along either axis of the picture
-)
+INITIAL_VELOCITY_STD = 0.8  # heights/s, standard deviation of a new object's velocity, along either axis
 LIFE = 20.0  # s, for which an object stays in the picture on average
 PHASE = 0.5  # s, time constant with which the detector begins to notice an object, or ceases to
 USUALLY = 0.85  # share of the time for which the detector notices an object
 BOX_WALK_STD = 0.03  # heights/s^0.5: how far a box moves against the blob that it is of, by gait
-SIDE_WALK_STD = 0.1  # shares/s^0.5: how fast sides of a box change as somebody comes nearer
+SIDE_WALK_STD = 0.1  # shares/s^0.5: how fast sides of a box change as an object comes nearer
 MASK_ERROR = 0.2  # of a mask's box, in its sides: how far a detector's box may be off
 LEAST = np.array([-np.inf, -np.inf, 1.0, 1.0])  # px: of a box's numbers
 COLOUR_VARIANCE = (
@@ -47,7 +45,7 @@ WHOLE = 0.25
 SURE_COVER = np.float32(0.9)
 """Probability that a pixel well inside of what a detector shows of an object is the object's."""
 
-CANDIDATE = 0.1  # probability of being somebody new from which on a box is remembered as an object
+CANDIDATE = 0.1  # probability of being a new object from which on a box is remembered as an object
 GIVEN_UP = math.log(0.02 / 0.98)  # log odds of existence below which an object is forgotten
 
 
@@ -188,7 +186,7 @@ def are_kept(blobs: Blobs, size: tuple[int, int]) -> NDArray[np.bool_]:
     return kept
 
 
-def _inside(boxes: Pair, size: tuple[int, int]) -> NDArray[np.bool_]:
+def _inside(boxes: Numbers, size: tuple[int, int]) -> NDArray[np.bool_]:
     """`(n,)`: whether a fifth of a box, along either axis, is in the picture."""
     x, y, width, height = boxes.T
     across = np.minimum(x + 0.5 * width, size[1]) - np.maximum(x - 0.5 * width, 0.0)
@@ -196,7 +194,7 @@ def _inside(boxes: Pair, size: tuple[int, int]) -> NDArray[np.bool_]:
     return np.asarray((across > 0.2 * width) & (down > 0.2 * height))
 
 
-def _correct_box(record: np.void, place: Pair, noise: Pair) -> None:
+def _correct_box(record: np.void, place: Numbers, noise: Numbers) -> None:
     """Kalman update of patch, velocity and box by a box observed at `place`."""
     (along, both), (_, speed) = record["covariance"].tolist()
     top, left = record["position"].tolist()
@@ -226,11 +224,11 @@ def _ellipse(width: float, height: float) -> Map:
     return np.asarray(SURE_COVER / (1 + np.exp(np.minimum(8 * (square - 1), 700))), np.float32)
 
 
-def _probability(log_odds: Pair) -> Pair:
+def _probability(log_odds: Numbers) -> Numbers:
     return 0.5 * (1 + np.tanh(0.5 * log_odds))
 
 
-def _log_odds(probability: ArrayLike) -> Pair:
+def _log_odds(probability: ArrayLike) -> Numbers:
     likely = np.clip(probability, 1e-9, 1 - 1e-9)
-    odds: Pair = np.log(likely) - np.log1p(-likely)
+    odds: Numbers = np.log(likely) - np.log1p(-likely)
     return odds

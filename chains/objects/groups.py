@@ -8,14 +8,14 @@ from numpy.typing import ArrayLike, NDArray
 from ...models.objects.box_message import Newcomers
 from .blob_records import FRESH, UNKNOWN_COLOUR, measured, next_piece
 from .blob_scene import BlobScene
-from .blobs import Blob, Blobs, Map, Pair, likely_size, union
+from .blobs import Blob, Blobs, Map, Numbers, likely_size, union
 
-UPRIGHT = 0.75  # width over height below which anybody is upright, and stands beside others
+UPRIGHT = 0.75  # width over height below which people are upright, and stand side by side
 PAIR = 3.0  # nats from which on a blob is taken for two people
-HALF = 0.5  # of anybody's height, below which a blob is a fragment of somebody
+HALF = 0.5  # of a person's height, below which a blob is a fragment of one
 SETTING_OFF = 2.0  # s from its birth on, in which something may still come into view as parts that are apart
 SAME_TIME = 0.4  # s by which the births of parts of one thing may be apart
-KNOWN = 0.25  # deviation over mean of anybody's height, below which it is known
+KNOWN = 0.25  # deviation over mean of the height prior, below which the height is known
 
 
 def with_parts(blobs: Blobs, newcomers: Newcomers | None) -> Blobs:
@@ -61,7 +61,7 @@ def alone(blobs: Blobs) -> Blobs:
     return blobs.select(_members(blobs.table) <= 2)
 
 
-def are_one(boxes: Pair, newcomers: Newcomers | None) -> bool:
+def are_one(boxes: Numbers, newcomers: Newcomers | None) -> bool:
     """Return whether blobs can be parts of one object: together neither too high nor as wide as two."""
     whole = union(boxes)
     mean, deviation = height_prior(whole[1] + whole[3], newcomers)
@@ -82,7 +82,7 @@ def set_off_together(blobs: Blobs, one: int, other: int, newcomers: Newcomers | 
     return bool(gap < longer and shorter < 0.5 * length and alike and are_one(boxes, newcomers))
 
 
-def height_prior(feet: ArrayLike, newcomers: Newcomers | None) -> tuple[Pair, Pair]:
+def height_prior(feet: ArrayLike, newcomers: Newcomers | None) -> tuple[Numbers, Numbers]:
     """Return mean and deviation px of a person's height with feet in these rows; NaN where it is unknown."""
     if newcomers is None:
         unknown = np.full(np.shape(feet), np.nan)
@@ -91,7 +91,7 @@ def height_prior(feet: ArrayLike, newcomers: Newcomers | None) -> tuple[Pair, Pa
     return np.where(deviation < KNOWN * mean, mean, np.nan), deviation
 
 
-def fragment_times(blobs: Blobs, scene: BlobScene) -> Pair:
+def fragment_times(blobs: Blobs, scene: BlobScene) -> Numbers:
     """Return `(n,)` s for which blobs inside of the picture have been less than half a person's height."""
     x, y, width, height = blobs.boxes.T
     mean, _ = height_prior(blobs.feet, scene.newcomers)
@@ -100,11 +100,11 @@ def fragment_times(blobs: Blobs, scene: BlobScene) -> Pair:
     return np.where(small, blobs.table["fragment_time"] + scene.elapsed, 0.0)
 
 
-def pair_evidence(boxes: ArrayLike, newcomers: Newcomers | None) -> Pair:
+def pair_evidence(boxes: ArrayLike, newcomers: Newcomers | None) -> Numbers:
     """Return the log ratio, nats, of two people side by side and one, given the width of `(..., 4)` boxes.
 
-    They are as high as anybody there, or else they are neither. One has anybody's width; two have that and
-    how far they are apart, anything from a third of a width to a whole one and a bit.
+    Both cases have a person's height there. One person has the usual width; two have that and their distance,
+    uniform from a third of a width to 1.3 widths.
     """
     _, top, width, height = np.moveaxis(np.asarray(boxes, np.float64), -1, 0)
     if newcomers is None or newcomers.aspect > UPRIGHT:

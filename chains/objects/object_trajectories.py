@@ -30,7 +30,7 @@ from .blobs import Track, centre_covariance
 
 Numbers = NDArray[np.float64]
 
-KNOWN = 0.25  # widths: standard deviation of a place up to which somebody out of sight is reported there
+KNOWN = 0.25  # widths: standard deviation of a place up to which an object out of sight is reported there
 EDGE = 0.25  # heights within which the picture's edge is near
 FROM_EDGE = 0.9  # share of those who come that come from the picture's edge, not out of a door or a crowd
 
@@ -204,8 +204,8 @@ def find_joins(
 ) -> dict[int, int]:
     """Return which track goes on with which other one, by index of the one that ends, all decided at once.
 
-    A track that ends and one that begins soon after are one object if that is likelier than that somebody is
-    gone and somebody else is new: the end, predicted to where the other begins, is a Gaussian over place,
+    A track that ends and one that begins soon after are one object if that is likelier than that one is
+    gone and another is new: the end, predicted to where the other begins, is a Gaussian over place,
     velocity and size; a newcomer comes at some rate, mostly at the picture's edge.
     """
     if len(tracks) < 2:
@@ -230,11 +230,11 @@ def _log_same(one: SmoothedTrack, other: SmoothedTrack, gap: float, motion: Moti
     start, start_covariance = other.feet.mean[0], other.feet.covariance[0]
     moved, covariance = kinematic(2, gap).along(2).moved(mean, covariance, motion.acceleration * height**2)
     speed = (motion.initial_velocity_std * height) ** 2
-    anybody = _log_gaussian(start[2:], np.eye(2) * speed + start_covariance[2:, 2:])
+    any_velocity = _log_gaussian(start[2:], np.eye(2) * speed + start_covariance[2:, 2:])
     sizes = np.log(other.sizes.mean[0, :2].clip(1) / one.sizes.mean[-1, :2].clip(1))
     same, any_size = np.diag([0.3**2, 0.15**2]), np.diag([0.6**2, 0.5**2])
     alike = _log_gaussian(sizes, same) - _log_gaussian(sizes, any_size)
-    return _log_gaussian(start - moved, covariance + start_covariance) - anybody + alike
+    return _log_gaussian(start - moved, covariance + start_covariance) - any_velocity + alike
 
 
 def _log_gaussian(off: Numbers, covariance: Numbers) -> float:
@@ -314,7 +314,7 @@ class ObjectTrajectories:
     initial_velocity_std
         heights/s, standard deviation of a velocity.
     max_gap_time
-        s, for which somebody may be out of sight and still be the same.
+        s, longest gap in which an object is out of sight and is joined again.
     min_seen_time
         s for which an object must have been seen in all.
     """

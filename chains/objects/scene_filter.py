@@ -218,7 +218,7 @@ class SceneFilter:
                 for time, message in zip(trajectory.times, messages, strict=True):
                     known = chain.predict(known, time - last)
                     known, last = chain.update(known, Incoming({ObjectBoxes(): message})), time
-                known = chain.predict(known, LONG)  # after which everybody is gone
+                known = chain.predict(known, LONG)  # after which all objects have left
                 states[name] = chain.update(known, Incoming({ObjectBoxes(): BoxMessage()}))
         return replace(state, states=states)
 

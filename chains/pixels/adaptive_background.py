@@ -104,7 +104,7 @@ class AdaptiveBackground:
     Parameters
     ----------
     prior
-        P(B=1) of a pixel of which nobody else knows anything.
+        P(B=1) of a pixel where no other chain predicts anything.
     noise
         squared grey levels: sensor noise plus the scene's own, at first.
     noise_rate

@@ -283,7 +283,7 @@ def subtract(
         first - top, end - top, bottom - top, width, own, prior, share,
         smoothed[top * width : bottom * width],
     )  # fmt: skip
-    if most > HIGHEST_VARIANCE * VARIANCE_STEPS:  # neighbours tell nothing of a value that nobody knows
+    if most > HIGHEST_VARIANCE * VARIANCE_STEPS:  # neighbours say nothing of an unknown value
         for i in range(first * width, end * width):
             if before.variance[i] > HIGHEST_VARIANCE * VARIANCE_STEPS:
                 smoothed[i] = np.int8(model.label_odds * np.float32(ODDS_STEPS))

@@ -1,9 +1,9 @@
-"""The empty scene from a sample of frames, as it is when the film begins, whoever moves in front of it then.
+"""The empty scene from a sample of frames, as it is when the film begins, without what moves in front of it.
 
 What a pixel shows unchanged for the first seconds is taken for the scene, as a tracker takes it that knows no
-better: a parked car, or somebody who stands. Where something moves at first, the scene is what comes back
-behind everybody: of the colours that a pixel shows, the one that is seen often and at times far apart.
-Colours of those who pass differ, and somebody who stays is seen for one stretch of time.
+better: a parked car, or a person who stands. Where something moves at first, the scene is what comes back
+behind them: of the colours that a pixel shows, the one that is seen often and at times far apart.
+Colours of passers-by differ, and a person who stays is seen for one stretch of time.
 """
 
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ def find_modes(first, end, pixels, covered, times, early, light, positions, band
     sum of max(0, 1 - d^2 / bandwidth) over the frames. What is still in the `early` first frames is taken as
     it is; else it is the colour with the highest product of its density and the mean distance in time of the
     frames that show it. `after` gets what is within the bandwidth of it, of a still pixel in the early frames
-    alone: what comes later may be somebody in similar colours.
+    alone: what comes later may be an object in similar colours.
     """
     mean, scatter, support = after.mean, after.scatter, after.support
     channels, n_frames, width = mean.shape[0], pixels.shape[0], light.shape[2]

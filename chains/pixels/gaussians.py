@@ -24,7 +24,7 @@ LOWEST_NOISE, HIGHEST_NOISE = 20.0, 400.0
 MEAN_STEPS, VARIANCE_STEPS, NOISE_STEPS = 32.0, 256.0, 128.0
 """Steps of the stored means per grey level, of variances and noises per squared grey level."""
 
-COARSE_STEPS = 8.0  # steps of a variance beyond `HIGHEST_VARIANCE`, which nobody needs to know so well
+COARSE_STEPS = 8.0  # steps of a variance beyond `HIGHEST_VARIANCE`, which need not be exact
 
 _COARSE_START = HIGHEST_VARIANCE * (VARIANCE_STEPS / COARSE_STEPS - 1)
 """Where the line of coarse steps crosses that of fine ones at `HIGHEST_VARIANCE`."""

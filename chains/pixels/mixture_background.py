@@ -310,7 +310,7 @@ class MixtureBackground:
     Parameters
     ----------
     prior
-        P(B=1) of a pixel of which nobody else knows anything.
+        P(B=1) of a pixel where no other chain predicts anything.
     components
         of a pixel, at most.
     rate

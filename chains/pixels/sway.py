@@ -257,7 +257,7 @@ def _least_gap(shown, mean, y, x, reach, light, size):
 SWAY_REACH = 0.01  # share of the picture's longer side within which leaves sway
 
 SWAY_TIME = 10.0
-"""s for which it is remembered that something swayed: a lull is longer than somebody's passing."""
+"""s for which it is remembered that something swayed: a lull lasts longer than a passer-by."""
 
 CALM_TIME = 1.0  # s for which it is taken for granted in the beginning that nothing sways
 LEAST_SEEN = 4  # pixels of a block that tell how much of it sways

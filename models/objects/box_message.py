@@ -153,8 +153,8 @@ class Association:
     expected: Numbers  # (n_objects,) probability that the object, if it exists, would be found
     missed: Numbers  # (n_objects,) probability that the object exists and has no box
     visible: Numbers  # (n_objects,) share of each that is in sight
-    new: Numbers  # (n_boxes,) probability that the box is of somebody not known before
-    double: Numbers  # (n_boxes,) probability that it is a second one of somebody who has another
+    new: Numbers  # (n_boxes,) probability that the box is of a new object
+    double: Numbers  # (n_boxes,) probability that it is a second box of one object
     log_evidence: float  # log density of all boxes together, given who was expected
     outlines: NDArray[np.bool_] | None = None  # (n_boxes, height, width), if the detector gives them
 
@@ -193,11 +193,11 @@ class BoxMessage:
     """Product of factors over the boxes of all objects."""
 
     objects: GaussianMessage = NO_BOXES  # that are seen or observed
-    # of which this frame's pixels show too little: a detector may find them; nobody learns from them
+    # of which this frame's pixels show too little: a detector may find them; no chain learns from them
     hidden: GaussianMessage = NO_BOXES
     existence: LogOdds = EVEN  # that an object is one of those that the detector is made to find
     noticed: LogOdds = EVEN  # that it is in a phase in which the detector finds it when it is in sight
-    newcomers: Newcomers | None = None  # where and how large somebody new is; at most one sender
+    newcomers: Newcomers | None = None  # where and how large new objects are; at most one sender
     detector: BoxDetector | None = None  # how reliable the detector is; at most one sender
     # from the evidence: which detection belongs to whom; None if no detector has run
     association: Association | None = None

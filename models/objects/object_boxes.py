@@ -53,7 +53,7 @@ class Marginals(NamedTuple):
     """Marginal probabilities of an assignment.
 
     `pairs` `(n_objects, n_boxes)`, `missed` `(n_objects,)`, `alone` `(n_boxes,)`; `open` `(n_objects,
-    n_boxes)` is how far a box is free for an object given all others (1: nobody else wants it), and
+    n_boxes)` is how far a box is free for an object given all others (1: no other object may have it), and
     `log_sum` the log of the sum over all assignments, by Bethe's approximation.
     """
 
@@ -91,8 +91,8 @@ def assignment_marginals(weights: Numbers, missed: Numbers) -> Marginals:
 def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMessage:
     """Return the likelihood of a frame's boxes: place, size and existence of each object in `prior`.
 
-    Every box is one of an object that was expected, of somebody new, a second box of somebody, or false; no
-    object has two. Marginals over all such assignments (see `assignment_marginals`) weigh how much of which
+    Every box is one of an expected object, of a new one, a second box of an object, or false; no object has
+    two. Marginals over all such assignments (see `assignment_marginals`) weigh how much of which
     box each object gets: the likelihood's logarithm is their mean, a Gaussian, so that an object between two
     boxes is drawn to neither of them wholly, and one that was not found is told nothing of its place.
     """
@@ -119,8 +119,8 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     if detector.scores is not None and given.confidence is not None:
         score = np.exp(np.clip(detector.scores.log_ratio(given.confidence), -20, 20))
     anywhere = log_anywhere(boxes, area)
-    somebody = anywhere if prior.newcomers is None else prior.newcomers.log_density(boxes, noise)
-    new = detector.newcomers * detector.found * np.exp(somebody) * score
+    entering = anywhere if prior.newcomers is None else prior.newcomers.log_density(boxes, noise)
+    new = detector.newcomers * detector.found * np.exp(entering) * score
     false = detector.clutter * area * np.exp(anywhere)
     doubles = detector.doubles * (exists * expected) @ np.exp(further)
     alone = np.maximum(new + false + doubles, 1e-300)
@@ -235,8 +235,8 @@ class ObjectBoxes:
     def evidence(self, frame: Frame, prior: BoxMessage) -> BoxMessage:
         """Return the likelihood of the detector's boxes, given the objects of `prior` (see `associate`).
 
-        Where the detector did not run, nothing is said; where it ran and found nothing, everybody who should
-        have been found is there less likely.
+        Uniform where the detector did not run. Where it ran and found nothing, all objects that should have
+        been found are less likely to exist.
         """
         if frame.boxes is None:
             return self.uniform()

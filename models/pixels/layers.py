@@ -12,8 +12,6 @@ from ..core.short_repr import short_repr
 from ..numerics.compiled import compiled, exponential, inlined, logarithm
 from . import colour
 
-Planes = NDArray[np.float32]
-
 _f4 = np.float32
 
 LEAST_CLEAR = 1e-3
@@ -199,7 +197,7 @@ class Layer:
         squared grey levels, variance of the object's colour about its appearance; and share of pixels whose
         colour is not as remembered.
     strength
-        how much likelier this object is to be seen in front of the background than something nobody knows.
+        how much likelier this object is to be seen in front of the background than an unknown one.
     ghost
         instead: there is no object where the mask is, whatever the background remembers.
     """

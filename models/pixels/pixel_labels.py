@@ -1,7 +1,7 @@
 """Pixel labels and values as a feature node: F_k = (B_k, L_k), "is background" and the latent colour.
 
 Messages are cheap: they refer to what chains predict (a background picture, layers of objects) and to the
-image; products gather factors, and loops over pixels run when somebody asks for a number. Where a chain has
+image; products gather factors, and loops over pixels run when a number is read. Where a chain has
 nothing to say, its message has no factor, and nothing is computed.
 """
 
@@ -157,7 +157,7 @@ class PixelMessage:
     def log_likelihood_ratio(self, region: Region | None = None) -> Map:
         """Return the log of p(image | background is seen) over p(image | any colour is), pixel by pixel.
 
-        This is what the image says of labels, without anybody's prior and without layers: `(height, width)`
+        This is what the image says of labels, without priors and without layers: `(height, width)`
         float32 nats; 0 where there is no image or no background to compare it with. `region` is as of
         `log_odds`.
         """
@@ -173,9 +173,9 @@ class PixelMessage:
         """Log of the integral over labels and colours, summed over pixels (nats); 0 without a background.
 
         With an image, whose colours are then fixed, it is the log density of what it shows. Without one,
-        colours are integrated out, and it is 0 as long as nobody else than the background has predicted
-        anything. Colours of several chains' layers at one pixel are taken for independent there. Where a
-        moving camera does not show the scene, it shows as many pixels beside it instead, of any colour.
+        colours are integrated out, and it is 0 as long as only the background has predicted anything. Colours
+        of several chains' layers at one pixel count as independent. Where a moving camera does not show the
+        scene, as many pixels beside the scene have any colour.
         """
         return (0.0 if self.view is None else self.view.where.log_mass) + self._log_mass_of_pixels()
 
@@ -211,7 +211,7 @@ class PixelMessage:
     def log_density(self, among: NDArray[np.bool_]) -> float:
         """Return the log probability (nats) of what the image shows at some pixels, given all other factors.
 
-        Over all images these probabilities sum to 1. Labels of which nobody has a prior are even.
+        Over all images these probabilities sum to 1. Labels without a prior are even.
 
         Parameters
         ----------

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from rsmcm.chains import AdaptiveBackground, BlobTracker, GroundPlane
-from rsmcm.chains.objects.blob_records import RECORD
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import ObjectBoxes, PixelLabels
 
@@ -76,16 +75,6 @@ def identities(beliefs):
 
 def by_identity(belief):
     return {track.identity: track for track in tracks_of(belief)}
-
-
-def contents(blob):
-    """All that a blob holds, as bytes."""
-    record = [blob.record[name].tobytes() for name in RECORD.names if name != "start"]
-    return [*record, blob.mask.tobytes(), blob.appearance.tobytes()]
-
-
-def same(states, others):
-    return [contents(blob) for blob in states.blobs] == [contents(blob) for blob in others.blobs]
 
 
 @pytest.fixture(scope="module")
@@ -197,24 +186,6 @@ def test_a_pair_that_enters_together_and_separates_becomes_two():
         assert (rear.velocity[0], front.velocity[0]) == pytest.approx((40, 52), abs=6)
 
 
-def test_head_and_body_that_are_born_apart_become_one():
-    def hidden_at_first(time):
-        """The neck, in the colours of nothing known, shows only later."""
-        return moving(20, 42, 40)(time) if time > 0.5 else None
-
-    frames = film(
-        60,
-        ((12, 14), RED, lambda time: (20 + 40 * time, 30) if time > 0.2 else None),
-        ((26, 16), BLUE, lambda time: (19 + 40 * time, 46) if time > 0.2 else None),
-        ((4, 10), WHITE, hidden_at_first),
-    )
-    beliefs = run(frames)
-    assert max(len(belief["blobs"].blobs) for belief in beliefs[:12]) == 2
-    assert len(identities(beliefs[25:])) == 1
-    (track,) = tracks_of(beliefs[-1])
-    assert track.box == pytest.approx((19 + 40 * 59 * DT, 30, 16, 42), abs=3)
-
-
 def test_where_something_was_from_the_start_there_is_no_ghost_for_long():
     left = 48
     beliefs = run(film(90, (TALL, DARK, lambda time: (left + 60 * max(0, time - 0.4), 50))))
@@ -244,16 +215,6 @@ def test_missing_frames_are_bridged_by_the_motion(walk):
     seen = [belief["blobs"].blobs[0].seen for belief in beliefs[29:39]]
     assert seen[:9] == [seen[0]] * 9
     assert seen[9] == pytest.approx(seen[0] + 9 * DT)
-
-
-def test_a_saved_run_with_blobs_goes_on_as_if_it_had_not_stopped(walk, walked, tmp_path):
-    engine().save(tmp_path / "state.npz", walked[30].state)
-    state, _ = engine().load(tmp_path / "state.npz")
-    assert state.states["blobs"].blobs
-    resumed = engine().run(walk[31:50], dt=DT, state=state)
-    for belief, other in zip(resumed, walked[31:50], strict=True):
-        assert same(belief["blobs"], other["blobs"])
-        assert tracks_of(belief) == tracks_of(other)
 
 
 def test_three_chains_compose_on_grey_pictures(walk):

@@ -15,6 +15,8 @@ from rsmcm.models.pixels.background import foreground_spans
 from scipy.integrate import quad
 from scipy.stats import norm
 
+from ...support.light import light_of
+
 STEP = 1 / kernels.ODDS_STEPS
 QUANTISATION = STEP + 2e-3  # a stored step, and float32 with approximate exp and log
 
@@ -58,16 +60,6 @@ def scene(channels, seed=0, size=(23, 37), prior=0.9, **changes):
     strange = image[5:15, 10:20]
     strange[:] = rng.integers(0, 256, strange.shape)
     return BackgroundPrediction(**{**values, **changes}), image.astype(np.uint8)
-
-
-def light_of(field):
-    """The light of every pixel, written as interpolation between the centres of blocks, and beyond them."""
-    blocks = np.exp(np.pad(np.log(field.blocks), 1, "reflect", reflect_type="odd")).clip(0.1, 10)
-    height, width = field.size
-    rows, columns = ((np.arange(n) - 0.5) / (n - 2) for n in blocks.shape)
-    across = np.array([np.interp((np.arange(width) + 0.5) / width, columns, row) for row in blocks])
-    down = [np.interp((np.arange(height) + 0.5) / height, rows, column) for column in across.T]
-    return np.array(down).T.reshape(-1)
 
 
 def decoded(pixels):

@@ -48,20 +48,6 @@ def test_every_pixel_gets_the_colour_that_is_seen_often_and_far_apart(shape: tup
         assert found.variance[pixel] == pytest.approx(max(found.noise[pixel] / support, 0.5), rel=1e-3)
 
 
-def test_passers_by_in_most_frames_are_no_part_of_it() -> None:
-    random = np.random.default_rng(1)
-    scene = random.integers(60, 200, (*SIZE, 3))
-    images = []
-    for _ in range(40):
-        passer = random.random(SIZE) < 0.6  # each one in colours of its own
-        image = np.where(passer[..., None], random.integers(0, 256, (*SIZE, 3)), scene)
-        images.append((image + random.normal(0, 2, image.shape)).clip(0, 255).astype(np.uint8))
-    found = empty_scene(images, seconds(images), [STEADY], NOISE)
-    off = colour.to_image(found.mean, SIZE).astype(int) - scene
-    assert np.abs(off).max() < 10
-    assert np.abs(off).mean() < 2
-
-
 def test_the_light_of_every_frame_is_taken_out() -> None:
     random = np.random.default_rng(2)
     scene = random.integers(60, 150, SIZE)

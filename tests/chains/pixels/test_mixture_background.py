@@ -175,6 +175,7 @@ def test_likelihood(channels, shifted):
     assert found == pytest.approx(np.log(density).sum(), abs=1e-3 * n_pixels)
 
 
+@pytest.mark.slow
 def test_a_tracked_person_who_stands_stays_foreground():
     """Beside it, the same chains without feedback: the person becomes background."""
     scene = sleeping_man(230, 0, size=(160, 120), stand=400, light_drift=0.0)

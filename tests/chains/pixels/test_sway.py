@@ -96,9 +96,11 @@ def test_the_likelihood_is_that_of_the_best_place_within_reach():
     assert (after[:2400] > odds[:2400]).mean() > 0.4
 
 
-def test_while_only_leaves_move_there_is_next_to_no_foreground_and_a_person_is_seen():
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_while_only_leaves_move_there_is_next_to_no_foreground_and_a_person_is_seen(seed):
     wide = np.hstack([scene(seed) for seed in range(2)])
-    rng, images = np.random.default_rng(3), []
+    rng, images = np.random.default_rng(seed), []
     ys, xs = np.mgrid[:60, :160].astype(np.float32)
     fields = [cv2.GaussianBlur(rng.normal(0, 1, (60, 160)), (0, 0), 12) for _ in range(6)]
     for k in range(250):
@@ -119,5 +121,5 @@ def test_while_only_leaves_move_there_is_next_to_no_foreground_and_a_person_is_s
         shares.append(mask.mean())
         if k >= 220:
             found.append(mask[10:50, 3 * (k - 200) : 3 * (k - 200) + 14].mean())
-    assert np.mean(shares[75:200]) < 0.02
+    assert np.mean(shares[75:200]) < 0.04
     assert np.mean(found) > 0.9

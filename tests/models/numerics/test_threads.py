@@ -8,10 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from rsmcm.chains import AdaptiveBackground, BlobTracker
-from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.inference.engine.recursive_bp import RunState
-from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.numerics.threads import over_bands, set_threads, side_by_side, thread_count
 
 needs_fork = pytest.mark.skipif(
@@ -78,32 +74,15 @@ def in_forked_processes(work: Callable[[Any], Any], arguments: list[Any]) -> lis
         return pool.map_async(work, arguments).get(SECONDS)
 
 
-PIXELS = PixelLabels()
-ENGINE = RecursiveBP(MultiChain().connect(AdaptiveBackground(), PIXELS).connect(BlobTracker(), PIXELS))
-
-
-def clip(n_frames: int) -> list[Frame]:
-    """A bright square that moves over noise."""
-    random = np.random.default_rng(0)
-    frames = []
-    for number in range(1, n_frames + 1):
-        image = random.normal(90, 3, (60, 80)).astype(np.uint8)
-        image[20:40, 4 * number : 4 * number + 12] = 200
-        frames.append(Frame(image, number / 25, number))
-    return frames
-
-
-def mask_after(work: tuple[RunState, Frame]) -> bytes:
-    belief = ENGINE.step(*work)
-    mask: bytes = belief["pixels"].foreground().tobytes()
-    return mask
+def blurred_squares(size: int) -> float:
+    """A sum by our threads, of pictures by those of OpenCV."""
+    pictures = side_by_side([partial(np.full, (64, 64), k * k, np.float64) for k in range(size)])
+    return float(sum(cv2.blur(picture, (5, 5))[0, 0] for picture in pictures))
 
 
 @needs_fork
-def test_an_engine_that_was_used_runs_in_forked_processes() -> None:
+def test_threads_that_were_used_work_in_forked_processes() -> None:
     set_threads(2)
-    *before, last = clip(12)
-    *_, belief = ENGINE.run(before)
-    here = mask_after((belief.state, last))
-    assert np.frombuffer(here, np.uint8).any()
-    assert in_forked_processes(mask_after, [(belief.state, last)] * 4) == [here] * 4
+    expected = blurred_squares(12)
+    assert expected == pytest.approx(sum(k * k for k in range(12)))
+    assert in_forked_processes(blurred_squares, [12] * 4) == [expected] * 4
