@@ -51,8 +51,7 @@ _log = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-N_DRAWN = 40
-"""Samples that are drawn and kept, as in Figs. 4 to 6 of the paper."""
+N_DRAWN = 40  # poses of each frame that are saved, as many as in Figs. 4 to 6 of the paper
 
 ANGLE_NAMES = (
     "root_x", "root_y", "torso_x", "torso_y", "torso_z", "neck_x", "neck_y", "neck_z",
@@ -68,21 +67,18 @@ POSES = (
 """Columns of `poses.npz`, a row a frame, beside `frames` (their numbers) and `times` s: posterior means and
 covariances `joints_2d (8, 2)` px, `joints_2d_covariances (8, 2, 2)`, `joints_3d (8, 3)`,
 `joints_3d_covariances (8, 3, 3)`, `angles (16,)`, `angle_covariances (16, 16)`; `samples (40, 8, 3)` px,
-joints of poses drawn from the posterior; `hypotheses (4,)`, probabilities of answers that differ in where the
-hands are, the best one first, and `hypothesis_joints (4, 8, 3)` px, their means, NaN where there are fewer;
-`seen (3,)`, whether the image has shown head, left hand and right hand (a hand before face or neck does not
-count, since their skin may be all that was seen); `stationary`, whether nothing at all was detected;
-`missing`, whether there was no image. Of the whole film: `exchanged`, the probability that left and right
-hand have each other's name, and `relabelled`, whether names were exchanged at the end because of it.
-`joint_names (8,)`, `part_names (3,)` (of `seen`), `angle_names (16,)`, and the body's `length_names` and
-`lengths` px come once. x is to the right, y down, z away from the viewer, 0 at the root; left is the person's
-own."""
+joints of poses drawn from the posterior; `hypotheses (4,)`, probabilities of hypotheses that differ in where
+the hands are, the best one first, and `hypothesis_joints (4, 8, 3)` px, their means, NaN where there are
+fewer; `seen (3,)`, whether head, left hand and right hand were detected (a hand before face or neck does not
+count, since their skin may be all that was detected); `stationary`, whether nothing at all was; `missing`,
+whether there was no image. Given the whole film: `exchanged`, the probability of exchanged hands, and
+`relabelled`, whether hands were exchanged at the end because of it. `joint_names (8,)`, `part_names (3,)` (of
+`seen`), `angle_names (16,)`, and the body's `length_names` and `lengths` px come once. x is to the right, y
+down, z away from the viewer, 0 at the root; left is the person's own."""
 
-FACE_AND_NECK = (0.45, 0.62)
-"""Of the head's height: half axes of the ellipse about its centre in which skin need not be a hand's."""
+FACE_AND_NECK = (0.45, 0.62)  # head heights: half axes of the ellipse in which skin need not be a hand's
 
-SPREAD_OVER = 1000
-"""Frames of a video over which those are spread in which faces are looked for: all of these are decoded."""
+MOST_DECODED = 1000  # frames of a video in which calibration frames are, since all up to them are decoded
 
 
 def run_body(job: BodyJob) -> Outcome:
@@ -94,7 +90,7 @@ def run_body(job: BodyJob) -> Outcome:
 
 
 def read_head(text: str) -> BoundingBox:
-    """Read `x,y,width,height` px of a head; ValueError if it is no such text, or the box is empty."""
+    """Read `x,y,width,height` px of a head; raise `ValueError` for any other text, or an empty box."""
     try:
         x, y, width, height = (float(number) for number in text.split(","))
     except ValueError:
@@ -105,7 +101,7 @@ def read_head(text: str) -> BoundingBox:
 
 
 class Body(Application[BodyJob]):
-    """Who is tracked, the poses, and how sure they are."""
+    """The body application: a person's poses with their uncertainty."""
 
     name = "body"
     files = ("poses.npz",)
@@ -123,26 +119,26 @@ class Body(Application[BodyJob]):
         self._draws = np.random.default_rng(job.seed)  # of the poses that are shown
 
     def bytes_needed(self, source: Source) -> tuple[float, float]:
-        """Depends on the number of samples, and on that of frames that wait with theirs."""
+        """Memory of the samples, and of the frames that wait to be smoothed."""
         lag = self._lag(source)
         kept = lag + BLOCK if lag else 0
         return BODY + KEPT_IMAGE * kept, self.job.samples * (SAMPLE + KEPT_SAMPLE * kept)
 
     def _lag(self, source: Source) -> int:
-        """Frames that are waited for before one is answered."""
+        """Later frames that are waited for before one is smoothed."""
         if self.job.lag is not None:
             return self.job.lag
         return 0 if source.live else LAG
 
     def build(self, start: Start) -> Engine:
-        """Take the person who is known from another run, or find one in the film."""
+        """Connect the chains for the person of an earlier run, or one detected in the film."""
         job, source = self.job, start.source
         if job.keypoints is not None:
             self._keypoints = given_keypoints(job.keypoints, source, job.start, job.stop, job.step)
             start.frames = with_keypoints(start.frames, self._keypoints)
         memory = start.memory(self.schema)
         if memory is None:
-            self._start = self._found(start)
+            self._start = self._find_person(start)
         elif start.resumed:
             self._start, self._draws = memory["person"].start(job.detector), memory["draws"]
         else:
@@ -156,8 +152,8 @@ class Body(Application[BodyJob]):
             self._smoothing.waiting = replace(self._smoothing.waiting, past=memory["answered"])
         return Smoother(engine, start.state(engine.model), self._smoothing, self._pose, parts, job.seed)
 
-    def _found(self, start: Start) -> BodyStart:
-        """The person in the first frame in which anything is to be seen, and in others."""
+    def _find_person(self, start: Start) -> BodyStart:
+        """Detect a person in the first frame that is not blank, and in others."""
         job, images = self.job, None
         if start.source.kind in ("camera", "stream"):  # which cannot be read a second time
             beginning = list(islice(start.frames, CALIBRATION_FRAMES))
@@ -172,33 +168,33 @@ class Body(Application[BodyJob]):
             what = "a head or shoulders were found" if by_keypoints else "anything is to be seen"
             raise start.no_frame(f"holds no frame in which {what}")
         if images is None:
-            images = self._looked_at(start)
-        images = images or [first.image]  # where nothing else is to be seen in what was looked at
-        person, found = self._started_from(start.source, first, images)
-        _log.info("start in frame %d, by %s: %s", first.number, found, person.origin)
+            images = self._calibration_images(start)
+        images = images or [first.image]  # if all others are blank
+        person, method = self._started_from(start.source, first, images)
+        _log.info("start in frame %d, by %s: %s", first.number, method, person.origin)
         start.frames = chain([first], start.frames)
         return person
 
     def _started_from(self, source: Source, first: Frame, images: list[Image]) -> tuple[BodyStart, str]:
-        """Who is tracked, and how that was found out."""
+        """Return the person, and in words how they were detected."""
         job, clicked, keypoints = self.job, self._clicked, self._keypoints
         if self._head is not None and job.detector is None:
-            person, found = start_from_head(first, self._head, images, clicked), "the head as marked"
+            person, method = start_from_head(first, self._head, images, clicked), "the head as marked"
         elif keypoints is not None and job.detector is None:
             return start_from_keypoints(first, keypoints, images, clicked), "keypoints"
         else:
             at_first = [first.image] if self._head is not None and first.image is not None else []
             person = start_from_faces(source.name, [*at_first, *images], job.detector, clicked, self._head)
-            found = str(job.detector or "OpenCV's cascades of faces")
+            method = str(job.detector or "OpenCV's cascades of faces")
         if keypoints is not None and clicked is None:
             person = fit_lengths(person, follow_person(keypoints, first.number, person.head_in(first)))
-        return person, found
+        return person, method
 
-    def _looked_at(self, start: Start) -> list[Image]:
-        """Images from all over the source, which is read a second time for it."""
+    def _calibration_images(self, start: Start) -> list[Image]:
+        """Read images from all over the source, which is opened a second time for it."""
         job, total = self.job, start.source.n_frames
         if total is not None and start.source.kind == "video":
-            total = min(total, SPREAD_OVER)
+            total = min(total, MOST_DECODED)
         stride = 1 if total is None else -(-total // CALIBRATION_FRAMES)
         with open_source(job.source, job.start, job.stop, job.step * stride) as source:
             frames = islice(SeenFrames(start.interruption.items(source)), CALIBRATION_FRAMES)
@@ -208,22 +204,22 @@ class Body(Application[BodyJob]):
         return images
 
     def columns(self, belief: Belief) -> Columns:
-        """Joints and angles, their covariances, some poses of the posterior, and what the image has shown."""
+        """Return joints and angles, their covariances, some poses of the posterior, and what was detected."""
         assert isinstance(belief, SmoothedBelief)
         frame, body, states = belief.frame, self._start.body, belief.states
         detected = states[self._flesh.name].unseen == 0
         filtered, samples = states[self._pose.name], belief.samples.samples
-        found = body_moments(body, samples)
+        moments = body_moments(body, samples)
         drawn = body.joints(samples.resample(N_DRAWN, self._draws))
-        seen = detected & ~_before_face(found.joints[PART_JOINTS, :2], body.head_height)
+        seen = detected & ~_before_face(moments.joints[PART_JOINTS, :2], body.head_height)
         answers = hypotheses(body, samples, self._draws)
         row = {
-            "joints_2d": found.joints[:, :2],
-            "joints_2d_covariances": found.joint_covariances[:, :2, :2],
-            "joints_3d": found.joints,
-            "joints_3d_covariances": found.joint_covariances,
-            "angles": found.angles,
-            "angle_covariances": found.angle_covariances,
+            "joints_2d": moments.joints[:, :2],
+            "joints_2d_covariances": moments.joint_covariances[:, :2, :2],
+            "joints_3d": moments.joints,
+            "joints_3d_covariances": moments.joint_covariances,
+            "angles": moments.angles,
+            "angle_covariances": moments.angle_covariances,
             "samples": drawn.astype(np.float32),
             "hypotheses": answers.weights,
             "hypothesis_joints": answers.joints,
@@ -243,16 +239,16 @@ class Body(Application[BodyJob]):
         return Columns({**row, **measures}, drawn=partial(drawn_of, row), live={"seen": shown or "nothing"})
 
     def drawing(self) -> Draw:
-        """Skeletons, from the front and from the side."""
+        """Return what draws skeletons, from the front and from the side."""
         return drawing(self._arm)
 
     @property
     def _arm(self) -> float:
-        """Length of a stretched one, px."""
+        """Length of a stretched arm, px."""
         return self._start.body.upper_arm + self._start.body.forearm
 
     def state_dict(self) -> dict[str, Any]:
-        """Who is tracked, and how what is drawn at random goes on."""
+        """Return the person, the random generator, and the last smoothed frame."""
         return {
             "person": SavedPerson.of(self._start),
             "draws": self._draws,
@@ -260,7 +256,7 @@ class Body(Application[BodyJob]):
         }
 
     def finish(self, log: RowLog) -> dict[str, Any]:
-        """Write the poses by the final names of the hands; what was seen, and what is assumed."""
+        """Write the poses with the final labels of the hands; return the summary."""
         start, given = self._start, None
         self._record = record = BodyRecord(log)
         self._poses = relabel_hands(start.body, {name: log[name] for name in POSES}, record.labels.exchanged)
@@ -297,23 +293,23 @@ class Body(Application[BodyJob]):
         }
 
     def title(self, source: str) -> str:
-        """The source, and what of it is followed."""
+        """Return the title of the page."""
         return f"{Path(source).name}: upper body"
 
     def page(self, log: RowLog, film: Film | None, summary: Mapping[str, Any]) -> Page:
-        """The body over the film and in space, and what is to be said of it."""
+        """Return the page: the body over the film and in space, uncertainty and notes."""
         if film is not None and self._record.relabelled:
             film = with_final_names(film, {**self._poses, "frames": log["number"]})
         return body_page(self.title(summary["source"]), self._record, summary, film, self._arm)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
-        """How much was seen."""
+        """Return how often each part was detected."""
         shares = ", ".join(f"{name.replace('_', ' ')} {100 * s:.0f} %" for name, s in summary["seen"].items())
         return [f"{summary['frames']} frames, {summary['frames_per_second']:.1f} a second, seen: {shares}"]
 
 
 def lengths(body: UpperBody) -> dict[str, float]:
-    """Lengths and widths of a body, px, by their names."""
+    """Return lengths and widths of a body, px, by name."""
     return {field.name: float(getattr(body, field.name)) for field in fields(body)}
 
 

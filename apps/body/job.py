@@ -1,4 +1,4 @@
-"""What the body application is asked for."""
+"""Options of the body application."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,13 +11,12 @@ from ..options.job import Bounds, FilmJob
 
 FEWEST_SAMPLES = 10
 
-LAG, MOST_LAG = 12, 250
-"""Frames: what is usual, and what is kept in memory at most."""
+LAG, MOST_LAG = 12, 250  # frames: default, and bound by memory
 
 
 @dataclass(frozen=True, kw_only=True)
 class BodyJob(FilmJob):
-    """Whom to track, and how.
+    """Options of `rsmcm body`.
 
     Parameters
     ----------

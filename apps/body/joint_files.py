@@ -1,4 +1,4 @@
-"""Joints that somebody has clicked in a few frames, from a CSV file."""
+"""Reader of CSV files of joints clicked in a few frames."""
 
 import csv
 import io
@@ -53,7 +53,7 @@ def read_joints(path: Path) -> ClickedJoints:
 
 
 def _take(clicked: dict[int, Array], cells: list[str]) -> None:
-    """Add a line's joint to those of its frame."""
+    """Add the joint of a line to its frame."""
     expected = f"expected {','.join(COLUMNS)}"
     if len(cells) != len(COLUMNS):
         raise ValueError(f"got {len(cells)} values, {expected}")

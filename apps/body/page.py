@@ -1,4 +1,4 @@
-"""The page of a body: skeletons over the film and in space, how sure each joint is, doubts, what was seen."""
+"""The page of a body: skeletons over the film and in space, uncertainty of joints, doubts, detections."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -40,18 +40,13 @@ Image = NDArray[np.uint8]
 
 PART_JOINTS = [JOINTS.index(name) for name in PARTS]
 
-SAME_DOUBT = 0.5
-"""s: doubt that comes again so soon is the same."""
-
-MOST_SAID = 5
-"""Stretches of doubt that a sentence names."""
-
-RARELY_SEEN = 0.5
-"""Share of the frames below which a part's position is mostly a guess, and said to be one."""
+SAME_DOUBT = 0.5  # s: gap within one stretch of doubt, at most
+MOST_NAMED = 5  # stretches of doubt that a sentence names
+RARELY_SEEN = 0.5  # share of frames with a detection below which a note says that a part is a guess
 
 
 class Doubt(NamedTuple):
-    """First and last frame of a stretch with another answer, and its greatest probability there."""
+    """First and last frame of a stretch with another hypothesis, and its greatest probability there."""
 
     first: int
     last: int
@@ -64,28 +59,28 @@ class Doubt(NamedTuple):
 
 
 def doubts(numbers: Sequence[int], times: Sequence[float], probabilities: Array) -> list[Doubt]:
-    """Stretches of frames in which something is probable enough to be said, but for gaps of a moment."""
-    found: list[Doubt] = []
+    """Return the stretches of frames with a probability of `WORTH_SAYING` or more, but for short gaps."""
+    stretches: list[Doubt] = []
     ended = -np.inf  # s
     for index in np.flatnonzero(probabilities >= WORTH_SAYING).tolist():
         one = Doubt(numbers[index], numbers[index], round(float(probabilities[index]), 3))
         if times[index] - ended <= SAME_DOUBT:
-            before = found.pop()
+            before = stretches.pop()
             one = Doubt(before.first, one.last, max(before.probability, one.probability))
-        found.append(one)
+        stretches.append(one)
         ended = times[index]
-    return found
+    return stretches
 
 
-def in_words(found: Mapping[str, Sequence[Doubt]]) -> list[str]:
-    """A sentence for each kind of doubt that there is, the longest stretches first where they are many."""
+def describe_doubts(doubts: Mapping[str, Sequence[Doubt]]) -> list[str]:
+    """Return a sentence for each kind of doubt, with its longest stretches."""
     sentences = []
-    for name, stretches in found.items():
+    for name, stretches in doubts.items():
         if not stretches:
             continue
         part = name.replace("_", " ")
         what = "hands may be exchanged" if name == "exchanged" else f"{part} may be elsewhere"
-        longest = sorted(stretches, key=lambda each: each.first - each.last)[:MOST_SAID]
+        longest = sorted(stretches, key=lambda each: each.first - each.last)[:MOST_NAMED]
         where = ", ".join(f"{each.frames} ({100 * each.probability:.0f} %)" for each in sorted(longest))
         more = len(stretches) - len(longest)
         shorter = f" and {more} shorter stretches" if more else ""
@@ -94,27 +89,27 @@ def in_words(found: Mapping[str, Sequence[Doubt]]) -> list[str]:
 
 
 class BodyRecord(FrameRecord):
-    """What summary and page need of a run, a few numbers a frame.
+    """Columns of a run for summary and page.
 
     Attributes
     ----------
     stationary
-        numbers of the frames whose image has shown nothing of the body.
+        numbers of the frames without any detection.
     log_evidence
-        nats, up to a constant; NaN where nothing was to be seen.
+        nats, up to a constant; NaN without a detection.
     effective
         effective number of samples, 1 / sum of squared weights.
-    places, spreads
+    places, stds
         a frame each: means `(3, 3)` px of head and hands, and their standard deviations.
     seen
-        a frame each: `(3,)`, whether the image has shown them.
+        a frame each: `(3,)`, whether they were detected.
     second
-        probability of the second answer.
+        probability of the second hypothesis.
     unsure
-        a frame each: `(3,)`, probability that a part is elsewhere than in the best answer, 0 for the head.
+        a frame each: `(3,)`, probability that a part is not where the best hypothesis has it, 0 for the head.
     exchange_log_odds, confusable
-        what each frame says of the names of the hands: log odds, nats, that they are exchanged, and the
-        probability that they could be confused.
+        evidence of each frame: log odds of exchanged hands, nats, and the probability that hands could be
+        confused.
     """
 
     def __init__(self, log: RowLog) -> None:
@@ -123,41 +118,41 @@ class BodyRecord(FrameRecord):
         self.stationary: list[int] = log["number"][log["stationary"] & ~log["missing"]].tolist()
         self.places = log["joints_3d"][:, PART_JOINTS]
         covariances = log["joints_3d_covariances"][:, PART_JOINTS]
-        self.spreads = np.sqrt(np.maximum(np.diagonal(covariances, axis1=2, axis2=3), 0))
+        self.stds = np.sqrt(np.maximum(np.diagonal(covariances, axis1=2, axis2=3), 0))
         self.seen, self.unsure, self.second = log["seen"], log["unsure"], log["hypotheses"][:, 1]
         self.exchange_log_odds, self.confusable = log["exchange_log_odds"], log["confusable"]
 
     @property
     def shares_seen(self) -> dict[str, float]:
-        """Of the frames that are not missing, the share in which the image has shown a part."""
+        """Share of the frames with an image in which a part was detected."""
         there = ~np.isin(np.array(self.numbers), self.missing)
         shares = self.of_parts(self.seen)[there].mean(axis=0) if there.any() else np.zeros(len(PARTS))
         return dict(zip(PARTS, map(float, shares), strict=True))
 
     @property
     def stationary_periods(self) -> list[tuple[int, int]]:
-        """First and last frame of every period in which nothing of the body was seen."""
+        """First and last frame of every period without any detection."""
         return periods(self.numbers, self.stationary)
 
     @cached_property
     def labels(self) -> HandLabels:
-        """Which hand is left, by the whole film; to be asked for when all frames are there."""
+        """Labels of the hands by the whole film, once it is complete."""
         numbers, times = np.array(self.numbers, np.int64), np.array(self.times)
         return label_hands(numbers, times, self.exchange_log_odds, self.confusable)
 
     @property
     def exchanged(self) -> Array:
-        """Probability of each frame that hands have each other's name, after what was relabelled."""
-        found = self.labels
-        return np.where(found.exchanged, 1 - found.probabilities, found.probabilities)
+        """Probability of exchanged hands in each frame, after relabelling."""
+        labels = self.labels
+        return np.where(labels.exchanged, 1 - labels.probabilities, labels.probabilities)
 
     @property
     def relabelled(self) -> list[tuple[int, int]]:
-        """First and last frame of every period in which hands have changed their names at the end."""
+        """First and last frame of every period whose hands were relabelled."""
         return periods(self.numbers, self.labels.numbers[self.labels.exchanged].tolist())
 
     def of_parts(self, columns: NDArray[Any]) -> NDArray[Any]:
-        """Values `(n, 3, ...)` of head and hands by their final names, from those of every frame."""
+        """Relabel values `(n, 3, ...)` of head and hands."""
         values = np.array(columns)
         chosen = self.labels.exchanged
         values[chosen] = values[chosen][:, EXCHANGED_PARTS]
@@ -165,7 +160,7 @@ class BodyRecord(FrameRecord):
 
     @property
     def doubts(self) -> dict[str, list[Doubt]]:
-        """When hands may be exchanged, or one of them elsewhere."""
+        """Stretches in which hands may be exchanged, or one of them elsewhere."""
         probabilities = {"exchanged": self.exchanged}
         unsure = self.of_parts(self.unsure)
         probabilities |= {PARTS[hand]: unsure[:, hand] for hand in (1, 2)}
@@ -173,8 +168,8 @@ class BodyRecord(FrameRecord):
 
     @property
     def notes(self) -> list[str]:
-        """What is out of the ordinary, a sentence each."""
-        notes = [*notes_on_missing(self.missing), *in_words(self.doubts)]
+        """Warnings, a sentence each."""
+        notes = [*notes_on_missing(self.missing), *describe_doubts(self.doubts)]
         if self.relabelled:
             notes.append(
                 "By the whole film, left and right hand have changed their names in "
@@ -195,30 +190,21 @@ class BodyRecord(FrameRecord):
         return notes
 
 
-SAMPLES = 12
-"""Poses of the posterior that are shown of a frame."""
-
-PER_PX = 4
-"""Their places are whole numbers of this part of a px."""
-
-HALF_90 = 1.645
-"""Standard deviations of a Gaussian to either side of its mean that hold 90 %."""
-
-COLOURS = (GREEN, BLUE, ORANGE)
-"""Of head, left and right hand, as over the film but for the head."""
-
-GREY = "#8a929e"
-"""On the page, of what is white on the pictures."""
+SAMPLES = 12  # poses of the posterior that are drawn in a frame
+PER_PX = 4  # units of their positions per px
+HALF_90 = 1.645  # standard deviations of a Gaussian to either side of its mean that hold 90 %
+COLOURS = (GREEN, BLUE, ORANGE)  # of head, left and right hand
+GREY = "#8a929e"  # on the page, of what is white on the images
 
 
 DRAWN = (
     "joints_3d", "joints_3d_covariances", "samples", "hypotheses", "hypothesis_joints", "seen", "missing",
 )  # fmt: skip
-"""What of a row of `poses.npz` is drawn."""
+"""Columns of `poses.npz` that are drawn."""
 
 
 def drawn_of(row: Mapping[str, Any]) -> Row:
-    """What is drawn of a frame, from its row of `poses.npz`."""
+    """Return the columns that are drawn of a frame, from its row of `poses.npz`."""
     covariances = row["joints_3d_covariances"]
     upper = covariances[:, *np.triu_indices(3)]
     every = len(row["samples"]) // SAMPLES
@@ -234,14 +220,14 @@ def drawn_of(row: Mapping[str, Any]) -> Row:
 
 
 def _whole(places: NDArray[Any]) -> NDArray[np.int16]:
-    """Places as whole numbers of parts of a px, 0 where there is none."""
+    """Round places to units of 1 / `PER_PX` px; NaN becomes 0."""
     limits = np.iinfo(np.int16)
     scaled = np.nan_to_num(np.rint(PER_PX * places), nan=0.0)
     return np.asarray(np.clip(scaled, limits.min, limits.max).astype(np.int16))
 
 
 def with_final_names(film: Film, rows: Mapping[str, NDArray[Any]]) -> Film:
-    """A film with rows of `drawn_of`, hands named as in `rows` of `poses.npz`."""
+    """Relabel the hands of a film with rows of `drawn_of`, as in `rows` of `poses.npz`."""
     columns = {name: values.copy() for name, values in film.columns.items()}
     for index, place in enumerate(np.searchsorted(rows["frames"], film.numbers)):
         if rows["relabelled"][place]:
@@ -251,7 +237,7 @@ def with_final_names(film: Film, rows: Mapping[str, NDArray[Any]]) -> Film:
 
 
 def drawing(arm: float) -> Draw:
-    """What draws rows of `drawn_of` on frames, of a body whose stretched arm is so many px long."""
+    """Return what draws rows of `drawn_of` on frames; `arm` px is the length of a stretched arm."""
     overlay = BodyOverlay(arm)
 
     def draw(image: Image, row: Row, number: int, time: float, *, missing: bool) -> Image:
@@ -261,7 +247,7 @@ def drawing(arm: float) -> Draw:
 
 
 def _tracked(row: Row) -> TrackedBody:
-    """The body of a row of `drawn_of`."""
+    """Read a row of `drawn_of`."""
     joints = row["joints"].astype(np.float64)
     covariances = np.empty((len(joints), 3, 3))
     for k, (r, s) in enumerate(zip(*np.triu_indices(3), strict=True)):
@@ -280,7 +266,7 @@ def _tracked(row: Row) -> TrackedBody:
 def body_page(
     title: str, record: BodyRecord, summary: Mapping[str, Any], film: Film | None, arm: float
 ) -> Page:
-    """Fill the page of a run of one frame at least.
+    """Return the page of a run of at least one frame.
 
     The film has columns of `drawn_of`; `arm` is the length of a stretched one, px.
     """
@@ -298,7 +284,7 @@ def body_page(
 
 
 def over_the_film(film: Film, arm: float) -> tuple[dict[str, Any], list[TimelineRow]]:
-    """What is drawn over a film and beside it, and a row for each joint."""
+    """Return the layer over a film and in space, and a row of the timeline for each joint."""
     columns = film.columns
     seen = columns["seen"] & ~columns["missing"][:, None]
     inks = dict.fromkeys(range(len(JOINTS)), GREY)
@@ -347,14 +333,14 @@ def _cards(summary: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _plots(record: BodyRecord) -> list[Plot]:
-    """Curves in which periods without any feature are shaded."""
+    """Return the plots, in which periods without any detection are shaded."""
     nothing = record.spans(record.stationary_periods)
 
     def plot(name: str, unit: str, lines: Sequence[Line], caption: str) -> Plot:
         return Plot(name, unit, lines, caption + " Shaded: nothing was seen." * bool(nothing), shaded=nothing)
 
     names = [name.replace("_", " ") for name in PARTS]
-    places, halves = record.of_parts(record.places), HALF_90 * record.of_parts(record.spreads)
+    places, halves = record.of_parts(record.places), HALF_90 * record.of_parts(record.stds)
     plots = []
     for axis, name in enumerate(("x, to the right", "y, down", "z, away")):
         lines = []

@@ -29,12 +29,12 @@ from ...models.core.gaussian_message import squared_distances
 from ..body.measures import (
     APART,
     ELBOWS,
-    FOUND,
     HANDS,
     LEAST_OFF,
     LEAST_VARIANCE,
     OFF,
     PLACES,
+    RECOVERED,
     SOON,
     BodyTrial,
     coverage,
@@ -281,8 +281,8 @@ NOTE = (
     "Time of a whole frame, features included, and hindsight where there is any: the median over stretches "
     f"of {LAG} frames, in one thread beside another scene, all trackers in turns. 1x the time is that of "
     "RSMCM with hindsight, and CONDENSATION's own hindsight comes on top of it. A mis-track: a hand's error "
-    f"above {OFF:g} head heights in {LEAST_OFF} frames in a row. Recovered: below {FOUND:g} within {SOON} "
-    "frames from the first in which that hand looks like skin."
+    f"above {OFF:g} head heights in {LEAST_OFF} frames in a row. Recovered: below {RECOVERED:g} within "
+    f"{SOON} frames from the first in which that hand looks like skin."
 )
 
 TrialsByTracker = dict[str, list[BodyTrial]]  # by tracker, one for each seed

@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.checks import Array as Shape
+from ..core.checks import Positive, checked
 from ..core.short_repr import Rows, short_repr
 from ..numerics.rotations import logarithm
 from .kernels import elbows, place_joints, place_parts, reach, within_limits
@@ -239,6 +241,7 @@ class JointLimits:
 LIMITS = JointLimits()
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class UpperBody:
@@ -267,24 +270,22 @@ class UpperBody:
         for a length that is not positive, or more than four times off the proportions.
     """
 
-    head_height: float
-    head_width: float
-    neck: float
-    shoulder_width: float
-    upper_arm: float
-    forearm: float
-    hand: float
-    upper_arm_width: float
-    forearm_width: float
-    wrist_width: float
-    torso_height: float
-    torso_width: float
+    head_height: Positive
+    head_width: Positive
+    neck: Positive
+    shoulder_width: Positive
+    upper_arm: Positive
+    forearm: Positive
+    hand: Positive
+    upper_arm_width: Positive
+    forearm_width: Positive
+    wrist_width: Positive
+    torso_height: Positive
+    torso_width: Positive
 
     def __post_init__(self) -> None:
         for field in fields(self):
             length = getattr(self, field.name)
-            if not (np.isfinite(length) and length > 0):
-                raise ValueError(f"{field.name}: got {length} px, expected more than 0")
             usual = PROPORTIONS.get(field.name, 1.0) * self.head_height
             if not usual / 4 < length < 4 * usual:
                 raise ValueError(
@@ -293,15 +294,19 @@ class UpperBody:
                 )
 
     @classmethod
-    def from_head(cls, head_height: float) -> Self:
+    @checked
+    def from_head(cls, head_height: Positive) -> Self:
         """Return a body of usual proportions with a head of `head_height` px, chin to top of the skull."""
-        if not (np.isfinite(head_height) and head_height > 0):
-            raise ValueError(f"head_height: got {head_height} px, expected more than 0")
         lengths = {name: float(share * head_height) for name, share in PROPORTIONS.items()}
         return cls(head_height=float(head_height), **lengths)
 
     @classmethod
-    def fit(cls, joints: Array, head_heights: Array | None = None) -> Self:
+    @checked
+    def fit(
+        cls,
+        joints: Annotated[Array, Shape("n_frames", 8, 2, finite=False)],
+        head_heights: Array | None = None,
+    ) -> Self:
         """Fit a body to joints in a few images; what they leave open has usual proportions.
 
         Shoulders and neck mostly face the camera, so medians are taken: with typical turns of 17 degrees the
@@ -321,8 +326,6 @@ class UpperBody:
             if the joints have another shape, or give no length or an impossible one.
         """
         joints = np.asarray(joints, np.float64)
-        if joints.ndim != 3 or joints.shape[1:] != (len(JOINTS), 2):
-            raise ValueError(f"joints: got shape {joints.shape}, expected (n_frames, {len(JOINTS)}, 2)")
         if np.isinf(joints).any():
             raise ValueError("joints: got infinity, expected px, or NaN where a joint is not seen")
         head, root, left, left_elbow, left_hand, right, right_elbow, right_hand = joints.transpose(1, 0, 2)

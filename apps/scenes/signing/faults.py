@@ -1,4 +1,4 @@
-"""What goes wrong for a tracker of a signer: features that are missing for a while, skin that is no hand."""
+"""Faults of the detectors of a signer: features that are missing for a while, and false skin."""
 
 from dataclasses import dataclass
 
@@ -19,14 +19,12 @@ BOX_NOISE = 0.03  # of place and side of a box, in its side
 
 @dataclass(frozen=True, eq=False)
 class Distractor:
-    """Something skin-coloured, about as large as a hand, that is none."""
+    """A false hand: skin-coloured, about as large as a hand."""
 
-    # first, last: indices of the frames, from 0, between which it is there, both included
-    first: int
-    last: int
-    # start, velocity: `(2,)` px and px a frame: where it is in frame `first`, and its drift
-    start: Array
-    velocity: Array
+    first: int  # index of the first frame in which it is there, from 0
+    last: int  # index of the last one
+    start: Array  # `(2,)` px in frame `first`
+    velocity: Array  # `(2,)` px a frame
     radius: float  # px
     in_front: bool  # whether it is before the trunk, or behind everything
     seed: int  # of its shape and tone
@@ -39,12 +37,12 @@ class Distractor:
 
 @dataclass(frozen=True, eq=False)
 class ListedFaces:
-    """A face detector that gives what is on a list: `boxes[k]` for frame k + 1, whatever it shows."""
+    """A face detector that returns `boxes[k]` for frame k + 1."""
 
     boxes: tuple[Array, ...]
 
     def __call__(self, frame: Frame) -> Array:
-        """`(k, 4)` px: boxes x, y, width, height; none for a frame without a picture.
+        """Return boxes x, y, width, height, `(k, 4)` px; none for a frame without an image.
 
         Raises
         ------
@@ -59,10 +57,10 @@ class ListedFaces:
 
 
 def bursts(n_frames: int, share: float, lengths: tuple[int, int], generator: np.random.Generator) -> Counts:
-    """`(n_frames,)`: 0, or the number, from 1, of the burst that is going on; `share` of frames are in one.
+    """Draw bursts: `(n_frames,)` numbers of bursts, from 1, or 0; `share` of frames are in one.
 
-    A burst lasts a number of frames from a range. Pauses are half to one and a half times their mean, so that
-    a short scene, too, has nearly its share. A scene begins with a pause.
+    The length of a burst is uniform in a range. Pauses are half to one and a half times their mean, so that a
+    short scene, too, has nearly its share. A scene begins with a pause.
     """
     numbers = np.zeros(n_frames, np.int64)
     if share <= 0:
@@ -81,13 +79,13 @@ def bursts(n_frames: int, share: float, lengths: tuple[int, int], generator: np.
 def false_skin(
     bodies: Array, head_height: float, size: tuple[int, int], amount: float, seed: int
 ) -> tuple[Distractor, ...]:
-    """False skin about `bodies` `(n_frames, 2)` px, the points between the shoulders.
+    """Draw false skin about `bodies` `(n_frames, 2)` px, the points between the shoulders.
 
     About 15 % of the frames have one or two if `amount` is 1.
     """
     generator = np.random.default_rng([seed, 21])
     numbers = bursts(len(bodies), min(0.15 * amount, 1.0), FALSE, generator)
-    found = []
+    distractors = []
     for number in range(1, int(numbers.max(initial=0)) + 1):
         when = np.flatnonzero(numbers == number)
         if not len(when):
@@ -98,7 +96,7 @@ def false_skin(
             angle = generator.uniform(0, 2 * np.pi)
             radius = head_height * generator.uniform(0.17, 0.28)
             start = np.clip(bodies[when[0]] + away, radius, np.array(size) - 1 - radius)
-            found.append(
+            distractors.append(
                 Distractor(
                     int(when[0]),
                     int(when[-1]),
@@ -109,7 +107,7 @@ def false_skin(
                     int(generator.integers(2**31)),
                 )
             )
-    return tuple(found)
+    return tuple(distractors)
 
 
 def face_boxes(
@@ -120,7 +118,7 @@ def face_boxes(
     clutter: float,
     seed: int,
 ) -> ListedFaces:
-    """Faces about `heads` `(n_frames, 2)` px, except where `missed`, and a few false alarms."""
+    """Draw boxes of faces about `heads` `(n_frames, 2)` px, except where `missed`, and false alarms."""
     generator = np.random.default_rng([seed, 22])
     boxes = []
     for head, gone in zip(heads, missed, strict=True):

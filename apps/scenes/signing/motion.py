@@ -1,4 +1,4 @@
-"""How a signer moves: hands from place to place, arms by inverse kinematics, a head that sways and turns."""
+"""Motion of a signer: hands from place to place, arms by inverse kinematics, a head that sways and turns."""
 
 from dataclasses import dataclass
 
@@ -12,26 +12,24 @@ from ..random_fields import wander
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-TRIES = 40  # places that are thought of for every move of a hand; the most natural possible one is taken
+TRIES = 40  # random targets of each move of a hand, of which the most natural possible one is used
 MOVE = (0.25, 0.6)  # s, unless the way is too long for FASTEST
 HOLD = (0.0, 0.4)  # s
 REST = (0.4, 1.2)  # s, in the lap
 FASTEST = 7.0  # head heights a second, about 25 px a frame
-AHEAD = 4.0  # s that the left arm is planned beyond the scene, so that the right one knows what it will do
+AHEAD = 4.0  # s beyond the scene for which the left arm is planned, for the right one to avoid
 HEAD_TURN = np.array([0.18, 0.42, 0.13])  # largest nod, turn and tilt, rad
 
 
 @dataclass(frozen=True)
 class Habit:
-    """A kind of place that a hand goes to, in head heights from the point between the shoulders."""
+    """A kind of target of a hand, in head heights from the point between the shoulders."""
 
     share: float  # how often
-    # across, down, ahead: ranges: towards the hand's own side, downwards, towards the viewer
-    across: tuple[float, float]
+    across: tuple[float, float]  # range towards the hand's own side
     down: tuple[float, float]
-    ahead: tuple[float, float]
-    # range of the elbow's depth below the shoulder, in upper arms; negative is raised above it
-    elbow: tuple[float, float]
+    ahead: tuple[float, float]  # towards the viewer
+    elbow: tuple[float, float]  # range of the elbow's depth below the shoulder, in upper arms
 
 
 HABITS = (
@@ -52,7 +50,7 @@ PEAK = 1.875  # speed of a minimum-jerk move at its fastest, over its mean
 def signing(
     body: UpperBody, home: Array, size: tuple[int, int], n_frames: int, dt: float, seed: int
 ) -> BodyPoses:
-    """Poses of a signer whose root stays near `home` `(2,)` px; all are within `body`'s limits.
+    """Generate poses of a signer whose root stays near `home` `(2,)` px, within `body`'s limits.
 
     The torso is upright and faces the camera. The first poses of a longer scene are those of a shorter one.
     """
@@ -72,23 +70,18 @@ def signing(
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What one arm does, frame after frame.
+    """Motion of one arm."""
 
-    arms (n, 2, 3) are the directions of its segments, joints (n, 2, 3) elbow and hand from the point between
-    the shoulders; starts, ends (n_moves,) the times of its moves, kinds (n_moves,)
-    their habits.
-    """
-
-    arms: Array
-    joints: Array
-    starts: list[float]
+    arms: Array  # `(n, 2, 3)`: directions of its segments in each frame
+    joints: Array  # `(n, 2, 3)` px: elbow and hand from the point between the shoulders
+    starts: list[float]  # s, of its moves
     ends: list[float]
-    kinds: list[int]
+    kinds: list[int]  # their habits
 
 
 @dataclass(frozen=True)
 class _Intent:
-    """A move that is thought of: its habit, when it starts, what it and the pause after it take (s)."""
+    """An intended move: its habit, start, duration and the pause after it (s)."""
 
     kind: int
     start: float
@@ -99,7 +92,7 @@ class _Intent:
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """A move that is possible: arms and joints as in `_Plan`, when it ends (s), and hand and swivel then."""
+    """A possible move: arms and joints as in `_Plan`, its end (s), and hand and swivel then."""
 
     arms: Array
     joints: Array
@@ -109,7 +102,7 @@ class _Way:
 
 
 class _Planner:
-    """Plans one arm after the other, move by move: of some ways that are thought of, a possible one."""
+    """Plans one arm after the other, move by move, as the best possible one of random ways."""
 
     def __init__(self, body: UpperBody, roots: Array, necks: Array, size: tuple[int, int], dt: float) -> None:
         self.body, self.roots, self.size, self.dt = body, roots, size, dt
@@ -125,7 +118,7 @@ class _Planner:
             intent = self._intent(now, generator, other)
             way = self._way(side, intent, filled, place, swivel, generator, other)
             if way is None:
-                # think again a little later, and rest until then
+                # try again a little later, and rest until then
                 now += 0.1
                 frames = np.arange(filled, min(longest, int(np.floor(now / self.dt)) + 1))
                 held = np.broadcast_to(place, (1, len(frames), 3))
@@ -145,7 +138,7 @@ class _Planner:
         return plan
 
     def _intent(self, now: float, generator: np.random.Generator, other: _Plan | None) -> _Intent:
-        """What a hand that is free from `now` (s) on means to do."""
+        """Draw the next move of a hand that is free from `now` (s) on."""
         kind = int(generator.choice(len(HABITS), p=[habit.share for habit in HABITS]))
         start, duration = now, float(generator.uniform(*MOVE))
         pause = float(generator.uniform(*(REST if kind == LAP else HOLD)))
@@ -170,7 +163,7 @@ class _Planner:
         generator: np.random.Generator,
         other: _Plan | None,
     ) -> _Way | None:
-        """The most natural possible way of some from `place` and `swivel`, from frame `first` on."""
+        """Return the most natural possible way from `place` and `swivel`, from frame `first` on."""
         targets, swivels, bows, wanted = self._ideas(side, HABITS[intent.kind], place, generator)
         if other is not None and intent.to_other_hand:
             arrival = min(int((intent.start + intent.duration) / self.dt), len(self.roots) - 1)
@@ -195,7 +188,7 @@ class _Planner:
         return _Way(arms[best], joints[best], ends, targets[best], swivel + float(swivels[best]))
 
     def _beginning(self, side: int, generator: np.random.Generator) -> tuple[Array, float]:
-        """Where a hand is first, from its shoulder (px), and its swivel: in front of the chest."""
+        """Draw the first position of a hand from its shoulder (px), in front of the chest, and its swivel."""
         for _ in range(50):
             targets, _, _, wanted = self._ideas(side, HABITS[0], np.zeros(3), generator)
             swivels = generator.uniform(-np.pi, np.pi, TRIES)
@@ -210,7 +203,7 @@ class _Planner:
     def _ideas(
         self, side: int, habit: Habit, place: Array, generator: np.random.Generator
     ) -> tuple[Array, Array, Array, Array]:
-        """Targets (px from the shoulder), changes of swivel, bows of the way and depths of the elbow."""
+        """Draw targets (px from the shoulder), changes of swivel, bows of the way and depths of the elbow."""
         height, outwards = self.body.head_height, 1 - 2 * side
         low, high = np.array([habit.across, habit.down, habit.ahead]).T
         targets = generator.uniform(low, high, (TRIES, 3)) * np.array([outwards, 1.0, -1.0]) * height

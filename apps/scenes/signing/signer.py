@@ -1,4 +1,4 @@
-"""A signer who sits in front of a room, with exact poses, and with faults where trackers need them.
+"""A generated signer who sits in front of a room, with exact poses and with faults of the detectors.
 
 Any frame is rendered on its own, from the seed and the frame's index only.
 """
@@ -6,15 +6,16 @@ Any frame is rendered on its own, from the seed and the frame's index only.
 from collections.abc import Iterable, Iterator
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ....models.body.upper_body import PARTS, BodyPoses, UpperBody
+from ....models.core.checks import Count, CountFrom0, NotNegative, between, checked
 from ....models.core.frame import Frame
-from ..generated_film import GeneratedFilm, check_range
+from ..generated_film import GeneratedFilm
 from ..random_fields import wander
 from ..rendering_kernels import MAX_COORDINATE, draw_mesh
 from .faults import MISSING, Distractor, ListedFaces, bursts, face_boxes, false_skin
@@ -40,7 +41,7 @@ Sleeves = Literal["long", "short"]
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """What a scene is painted with: colours, textures and the lamp, and surfaces drawn with them."""
+    """Colours, textures and lamp of a scene, and rendering with them."""
 
     seed: int
     size: tuple[int, int]
@@ -104,9 +105,10 @@ class Appearance:
         return np.array([across * np.cos(elevation), -np.sin(elevation), -towards * np.cos(elevation)])
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class SignerScene(GeneratedFilm):
-    """Somebody who sits and signs, in front of a cluttered room, and features that fail for a while.
+    """A signer who sits in front of a cluttered room, with features that fail for a while.
 
     Hands go from place to place, across the face, each other and towards the viewer; the head sways and
     turns. The head's height is 21 to 27 % of the picture's. The first frames of a longer scene are those of a
@@ -117,13 +119,13 @@ class SignerScene(GeneratedFilm):
     n_frames
         length of the scene, 25 frames a second.
     seed
-        decides who it is, motion, room, light, faults and noise.
+        of person, motion, room, light, faults and noise.
     detector_dropout
         share of frames, 0 to 1, in which the feature of a part is missing, for head and hands each on its
-        own, in bursts of 2 to 12 frames: the detector gives no face, a hand has no colour of skin.
+        own, in bursts of 2 to 12 frames: no face is detected, a hand does not have the colour of skin.
     clutter
-        how much there is in the room, and how much of it looks like skin: 0, a plain wall; 1, shelves,
-        pictures and wooden things, and false hands in 15 % of the frames.
+        amount of things in the room, some of which look like skin: 0, a plain wall; 1, shelves, pictures and
+        wooden things, and false hands in 15 % of the frames.
     size
         `(width, height)` px.
     noise
@@ -135,17 +137,16 @@ class SignerScene(GeneratedFilm):
     Raises
     ------
     ValueError
-        if the picture is less than 120 px high or higher than wide, there is no frame, or a parameter is out
-        of its range.
+        if the picture is less than 120 px high or higher than wide.
     """
 
-    n_frames: int = 120
-    seed: int = 0
-    detector_dropout: float = 0.2
-    clutter: float = 1.0
+    n_frames: Count = 120
+    seed: CountFrom0 = 0
+    detector_dropout: Annotated[float, between(0, 1)] = 0.2
+    clutter: NotNegative = 1.0
     size: tuple[int, int] = (640, 360)
     _: KW_ONLY
-    noise: float = 2.5
+    noise: NotNegative = 2.5
     sleeves: Sleeves = "long"
 
     def __post_init__(self) -> None:
@@ -154,12 +155,6 @@ class SignerScene(GeneratedFilm):
             raise ValueError(
                 f"size: got {self.size}, expected (width, height), 120 px high or more and at least as wide"
             )
-        if self.sleeves not in get_args(Sleeves):
-            raise ValueError(f"sleeves: got {self.sleeves!r}, expected one of {', '.join(get_args(Sleeves))}")
-        check_range("n_frames", self.n_frames, 1)
-        check_range("detector_dropout", self.detector_dropout, 0, 1)
-        for name in ("seed", "clutter", "noise"):
-            check_range(name, getattr(self, name))
 
     def made(self, index: int) -> Frame:
         """Frame `index` with its time; the picture has colours."""
@@ -169,7 +164,7 @@ class SignerScene(GeneratedFilm):
 
     @cached_property
     def body(self) -> UpperBody:
-        """Lengths of the signer, px; proportions differ from scene to scene."""
+        """Lengths of the signer, px; proportions differ between scenes."""
         generator = np.random.default_rng([self.seed, 0])
         head = self.size[1] * generator.uniform(0.21, 0.275)
         usual = UpperBody.from_head(float(head))
@@ -191,7 +186,7 @@ class SignerScene(GeneratedFilm):
 
     @cached_property
     def _motion(self) -> BodyPoses:
-        """Poses of the frames, and of one more: the last exposure needs to know where hands go."""
+        """Poses of the frames, and of one more, for the last exposure."""
         generator = np.random.default_rng([self.seed, 1])
         width, height = self.size
         top = self.body.neck + 0.62 * self.body.head_height  # of the hair
@@ -213,13 +208,13 @@ class SignerScene(GeneratedFilm):
 
     @cached_property
     def detector(self) -> ListedFaces:
-        """Finds the face in this scene's frames as detectors do: with errors, misses and false alarms."""
+        """Face detector of this scene's frames, with errors, misses and false alarms."""
         heads = self.joints[:, 0, :2]
         return face_boxes(heads, self.hidden[:, 0], self.body.head_height, self.size, self.clutter, self.seed)
 
     @cached_property
     def distractors(self) -> tuple[Distractor, ...]:
-        """What looks like a hand and is none."""
+        """False hands."""
         return false_skin(self.poses.roots, self.body.head_height, self.size, self.clutter, self.seed)
 
     @cached_property
@@ -292,7 +287,7 @@ class SignerScene(GeneratedFilm):
         return exposed
 
     def _solids(self, index: int, moment: float) -> Iterator[tuple[Solid, str]]:
-        """Everything before the room at one moment of frame `index`, with the material it shows."""
+        """Yield all surfaces before the room at one moment of frame `index`, with their materials."""
         pose, hands = self._between(moment)
         shown = {}
         for part, name in ((1, "left hand"), (2, "right hand")):

@@ -454,7 +454,7 @@ def test_a_record_of_any_length() -> None:
     assert len(notes) == 4
     assert np.flatnonzero(np.isnan(record.log_evidence)).tolist() == [4, 5, 6, 8, 19]
     np.testing.assert_allclose(record.places[0][0], joints[HEAD])
-    np.testing.assert_allclose(record.spreads, 2.0)
+    np.testing.assert_allclose(record.stds, 2.0)
 
 
 def test_of_several_faces_the_one_that_is_pointed_at(
