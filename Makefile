@@ -13,18 +13,20 @@ MODULES := $(sort $(shell find $(PACKAGES) -type f -not -path '*/__pycache__/*')
 # Shows all that pyenv has, where there is one.
 NOX := PYENV_VERSION=$$(pyenv versions --bare 2>/dev/null | paste -sd :) $(BIN)/nox
 
-.PHONY: help demo docs docs-links test test-all test-versions test-newest test-processors test-oldest-processor check constraints bench reproduce results fuzz dist clean
+.PHONY: help demo docs docs-links test test-slow test-all test-versions test-newest test-processors test-oldest-processor test-seeds check constraints bench reproduce results fuzz dist clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo                   track the people in a built-in scene"
 	@echo "make docs                   the documentation, in docs/_build/html: every warning is an error"
 	@echo "make docs-links             whether the addresses in it are there, which needs a network"
-	@echo "make test                   quick tests"
-	@echo "make test-all               quick tests and long experiments"
+	@echo "make test                   quick tests: four minutes on two cores"
+	@echo "make test-slow              slow tests: kills, streams, threads, accuracy, fuzzing, experiments"
+	@echo "make test-all               quick and slow tests"
+	@echo "make test-seeds             quick tests with other seeds each time"
 	@echo "make test-versions          quick tests with the lowest, the tested and the newest versions of all packages"
 	@echo "make test-newest            the demo and some of the tests with the newest versions, on Python 3.13"
-	@echo "make test-processors        numerical tests as four other processors round"
+	@echo "make test-processors        numerical tests as four other processors compute"
 	@echo "make test-oldest-processor  the same as the oldest of them, which differs most"
 	@echo "make check                  lint, format, types"
 	@echo "make constraints            choose the newest versions to be the tested ones"
@@ -47,6 +49,9 @@ docs-links: $(DOCS)
 test: $(TEST)
 	$(BIN)/python -m pytest -n 2 -m "not slow"
 
+test-slow: $(TEST)
+	$(BIN)/python -m pytest -n 2 -m slow --maxfail 1
+
 test-all: $(TEST)
 	$(BIN)/python -m pytest -n 2
 
@@ -54,13 +59,16 @@ test-versions: $(DEV)
 	$(NOX)
 
 test-newest: $(DEV)
-	$(NOX) --session newest_first_met
+	$(NOX) --session newest_dependent
 
 test-processors: $(DEV)
 	$(NOX) --session processor
 
 test-oldest-processor: $(DEV)
 	$(NOX) --session "processor(nehalem)"
+
+test-seeds: $(DEV)
+	$(NOX) --session seeds
 
 check: $(CHECK)
 	$(BIN)/ruff check .

@@ -1,12 +1,13 @@
-"""The tests with the lowest versions of what the package needs, the tested ones and the newest, and as other
-processors run them.
+"""The quick tests with other versions of the dependencies, on other processors and with other seeds.
 
-`nox` runs the quick tests with each version, `nox --session processor` the numerical ones as each processor;
-what stands behind `--` goes to pytest in place of these tests.
+`nox` runs them with the lowest, the tested and the newest versions, `nox --session processor` the numerical
+ones as four other processors compute, `nox --session seeds` all of them with another shift of all seeds each
+time. Arguments behind `--` go to pytest in place of these tests.
 """
 
 import os
 import sys
+import time
 
 import nox
 
@@ -14,10 +15,10 @@ nox.options.default_venv_backend = "uv"
 nox.options.download_python = "never"
 nox.options.error_on_missing_interpreters = False  # nox lists the sessions that it left out
 
-FIRST_MET = (
+DEPENDENT = (
     "apps/background", "apps/io", "apps/test_command_line.py", "inference/engine", "system/test_pages.py",
 )  # fmt: skip
-"""Tests of what meets other libraries first: files, saved states, engines, the command line."""
+"""Tests of the parts that depend on other libraries most: files, saved states, engines, the command line."""
 
 NUMERICAL = ("tests/models", "tests/inference", "tests/chains")
 
@@ -38,10 +39,9 @@ PROCESSORS = {
     "haswell": {**NO_AVX512, "OPENBLAS_CORETYPE": "Haswell", "NUMBA_CPU_NAME": "haswell"},
     "zen": {**NO_AVX512, "OPENBLAS_CORETYPE": "Zen", "NUMBA_CPU_NAME": "znver3"},
 }
-"""What has OpenBLAS, numpy, OpenCV, the C library and numba take the code that they have for a processor.
+"""Environment in which OpenBLAS, numpy, OpenCV, the C library and numba choose their code for a processor.
 
-Each rounds in its own way. A processor can play those that have less than itself; to be told not to use what
-it lacks changes nothing.
+Each rounds in its own way. A processor can only play older ones, with fewer instructions than its own.
 """
 
 
@@ -67,20 +67,29 @@ def newest(session: nox.Session) -> None:
 
 
 @nox.session(python="3.13", default=False)
-def newest_first_met(session: nox.Session) -> None:
+def newest_dependent(session: nox.Session) -> None:
     """The demo, and a part of the tests, with the newest version of everything: a few minutes."""
     install(session, "--upgrade")
-    run_tests(session, *(f"tests/{path}" for path in FIRST_MET))
+    run_tests(session, *(f"tests/{path}" for path in DEPENDENT))
     session.run("rsmcm", "demo", "--out", f"{session.create_tmp()}/demo")
 
 
 @nox.session(python=False, default=False)
 @nox.parametrize("name", list(PROCESSORS), ids=list(PROCESSORS))
 def processor(session: nox.Session, name: str) -> None:
-    """The numerical tests as another processor rounds, with the packages that are there."""
-    # numba alone would take what this processor has beyond the one that is named
+    """The numerical tests as another processor computes, with the installed packages."""
+    # without this, numba also uses what this processor has beyond the named one
     session.env.update(PROCESSORS[name], NUMBA_CPU_FEATURES="")
     run_tests(session, *(session.posargs or NUMERICAL))
+
+
+@nox.session(python=False, default=False)
+def seeds(session: nox.Session) -> None:
+    """The quick tests with every seed shifted, by `SEED_SHIFT` or a number that is another one each time."""
+    shift = os.environ.get("SEED_SHIFT") or str(int(time.time()) % 1_000_000)
+    session.log(f"SEED_SHIFT={shift} repeats this run")
+    session.env["SEED_SHIFT"] = shift
+    run_tests(session, f"--hypothesis-seed={shift}", *session.posargs)
 
 
 def install(session: nox.Session, *versions: str) -> None:
@@ -90,7 +99,7 @@ def install(session: nox.Session, *versions: str) -> None:
 
 def run_tests(session: nox.Session, *tests: str) -> None:
     """Run the quick tests, or those of the given files."""
-    # Compiled loops are kept apart: each version of numba overwrites what another one has left.
+    # each version of numba would overwrite the compiled loops of another one
     session.env["NUMBA_CACHE_DIR"] = os.fspath(session.cache_dir / session.name)
     python = "python" if session.python else sys.executable
     session.run(python, "-m", "pytest", "-n", "2", "-m", "not slow", *tests)

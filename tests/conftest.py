@@ -18,7 +18,10 @@ from hypothesis import HealthCheck, settings
 from rsmcm.apps.command_line import main
 from rsmcm.apps.runs import progress
 
+from .support import seed_shift
 from .support.browser import Browser, browsing
+
+seed_shift.install()
 
 # A busy machine, or the first call of a compiled loop, says nothing about what is tested.
 settings.register_profile("any-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
