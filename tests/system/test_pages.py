@@ -84,10 +84,6 @@ def test_all_but_a_few_blocks_are_run() -> None:
             assert len(block.info) == 1 or block.language not in ("python", "sh") or not block.run, where
 
 
-def test_readme_is_short() -> None:
-    assert len((ROOT / "README.md").read_text().splitlines()) <= 200
-
-
 def test_every_experiment_is_among_the_figures() -> None:
     text = pages()["figures"].read_text()
     for name in EXPERIMENTS:

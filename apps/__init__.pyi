@@ -1,0 +1,15 @@
+from .trackers import (
+    BodyTracker,
+    FaceTracker,
+    ObjectTracker,
+    PointTracker,
+    TrackerState,
+)
+
+__all__ = [
+    "BodyTracker",
+    "FaceTracker",
+    "ObjectTracker",
+    "PointTracker",
+    "TrackerState",
+]
