@@ -22,11 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..chains.body.articulated_pose import ArticulatedPose
 from ..chains.body.flesh_tracker import FleshTracker
-from ..chains.body.samples import moments
+from ..chains.body.samples import body_moments
 from ..chains.body.start import (
     BodyStart,
     SavedPerson,
-    shows_whom,
+    shows_person,
     start_from_faces,
     start_from_head,
     start_from_keypoints,
@@ -542,7 +542,7 @@ class BodyTracker(Tracker[SavedPerson, TrackedBody | None]):
         if not self._started(frame, lambda first: self._find(first, head)):
             return None
         states = self._step(frame).states
-        found = moments(self._body, states[ArticulatedPose.name])
+        found = body_moments(self._body, states[ArticulatedPose.name])
         return TrackedBody(
             found.joints,
             found.joint_covariances,
@@ -562,7 +562,7 @@ class BodyTracker(Tracker[SavedPerson, TrackedBody | None]):
             return start_from_head(frame, box, [image], None)
         if keypoints is not None and file is None:
             return (
-                start_from_keypoints(frame, _Keypoints(frame), [image], None) if shows_whom(frame) else None
+                start_from_keypoints(frame, _Keypoints(frame), [image], None) if shows_person(frame) else None
             )
         faces = default_faces(file, "head, keypoints, or a model file of YuNet as detector")
         return start_from_faces("image", [image], file, None, box) if len(faces(frame)) else None
