@@ -157,12 +157,12 @@ def test_lemma_1_no_noise_is_better_than_the_optimal_one(seed: int) -> None:
 
 
 def test_theorem_2_is_sufficient_but_not_necessary() -> None:
-    """No counterexample among 200,000 cases; benefit without its condition is common."""
-    errors = random_errors(2, np.random.default_rng(6), (200_000,))
+    """No counterexample among 40,000 cases; benefit without its condition is common."""
+    errors = random_errors(2, np.random.default_rng(6), (40_000,))
     helps = np.minimum(*errors.gains) > 0
-    assert errors.theorem_holds.sum() > 1000
+    assert errors.theorem_holds.sum() > 200
     assert helps[errors.theorem_holds].all()
-    assert (helps & ~errors.theorem_holds).sum() > 10_000
+    assert (helps & ~errors.theorem_holds).sum() > 2000
 
 
 def test_correlation_that_can_be_borne_in_one_dimension() -> None:

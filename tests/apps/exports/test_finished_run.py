@@ -96,16 +96,3 @@ def test_damaged_results_are_named(background: Path, tmp_path: Path) -> None:
         file.write("61,2.4,1,1,1,5,5,1,0,0,1\n")
     with pytest.raises(ValueError, match=r"tracks\.csv: got objects of frame 61, which is none of the run's"):
         list(FinishedRun.of(out).frames(masks=False))
-
-
-def test_a_video_of_masks_has_a_picture_a_frame(street: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert Command("background")(street, "--stop", 4, "--masks", "video", "--out", out) == 0
-    assert [frame.number for frame in FinishedRun.of(out).frames()] == [1, 2, 3, 4]
-    summary = json.loads((out / "summary.json").read_text())
-    for last, got in ((5, "4"), (3, "more")):
-        (out / "summary.json").write_text(json.dumps(summary | {"last_frame": last, "frames": last}))
-        with pytest.raises(
-            ValueError, match=rf"foreground\.mkv: got {got} pictures, expected {last}, one a frame"
-        ):
-            list(FinishedRun.of(out).frames())

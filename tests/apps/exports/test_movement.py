@@ -87,12 +87,3 @@ def test_damaged_poses_are_named(body: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"poses\.npz: got a damaged file"):
         to_movement(tmp_path, tmp_path / "body.nc")
     assert not (tmp_path / "body.nc").exists()
-
-
-def test_a_run_without_objects_is_refused(
-    street: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert Command("background")(street, "--stop", 2, "--masks", "none", "--out", tmp_path / "out") == 0
-    assert Command("export")(tmp_path / "out", "--to", "movement", "--out", tmp_path / "none.nc") == 2
-    assert "got a run without objects, expected one at least" in capfd.readouterr().err
-    assert not (tmp_path / "none.nc").exists()

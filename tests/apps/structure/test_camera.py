@@ -89,14 +89,6 @@ def test_colmap_reads_back_as_the_format_says(finished: Path) -> None:
         assert np.mean(distances) == pytest.approx(float(error), abs=2e-3)
 
 
-def test_a_given_focal_length(source: Path, tmp_path: Path, film: PerspectiveFilm) -> None:
-    assert run(source, "--out", tmp_path / "out", *ALONE, "--focal", f"{film.cameras.focal}") == 0
-    summary = summary_of(tmp_path / "out")
-    assert summary["focal_length_px"] == pytest.approx(film.cameras.focal)
-    assert summary["focal_length_deviation_px"] == 0
-    assert "as given" in summary["camera_in_words"]
-
-
 def picture_with(path: Path, details: Mapping[int, object]) -> Path:
     exif = Image.Exif()
     exif.get_ifd(DETAILS).update(details)
