@@ -1,5 +1,6 @@
 """Films of a camera that shakes."""
 
+import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import shaken, sleeping_man
@@ -12,13 +13,16 @@ def test_frames_show_the_scene_where_the_maps_say() -> None:
     first = film[0].image
     assert first is not None
     assert (first == scene[0].image[12:-12, 12:-12]).all(), "the first frame is as it was"
-    for index in (3, 11):
-        steady, image = scene[index].image[12:-12, 12:-12], film[index].image
-        assert np.abs(film.views[index].parameters).max() > 0.5
-        back = film.views[index].warp_to_scene(image, np.zeros_like(image))
-        inner = (slice(15, -15), slice(15, -15))
-        moved = np.abs(image[inner].astype(float) - steady[inner]).mean()
-        assert np.abs(back[inner].astype(float) - steady[inner]).mean() < 0.25 * moved
+    index = int(np.argmax([np.abs(view.parameters).max() for view in film.views]))
+    steady, image = scene[index].image[12:-12, 12:-12], film[index].image
+    back = film.views[index].warp_to_scene(image, np.zeros_like(image))
+    # details that cannot be interpolated are left out
+    steady, image, back = (
+        cv2.GaussianBlur(each, (0, 0), 2.0).astype(float) for each in (steady, image, back)
+    )
+    inner = (slice(15, -15), slice(15, -15))
+    moved = np.abs(image[inner] - steady[inner]).mean()
+    assert np.abs(back[inner] - steady[inner]).mean() < 0.1 * moved
 
 
 def test_shake_is_as_large_as_asked_and_the_same_at_any_rate() -> None:
