@@ -457,13 +457,13 @@ def _take_spot(counts, row, column, least, waiting):
 
 
 @compiled
-def find_spots(log_odds, size, scale, blobs, pools, smallest, thinnest, counts, memory, found):
+def find_spots(log_odds, size, scale, blobs, pools, min_area, thinnest, counts, memory, spots):
     """Find spots of blocks, each a quarter foreground or more, that are neither of a blob nor beside one.
 
     `log_odds` `(n_pixels,)` int8 are of a picture of this `size`; `scale` px is the side of a block; spots
-    have an area px of `smallest` and a share `thinnest` of the squared length at least. `counts` int32 has a
+    have an area px of `min_area` and a share `thinnest` of the squared length at least. `counts` int32 has a
     number for every block, `memory` int64 room for one for every 64 pixels, for every column, and for every
-    block. Gives how many rows of `found` `(n, 5)` were filled: top, left, bottom, right, area px.
+    block. Gives how many rows of `spots` `(n, 5)` were filled: top, left, bottom, right, area px.
     """
     count_foreground(log_odds, size[1], scale, counts, memory)
     widest = 0
@@ -480,12 +480,12 @@ def find_spots(log_odds, size, scale, blobs, pools, smallest, thinnest, counts, 
         for column in range(in_row.size):
             highest = max(highest, in_row[column])
         for column in range(in_row.size if highest >= least else 0):
-            if in_row[column] < least or count == len(found):
+            if in_row[column] < least or count == len(spots):
                 continue
             top, left, bottom, right, area = _take_spot(counts, row, column, least, memory)
             length = scale * max(bottom - top, right - left)
-            if area >= max(smallest, thinnest * length * length):
-                found[count, 0], found[count, 1], found[count, 2] = scale * top, scale * left, scale * bottom
-                found[count, 3], found[count, 4] = scale * right, area
+            if area >= max(min_area, thinnest * length * length):
+                spots[count, 0], spots[count, 1], spots[count, 2] = scale * top, scale * left, scale * bottom
+                spots[count, 3], spots[count, 4] = scale * right, area
                 count += 1
     return count

@@ -449,9 +449,9 @@ def _lives(blob, mask, inside, in_front, pools, rule, scratch):
 
 
 @compiled
-def weigh(blob, found, box, length, rule):
+def weigh(blob, evidence, box, length, rule):
     """Add what the outline says of ghost and real (nats): as it is now, and over the way so far."""
-    blob["view"] += (found - blob["view"]) * rule.view_share
+    blob["view"] += (evidence - blob["view"]) * rule.view_share
     if overlap(box, (blob.origin[0], blob.origin[1], blob.origin[2], blob.origin[3])):
         return
     lengths = rule.elapsed * np.hypot(blob.velocity[0], blob.velocity[1]) / length

@@ -169,13 +169,13 @@ class BlobTracker:
         return incoming.once(self._detected, state, pixels, boxes, registered)
 
     def _detected(
-        self, state: BlobState, pixels: PixelMessage, boxes: BoxMessage, found: tuple[Blobs, LayerStack]
+        self, state: BlobState, pixels: PixelMessage, boxes: BoxMessage, registered: tuple[Blobs, LayerStack]
     ) -> tuple[Blobs, list[Blob], LayerStack]:
-        known = detections.correct(found[0], boxes)
+        known = detections.correct(registered[0], boxes)
         # born where there is no image, it is of any colour until there is one
         channels = 0 if pixels.image is None else known.channels
         new = [
-            detections.newborn(number, boxes, k, channels)
+            detections.newborn(number, boxes, k, channels, self.colour_variance)
             for number, k in enumerate(detections.unexplained(boxes, state.size), state.born + 1)
         ]
         blobs = front_to_back(known.select(~detections.are_parts(known, Blobs.of(new, known.channels))))

@@ -35,9 +35,6 @@ BOX_WALK_STD = 0.03  # heights/s^0.5: how far a box moves against the blob that 
 SIDE_WALK_STD = 0.1  # shares/s^0.5: how fast sides of a box change as an object comes nearer
 MASK_ERROR = 0.2  # of a mask's box, in its sides: how far a detector's box may be off
 LEAST = np.array([-np.inf, -np.inf, 1.0, 1.0])  # px: of a box's numbers
-COLOUR_VARIANCE = (
-    300.0  # squared grey levels: variance of a new object's colours about those that it shows first
-)
 
 WHOLE = 0.25
 """s after which a box of the same object is worth a whole new one: a detector errs alike for a while."""
@@ -139,7 +136,7 @@ def unexplained(boxes: BoxMessage, size: tuple[int, int]) -> list[int]:
     return np.flatnonzero((association.new > CANDIDATE) & _inside(association.boxes, size)).tolist()
 
 
-def newborn(identity: int, boxes: BoxMessage, k: int, channels: int) -> Blob:
+def newborn(identity: int, boxes: BoxMessage, k: int, channels: int, colour_variance: float) -> Blob:
     """Return a new object that is first shown by the detector's box `k`."""
     association = boxes.association
     assert association is not None
@@ -153,7 +150,7 @@ def newborn(identity: int, boxes: BoxMessage, k: int, channels: int) -> Blob:
         if outline.any():  # in a detector's outline nearly everything is the object's
             mask = SURE_COVER * outline
     planes = np.zeros((channels, *mask.shape), np.float32)
-    return Blob.newborn(identity, corner, mask, planes, INITIAL_VELOCITY_STD, COLOUR_VARIANCE).changed(
+    return Blob.newborn(identity, corner, mask, planes, INITIAL_VELOCITY_STD, colour_variance).changed(
         covariance=np.diag([1e-6, (INITIAL_VELOCITY_STD * height) ** 2]),
         existence=float(_log_odds(association.new[k])),
         noticed=float(_log_odds(0.98)),

@@ -37,7 +37,7 @@ from .object_trajectories import Boxes, messages_of
 
 Numbers = NDArray[np.float64]
 
-LONG = 60.0  # s, in which any light can come about
+LONG = 60.0  # s, after which all objects of a film have left the picture
 ROOM = 0.1  # of a box's size, around it: shadows, hair and feet that it leaves out
 FEWEST_FRAMES = 9  # from which an empty scene is found, however large they are
 

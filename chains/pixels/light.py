@@ -239,7 +239,7 @@ def _sampled_light(rows, columns):
 
 
 @compiled
-def _sample(pixels, luma, columns, channels, shown, known):
+def _sample(pixels, luma, columns, channels, shown, stored):
     """Some pixels of a row of a picture, and of the stored means."""
     if channels == 3:
         blue, green, red = shown[0], shown[1], shown[2]
@@ -248,11 +248,11 @@ def _sample(pixels, luma, columns, channels, shown, known):
             start = x + x + x
             blue[k] = pixels[start]
             green[k], red[k] = pixels[start + np.uint64(1)], pixels[start + np.uint64(2)]
-            known[k] = luma[x]
+            stored[k] = luma[x]
     else:
         for k in range(columns.size):
             shown[0, k] = pixels[columns[k]]
-            known[k] = luma[columns[k]]
+            stored[k] = luma[columns[k]]
 
 
 @compiled

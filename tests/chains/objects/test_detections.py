@@ -104,7 +104,7 @@ def test_somebody_new_has_the_outline_that_the_detector_gives() -> None:
     message = told(box, noise)
     assert message.association is not None
     outlined = replace(message, association=replace(message.association, new=np.ones(1), outlines=picture))
-    blob = detections.newborn(1, outlined, 0, 3)
+    blob = detections.newborn(1, outlined, 0, 3, 300.0)
     top, left = blob.corner
     placed = np.zeros((120, 160), np.float32)
     placed[top : top + blob.mask.shape[0], left : left + blob.mask.shape[1]] = blob.mask
