@@ -11,7 +11,7 @@ from .objects.blob_tracker import BlobTracker
 from .objects.detector_rates import DetectorRates
 from .objects.ground_plane import GroundPlane
 from .objects.object_trajectories import ObjectTrajectories
-from .objects.scene_filter import SceneFilter
+from .objects.scene_filter import SceneFilter, SceneModel
 from .pixels.adaptive_background import AdaptiveBackground
 from .pixels.camera_motion import CameraMotion
 from .pixels.mixture_background import MixtureBackground
@@ -48,6 +48,7 @@ __all__ = [
     "Reconstruction",
     "RecursiveStructure",
     "SceneFilter",
+    "SceneModel",
     "body_moments",
     "reconstruct",
 ]
