@@ -586,7 +586,7 @@ class BlobScene:
         both = (own * sizes + others * expected) / (own + others)
         return np.where(known[:, None], np.maximum(both, 0.5 * sizes), sizes)
 
-    def learned(self, blobs: Blobs, rule: Learning) -> tuple[Blobs, NDArray[np.bool_]]:
+    def learn_blobs(self, blobs: Blobs, rule: Learning) -> tuple[Blobs, NDArray[np.bool_]]:
         """Return blobs, given front to back, after the frame, and `(n,)` whether each is kept."""
         before, table, channels = blobs.table, blobs.table.copy(), blobs.channels
         total = fit(table, rule.ghost_threshold)
@@ -614,12 +614,12 @@ class BlobScene:
         side_by_side([partial(work, first) for first in range(count)])
         return after, alive.astype(bool)
 
-    def colour(self, blobs: Blobs, first: int) -> None:
+    def colour_newborns(self, blobs: Blobs, first: int) -> None:
         """Set the colours of new blobs, those from `first` on, from the image."""
         for record in blobs.table[first:]:
             colour_newborn(record, blobs.pools, self.picture.image)
 
-    def shown_in(self, spot: Spot, blobs: Blobs) -> tuple[Numbers, Map, Map]:
+    def cut_out(self, spot: Spot, blobs: Blobs) -> tuple[Numbers, Map, Map]:
         """Return foreground in a spot and around it that no blob covers: top and left, mask, and planes."""
         top, left = spot[0] - MARGIN, spot[1] - MARGIN
         shape = (spot[2] + MARGIN - top, spot[3] + MARGIN - left)
@@ -645,7 +645,7 @@ class BlobScene:
         return spots
 
 
-def inherited(blob: Blob, others: Blobs) -> float:
+def inherited_evidence(blob: Blob, others: Blobs) -> float:
     """Return the ghost evidence (nats) of a new blob: half that of the blobs it touches."""
     x, y, width, height = blob.box
     left, top, columns, rows = others.boxes.T

@@ -29,9 +29,9 @@ from ...models.objects.object_boxes import ObjectBoxes
 from ...models.pixels.layers import NO_LAYERS, LayerStack, log_uniform
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
 from . import detections
-from .blob_scene import VIEW_TIME, BlobScene, Learning, inherited
+from .blob_scene import VIEW_TIME, BlobScene, Learning, inherited_evidence
 from .blobs import Blob, Blobs, BlobState, front_to_back, layers_of, likely_size
-from .groups import alone, fragment_times, halves, merged, parting_columns, with_parts
+from .groups import fragment_times, group_parts, merge_pieces, select_whole, split_columns, split_mask
 from .registration import register_blobs
 
 SWEEP = 0.8  # s after which a mask is freed of crumbs again
@@ -130,7 +130,7 @@ class BlobTracker:
         blobs, _ = incoming.once(self._registered, state, pixels)
         if not len(blobs):
             return BoxMessage()
-        return detections.box_message(alone(blobs), state.detecting, pixels.image is not None)
+        return detections.box_message(select_whole(blobs), state.detecting, pixels.image is not None)
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Update all objects by the frame: register, learn, merge, split, delete and create."""
@@ -146,18 +146,18 @@ class BlobTracker:
         numbers, least_area = count(state.born + 1), self.min_area * scene.size[0] * scene.size[1]
         kept = Blobs.none(blobs.channels)
         if len(blobs) or newborn:
-            learned, alive = scene.learned(blobs, self._rule(blobs.channels, scene, least_area))
+            learned, alive = scene.learn_blobs(blobs, self._rule(blobs.channels, scene, least_area))
             kept = learned.select(alive).concatenate(newborn)
-            scene.colour(kept, int(alive.sum()))
-            kept = with_parts(merged(self._parted(kept, numbers, scene, least_area)), scene.newcomers)
+            scene.colour_newborns(kept, int(alive.sum()))
+            kept = group_parts(merge_pieces(self._split(kept, numbers, scene, least_area)), scene.newcomers)
             kept.table["fragment_time"] = fragment_times(kept, scene)
         for spot in scene.spots(kept, least_area):
-            corner, mask, planes = scene.shown_in(spot, kept)
+            corner, mask, planes = scene.cut_out(spot, kept)
             if float(mask.sum()) >= least_area:
                 new = Blob.newborn(
                     next(numbers), corner, mask, planes, self.initial_velocity_std, self.colour_variance
                 )
-                kept = kept.concatenate([new.changed(past_views=inherited(new, kept))])
+                kept = kept.concatenate([new.changed(past_views=inherited_evidence(new, kept))])
         return replace(state, blobs=kept, born=next(numbers) - 1, elapsed=0.0)
 
     def _placed(self, state: BlobState, incoming: Incoming) -> tuple[Blobs, list[Blob], LayerStack]:
@@ -211,16 +211,16 @@ class BlobTracker:
             **{name: getattr(self, name) for name in OF_TRACKER},
         )
 
-    def _parted(self, blobs: Blobs, numbers: Iterator[int], scene: BlobScene, least_area: float) -> Blobs:
+    def _split(self, blobs: Blobs, numbers: Iterator[int], scene: BlobScene, least_area: float) -> Blobs:
         """Blobs that have had a waist or the width of two for a while are two; crumbs are swept away."""
         table = blobs.table
         judged = (table["unseen"] == 0) & (table["detected"] == 0)
-        waists = np.where(judged, parting_columns(blobs, scene.newcomers), -1)
+        waists = np.where(judged, split_columns(blobs, scene.newcomers), -1)
         longer = np.where(waists < 0, 0.0, table["parting"] + scene.elapsed)
         table["parting"] = np.where(judged, longer, table["parting"])
         parted = {}
         for k in np.flatnonzero((waists >= 0) & (longer >= self.split_time)).tolist():
-            larger, smaller = halves(blobs[k], waists[k])
+            larger, smaller = split_mask(blobs[k], waists[k])
             if smaller.sum() >= max(least_area, 0.25 * larger.sum()):
                 blob, new = blobs[k].changed(parting=0.0, still=0.0), next(numbers)
                 parted[k] = [

@@ -18,7 +18,7 @@ SAME_TIME = 0.4  # s by which the births of parts of one thing may be apart
 KNOWN = 0.25  # deviation over mean of the height prior, below which the height is known
 
 
-def with_parts(blobs: Blobs, newcomers: Newcomers | None) -> Blobs:
+def group_parts(blobs: Blobs, newcomers: Newcomers | None) -> Blobs:
     """Group blobs that have set off together, as parts of the oldest of them.
 
     Something that was a part of the scene, and looks alike in its middle wherever it is, comes into view as
@@ -35,7 +35,7 @@ def with_parts(blobs: Blobs, newcomers: Newcomers | None) -> Blobs:
         whole = table["whole"]
         parts = blobs.select(np.flatnonzero(whole == whole[k]))
         grown = seen[k] >= SETTING_OFF or found[k]
-        if len(parts) > 1 and (grown or not are_one(parts.boxes, newcomers)):
+        if len(parts) > 1 and (grown or not can_be_one(parts.boxes, newcomers)):
             whole[k] = table["identity"][k]
     for first, k in enumerate(young):
         for other in young[first + 1 :]:
@@ -54,14 +54,14 @@ def _members(table: NDArray[np.void]) -> NDArray[np.int64]:
     return np.asarray(counts[place], np.int64)
 
 
-def alone(blobs: Blobs) -> Blobs:
+def select_whole(blobs: Blobs) -> Blobs:
     """Return the blobs that are whole objects, or one of two parts: the sizes of others mean nothing."""
     if (blobs.table["whole"] == blobs.table["identity"]).all():
         return blobs
     return blobs.select(_members(blobs.table) <= 2)
 
 
-def are_one(boxes: Numbers, newcomers: Newcomers | None) -> bool:
+def can_be_one(boxes: Numbers, newcomers: Newcomers | None) -> bool:
     """Return whether blobs can be parts of one object: together neither too high nor as wide as two."""
     whole = union(boxes)
     mean, deviation = height_prior(whole[1] + whole[3], newcomers)
@@ -79,7 +79,7 @@ def set_off_together(blobs: Blobs, one: int, other: int, newcomers: Newcomers | 
     apart = math.hypot(*(here["velocity"] - there["velocity"]))
     alike = slower > 0.1 * length and apart < 0.2 * length and abs(here["seen"] - there["seen"]) < SAME_TIME
     shorter, longer = sorted(blobs.reported_boxes[[one, other], 2:].max(axis=1).tolist())
-    return bool(gap < longer and shorter < 0.5 * length and alike and are_one(boxes, newcomers))
+    return bool(gap < longer and shorter < 0.5 * length and alike and can_be_one(boxes, newcomers))
 
 
 def height_prior(feet: ArrayLike, newcomers: Newcomers | None) -> tuple[Numbers, Numbers]:
@@ -118,7 +118,7 @@ def pair_evidence(boxes: ArrayLike, newcomers: Newcomers | None) -> Numbers:
     return np.where(as_high & (apart > 0.3) & (apart < 1.3), -np.log(usual) - one, -np.inf)
 
 
-def parting_columns(blobs: Blobs, newcomers: Newcomers | None) -> NDArray[np.int64]:
+def split_columns(blobs: Blobs, newcomers: Newcomers | None) -> NDArray[np.int64]:
     """Return `(n,)` columns of masks at which blobs seem to be two; -1 where they seem to be one."""
     table = blobs.table
     columns = np.where(table["waist_depth"] < 0.5, table["waist"], -1)
@@ -139,7 +139,7 @@ def thinnest_column(mask: Map) -> int:
     return int(np.argmin(smooth)) + left + quarter
 
 
-def halves(blob: Blob, column: int) -> tuple[Map, Map]:
+def split_mask(blob: Blob, column: int) -> tuple[Map, Map]:
     """Return the mask left and right of a column, the larger one first."""
     left, right = blob.mask.copy(), blob.mask.copy()
     left[:, column:] = 0
@@ -147,20 +147,20 @@ def halves(blob: Blob, column: int) -> tuple[Map, Map]:
     return (left, right) if left.sum() >= right.sum() else (right, left)
 
 
-def merged(blobs: Blobs) -> Blobs:
+def merge_pieces(blobs: Blobs) -> Blobs:
     """Merge pieces of one object (see `next_piece`) into the blob that has been seen for longest."""
     table = blobs.table
     blobs = blobs.select(np.lexsort((table["identity"], -table["seen"], table["detected"] == 0)))
     piece, one = next_piece(blobs.table, 1)
     while piece < len(blobs):
         rows = list(blobs)
-        rows[one] = joined(rows[one], rows.pop(piece))
+        rows[one] = merge_pair(rows[one], rows.pop(piece))
         blobs = Blobs.of(rows, blobs.channels)
         piece, one = next_piece(blobs.table, piece)
     return blobs
 
 
-def joined(one: Blob, other: Blob) -> Blob:
+def merge_pair(one: Blob, other: Blob) -> Blob:
     """Return one blob of two, with the identity and motion of the first."""
     corners = np.array([one.corner, other.corner])
     ends = corners + np.array([one.mask.shape, other.mask.shape])

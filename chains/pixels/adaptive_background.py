@@ -29,9 +29,9 @@ from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
 from .background_prediction import BackgroundPrediction, fixed_point, stored_planes
 from .empty_scene import empty_scene
 from .gaussians import Gaussians
-from .light import LightField, followed, light_grid, share_of_blocks
+from .light import LightField, light_grid, share_of_blocks, track_light
 from .second_colours import SETTLED, SecondColours, Settling, learn_second_colours, update_behind
-from .sway import Sway, learned_rates, sway_reach
+from .sway import Sway, sway_reach, update_rates
 
 Planes = NDArray[np.float32]
 
@@ -188,7 +188,7 @@ class AdaptiveBackground:
                 composed.regions, composed.shift, flat, subtraction.smoothed, prediction.pixels, light,
                 prediction.model, prediction.rounding, colour.to_pixels(channels), after, second, covered,
             )  # fmt: skip
-        sway = learned_rates(
+        sway = update_rates(
             prediction.sway, flat, prediction.pixels, light, subtraction.log_odds, covered, state.age,
             state.elapsed,
         )  # fmt: skip
@@ -265,7 +265,7 @@ class AdaptiveBackground:
     def _prediction(self, state: BackgroundState, image: NDArray[np.uint8] | None) -> BackgroundPrediction:
         light = LightField(state.light, state.size)
         if image is not None:
-            light = followed(light, image, state.mean, state.covered, state.elapsed)
+            light = track_light(light, image, state.mean, state.covered, state.elapsed)
         return BackgroundPrediction(
             size=state.size,
             pixels=state.pixels,

@@ -332,7 +332,7 @@ def _neighbours(n_pixels: int, n_blocks: int) -> tuple[NDArray[np.intp], Planes]
     return left, (position - left).astype(np.float32)
 
 
-def followed(
+def track_light(
     before: LightField, image: NDArray[np.uint8], mean: NDArray[np.int16], covered: Planes, elapsed: float
 ) -> LightField:
     """Return the light of a frame: smooth, and moved only by what most of a neighbourhood agrees on.

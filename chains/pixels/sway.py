@@ -268,7 +268,7 @@ def sway_reach(size: tuple[int, int]) -> int:
     return max(math.ceil(SWAY_REACH * max(size)), 3)
 
 
-def learned_rates(
+def update_rates(
     sway: Sway,
     pixels: NDArray[np.uint8],
     before: Gaussians,

@@ -169,6 +169,9 @@ def test_what_has_come_from_elsewhere_is_real_for_good_and_what_appeared_here_ma
 def test_a_newborn_that_touches_somebody_is_as_likely_as_not_a_part_of_them():
     walker = moving(30, 200.0).changed(past_views=-16.0)
     beside = moving(0, 18.0).changed(position=np.array([0.0, 18.0]))
-    assert blob_scene.inherited(beside, Blobs.of([walker], 3)) == -8
-    assert blob_scene.inherited(beside.changed(position=np.array([0.0, 60.0])), Blobs.of([walker], 3)) == 0
-    assert blob_scene.inherited(beside, Blobs.none(3)) == 0
+    assert blob_scene.inherited_evidence(beside, Blobs.of([walker], 3)) == -8
+    assert (
+        blob_scene.inherited_evidence(beside.changed(position=np.array([0.0, 60.0])), Blobs.of([walker], 3))
+        == 0
+    )
+    assert blob_scene.inherited_evidence(beside, Blobs.none(3)) == 0

@@ -7,13 +7,13 @@ import pytest
 from rsmcm.chains.objects.blob_records import MARGIN
 from rsmcm.chains.objects.blobs import Blob, Blobs, BlobState
 from rsmcm.chains.objects.groups import (
-    alone,
     fragment_times,
-    halves,
-    merged,
+    group_parts,
+    merge_pieces,
     pair_evidence,
+    select_whole,
+    split_mask,
     thinnest_column,
-    with_parts,
 )
 from rsmcm.models.objects.box_message import Newcomers
 
@@ -76,7 +76,7 @@ def test_halves_part_a_mask_where_it_is_thinnest():
     group = group.changed(mask=mask)
     column = thinnest_column(mask)
     assert MARGIN + 16 <= column < MARGIN + 20
-    larger, smaller = halves(group, column)
+    larger, smaller = split_mask(group, column)
     np.testing.assert_array_equal(larger + smaller, mask)
     assert larger.sum() > smaller.sum() > 0.7 * larger.sum()
     assert not (np.minimum(larger, smaller) > 0).any()
@@ -104,15 +104,15 @@ def test_what_is_much_smaller_than_anybody_is_not_reported_until_it_has_long_mov
 
 
 def wholes(*blobs, newcomers=None):
-    return with_parts(Blobs.of(blobs, 3), newcomers).table["whole"].tolist()
+    return group_parts(Blobs.of(blobs, 3), newcomers).table["whole"].tolist()
 
 
 def test_edges_of_a_thing_that_sets_off_are_one_track_for_a_while():
     parts = [blob(k, 30 + 20 * k, 50, 12, 14, 25, 0.5) for k in (1, 2, 3)]
     assert wholes(*parts) == [1, 1, 1]
-    together = with_parts(Blobs.of(parts, 3), None)
-    assert len(alone(together)) == 0
-    assert len(alone(Blobs.of(list(together)[:2], 3))) == 2
+    together = group_parts(Blobs.of(parts, 3), None)
+    assert len(select_whole(together)) == 0
+    assert len(select_whole(Blobs.of(list(together)[:2], 3))) == 2
     (track,) = BlobState(together, 3, (120, 160), 0.0, 0.35).tracks()
     assert track.box == pytest.approx((50, 50, 52, 14))
     assert track.velocity == (25, 0)
@@ -144,7 +144,7 @@ def test_people_side_by_side_are_no_parts_of_one():
 
 def test_a_piece_that_touches_right_after_its_birth_is_joined():
     body, head = blob(1, 30, 40, 16, 30, seen=2.0), blob(2, 34, 28, 8, 11, seen=0.0)
-    (both,) = merged(Blobs.of([head, body], 3))
+    (both,) = merge_pieces(Blobs.of([head, body], 3))
     assert both.identity == 1
     assert both.box == pytest.approx((30, 28, 16, 42))
-    assert len(merged(Blobs.of([body, blob(2, 60, 28, 8, 11, seen=0.0)], 3))) == 2
+    assert len(merge_pieces(Blobs.of([body, blob(2, 60, 28, 8, 11, seen=0.0)], 3))) == 2

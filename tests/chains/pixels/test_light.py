@@ -7,10 +7,10 @@ from rsmcm.chains.pixels.background_prediction import fixed_point
 from rsmcm.chains.pixels.light import (
     LUMA_NOISE,
     LightField,
-    followed,
     light_grid,
     light_ratios,
     share_of_blocks,
+    track_light,
 )
 from rsmcm.models.pixels import colour
 from scipy.stats import norm
@@ -95,7 +95,7 @@ def light_after(frames, wall, covered, dt=0.04):
     shares = share_of_blocks(covered, grid)
     for frame in frames:
         image = np.clip(np.rint(frame + rng.normal(0, 3, SIZE)), 0, 255).astype(np.uint8)
-        light = followed(light, image, mean, shares, dt)
+        light = track_light(light, image, mean, shares, dt)
     return light.blocks, shares
 
 
@@ -136,5 +136,5 @@ def test_light_that_went_wrong_behind_an_object_comes_back_to_that_around_it():
     mean = stored(np.rint(wall).astype(np.uint8))
     image = np.where(covered > 0, 60, wall).astype(np.uint8)
     for _ in range(250):
-        light = followed(light, image, mean, shares, 0.04)
+        light = track_light(light, image, mean, shares, 0.04)
     np.testing.assert_allclose(light.blocks, 1, atol=0.05)

@@ -7,7 +7,7 @@ from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.chains.pixels.background_prediction import fixed_point, log_prior_odds, stored_planes
 from rsmcm.chains.pixels.gaussians import PixelModel
 from rsmcm.chains.pixels.light import LightField
-from rsmcm.chains.pixels.sway import LEAST_RATE, Sway, learned_rates, recall_moved, sway_reach
+from rsmcm.chains.pixels.sway import LEAST_RATE, Sway, recall_moved, sway_reach, update_rates
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import PixelLabels
 from rsmcm.models.pixels import colour
@@ -37,7 +37,7 @@ def rates_after(images, covered=None, seconds=5.0, dt=0.04):
     covered = np.zeros(SIZE, np.uint8) if covered is None else covered
     unsure = np.zeros(covered.size, np.int8)
     for k in range(round(seconds / dt)):
-        rates = learned_rates(
+        rates = update_rates(
             sway, images[k % len(images)].ravel(), known(images[0]), light(), unsure, covered.ravel(), age, dt
         )
         sway, age = Sway(rates, sway.reach), age + dt
