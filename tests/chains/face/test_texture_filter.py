@@ -86,7 +86,7 @@ def test_a_first_look_is_the_texture(gain: float) -> None:
     looks = np.random.default_rng(0).uniform(0, 255, (400, 1, 2, 5)).astype(np.float32)
     seen = np.array([[True, True, False, False, True]])
     texture = Texture.unknown(1, 2, 5, learn=False).updated(looks[0], seen, noise, 0.0)
-    np.testing.assert_array_equal(texture.mean[0][:, seen[0]], looks[0, 0][:, seen[0]])
+    np.testing.assert_allclose(texture.mean[0][:, seen[0]], looks[0, 0][:, seen[0]], rtol=1e-6)
     np.testing.assert_allclose(texture.variance[seen], noise.rendering if gain else 0, rtol=1e-6, atol=1e-5)
     np.testing.assert_allclose(texture.variance[~seen], UNKNOWN_VARIANCE)
     for look in looks[1:]:

@@ -85,7 +85,8 @@ def test_given_tracks_are_smoothed_alike_in_any_unit(scale: float) -> None:
     error = found.position / scale - true
     assert np.sqrt((error[observed] ** 2).mean()) < 0.5 * 0.7
     inside = squared_distances(error, found.covariance / scale**2)[found.alive] < 2 * np.log(2)
-    assert 0.35 < inside.mean() < 0.65  # half of the errors, which depend on their neighbours in time
+    # half of the errors, of some 200 independent ones; a factor of 2 in the covariance makes 0.75 or 0.29
+    assert 0.3 < inside.mean() < 0.74
 
 
 def test_filter_follows_given_points_and_keeps_their_numbers() -> None:
