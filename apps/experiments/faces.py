@@ -15,8 +15,8 @@ from ...chains.face.experts import find_modes
 from ...chains.face.gflow import GFlow, GFlowState
 from ...chains.face.pose_terms import PosePrior
 from ...chains.face.start import FaceStart, start_from_landmarks
-from ...chains.face.texture_filter import UNKNOWN_VARIANCE, Texture
-from ...chains.face.texture_likelihood import Level, TextureLikelihood, image_pyramid
+from ...chains.face.texture_filter import Texture
+from ...chains.face.texture_likelihood import UNKNOWN_VARIANCE, Level, TextureLikelihood, image_pyramid
 from ...chains.pixels.adaptive_background import AdaptiveBackground
 from ...inference import MultiChain, RecursiveBP, RunState
 from ...inference.engine.protocols import Incoming

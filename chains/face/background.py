@@ -29,6 +29,7 @@ from .texture_likelihood import (
     DARKEST,
     FINE_LIGHT_REACH,
     MIDDLE_GREY,
+    UNKNOWN_VARIANCE,
     TexturedObject,
     TextureLikelihood,
     blurred,
@@ -190,7 +191,6 @@ def tone_densities(image: NDArray[np.uint8], object_: NDArray[np.bool_], box: Bo
     return densities
 
 
-UNKNOWN_VARIANCE = 60.0**2  # squared grey levels: of a background that was never seen
 NOISE = 20.0  # squared grey levels: noise of a pixel, sigma_w^2
 WANDERING = 25.0  # squared grey levels per second: change of a pixel's background, Psi_b
 LEAST_RATIO = -9.0  # nats: least log ratio of a pixel, since anything may come before the background

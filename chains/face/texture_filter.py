@@ -13,7 +13,7 @@ from ...models.core.short_repr import Rows, short_repr
 from ...models.numerics.threads import over_bands
 from . import kernels
 from .pose_terms import SHORTEST
-from .texture_likelihood import MIDDLE_GREY, WORTH
+from .texture_likelihood import MIDDLE_GREY, UNKNOWN_VARIANCE, WORTH
 
 Map = NDArray[np.float32]
 
@@ -68,7 +68,6 @@ class TexelNoise:
 
 AnyTuple = TypeVar("AnyTuple", kernels.Noises, kernels.Memory)
 
-UNKNOWN_VARIANCE = 60.0**2  # squared grey levels: of a texel that was never seen
 # Learned gains, chosen on generated textures of all ratios of process and observation noise:
 MEMORY = 1.0  # s: time constant of the mean squared innovation
 PACE = 15.0  # change of a gain's log odds in that time, at full correlation of large innovations

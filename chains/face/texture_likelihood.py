@@ -21,6 +21,7 @@ Map = NDArray[np.float32]
 
 
 MIDDLE_GREY = 128.0
+UNKNOWN_VARIANCE = 60.0**2  # squared grey levels: of a texel or a background that was never seen
 # Smoothing by which generated faces under moving light were tracked best:
 DARKEST = 5.0  # grey levels added to the local mean, so that noise of black regions is not amplified
 FINE_LIGHT_REACH = 0.1  # standard deviation of the local mean on the finest level, in sizes of the object

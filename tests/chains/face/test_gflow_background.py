@@ -11,7 +11,6 @@ from rsmcm.apps.scenes import FaceScene, face
 from rsmcm.chains.face.background import (
     NOISE,
     TRUST_TIME,
-    UNKNOWN_VARIANCE,
     UNSEEN,
     WANDERING,
     BackgroundContrast,
@@ -25,7 +24,12 @@ from rsmcm.chains.face.background import (
 )
 from rsmcm.chains.face.experts import log_likelihood
 from rsmcm.chains.face.gflow import GFlow, GFlowState
-from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood, image_pyramid
+from rsmcm.chains.face.texture_likelihood import (
+    UNKNOWN_VARIANCE,
+    TexturedObject,
+    TextureLikelihood,
+    image_pyramid,
+)
 from rsmcm.chains.pixels.adaptive_background import AdaptiveBackground, BackgroundState
 from rsmcm.inference.engine.graph import MultiChain
 from rsmcm.inference.engine.protocols import Incoming

@@ -6,7 +6,8 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.chains.face.texture_filter import UNKNOWN_VARIANCE, USUAL_RATE, LearnedGain, TexelNoise, Texture
+from rsmcm.chains.face.texture_filter import USUAL_RATE, LearnedGain, TexelNoise, Texture
+from rsmcm.chains.face.texture_likelihood import UNKNOWN_VARIANCE
 
 variances = st.floats(1e-6, 1e6)
 gains = st.floats(0, 1)
