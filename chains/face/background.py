@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...models.core.pictures import grey_of
 from ...models.core.short_repr import Rows, short_repr
 from ...models.face.morphable_model import MorphableModel, Poses
-from ...models.face.surface import Box, covered, visible
+from ...models.face.surface import Region, covered, visible
 from ...models.numerics.threads import over_bands
 from ...models.pixels.background import ODDS_STEPS
 from ...models.pixels.layers import Layer, LayerStack
@@ -53,7 +53,7 @@ OTHER_TONES = 0.2  # share of an object's pixels near its outline of uniform gre
 class BackgroundContrast:
     """The background of a frame, one for all experts or one for each."""
 
-    box: Box  # of the picture, outside of which the background is unknown
+    region: Region  # of the picture, outside of which the background is unknown
     log_ratio: Map  # `(n_maps, height, width)` float32: background over uniform density, nats times `trust`
     trust: Map  # `(n_maps, height, width)` float32, from 0, unknown, to 1
     border: Map  # `(n_maps, height, width)` float32: background over the object's tones, tempered nats
@@ -62,11 +62,11 @@ class BackgroundContrast:
     everywhere: Array  # `(n_maps,)`: sum of `log_ratio` over the whole picture, where there is a map for each
 
     @classmethod
-    def of(cls, box: Box, ratio: Map, trust: Map, tones: Map, unit: Map, everywhere: Array) -> Self:
+    def of(cls, region: Region, ratio: Map, trust: Map, tones: Map, unit: Map, everywhere: Array) -> Self:
         """Return the contrast by the log `ratio` of background and uniform density, `(n_maps, height, width)`
-        of the box, and that of the object's `tones`, `(height, width)` (see `tone_densities`)."""
+        of the region, and that of the object's `tones`, `(height, width)` (see `tone_densities`)."""
         border = INDEPENDENT * trust * np.clip(ratio - tones, -LOUDEST, LOUDEST)
-        return cls(box, trust * ratio, trust, border.astype(np.float32), unit, everywhere)
+        return cls(region, trust * ratio, trust, border.astype(np.float32), unit, everywhere)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class OccludedBackground:
     def hidden_contrast(self, poses: Poses, owner: NDArray[np.int64]) -> Array:
         """Return the background's nats on the pixels that the object covers, `(n,)`."""
         contrast = self.contrast
-        return _integral(self.surface, poses, owner, self.covering, contrast.log_ratio, contrast.box)
+        return _integral(self.surface, poses, owner, self.covering, contrast.log_ratio, contrast.region)
 
     def everywhere(self, owner: NDArray[np.int64]) -> Array:
         """Return the background's nats on the whole picture, `(n,)`; 0 if all experts share it."""
@@ -97,7 +97,7 @@ class OccludedBackground:
     def trusted_area(self, likelihood: TextureLikelihood, poses: Poses, owner: NDArray[np.int64]) -> Array:
         """Return the area under the visible texture with a known background, `(n,)` px squared."""
         return _integral(
-            likelihood.surface, poses, owner, likelihood.visible, self.contrast.trust, self.contrast.box
+            likelihood.surface, poses, owner, likelihood.visible, self.contrast.trust, self.contrast.region
         )
 
 
@@ -107,11 +107,11 @@ def _integral(
     owner: NDArray[np.int64],
     on: NDArray[np.bool_],
     map_: Map,
-    box: Box,
+    region: Region,
 ) -> Array:
-    """Return the integral of a map of the box over the texels that are `on` `(n_experts, n_texels)`."""
+    """Return the integral of a map of the region over the texels that are `on` `(n_experts, n_texels)`."""
     sums = np.empty(len(poses))
-    positions = surface.positions(poses) - np.array([box.left, box.top], np.float32)
+    positions = surface.positions(poses) - np.array([region.left, region.top], np.float32)
 
     def work(a: int, b: int) -> None:
         kernels.map_sums(map_, surface.used_texels, on, owner[a:b], positions[a:b], sums[a:b])
@@ -148,41 +148,43 @@ class SharedBackground:
         odds -= np.float32(prior)
         return odds
 
-    def contrast(self, trust: Map, box: Box, tones: Map, unit: Map) -> BackgroundContrast:
-        """Return the contrast in the box; `trust` is of the whole picture."""
-        its_trust = np.maximum(trust[box.window], 0)[None]
-        return BackgroundContrast.of(box, self.ratio[box.window][None], its_trust, tones, unit, np.zeros(1))
+    def contrast(self, trust: Map, region: Region, tones: Map, unit: Map) -> BackgroundContrast:
+        """Return the contrast in the region; `trust` is of the whole picture."""
+        its_trust = np.maximum(trust[region.window], 0)[None]
+        return BackgroundContrast.of(
+            region, self.ratio[region.window][None], its_trust, tones, unit, np.zeros(1)
+        )
 
-    def trust_after(self, trust: Map, hidden: NDArray[np.bool_], box: Box, elapsed: float) -> Map:
+    def trust_after(self, trust: Map, hidden: NDArray[np.bool_], region: Region, elapsed: float) -> Map:
         """Update the trust in each pixel with a picture, `elapsed` s after the last one.
 
-        Trust rises where the prediction was right and falls where it was wrong; pixels of the box that may be
-        `hidden` by the object keep theirs. What the object hid at first, `UNSEEN`, stays unknown until a
+        Trust rises where the prediction was right and falls where it was wrong; pixels of the region that may
+        be `hidden` by the object keep theirs. What the object hid at first, `UNSEEN`, stays unknown until a
         pixel differs from the background's prediction, which may be the object itself. Where the background
         has no prediction, it cannot have learned the object.
         """
         right = self.ratio > 0
         after: Map = trust - np.float32(np.expm1(-elapsed / TRUST_TIME)) * (right - trust)
         after = np.where(trust < 0, np.where(right, trust, np.float32(0)), after)
-        after[box.window][hidden] = trust[box.window][hidden]
+        after[region.window][hidden] = trust[region.window][hidden]
         after[(after < 0) & (np.abs(self.ratio) < 1 / ODDS_STEPS)] = 0
         return after
 
 
-def first_trust(hidden: NDArray[np.bool_], box: Box, size: tuple[int, int]) -> Map:
-    """Return the first trust in a background of `size`, `hidden` by the object in the box."""
+def first_trust(hidden: NDArray[np.bool_], region: Region, size: tuple[int, int]) -> Map:
+    """Return the first trust in a background of `size`, `hidden` by the object in the region."""
     trust = np.zeros(size, np.float32)
-    trust[box.window][hidden] = UNSEEN
+    trust[region.window][hidden] = UNSEEN
     return trust
 
 
-def tone_densities(image: NDArray[np.uint8], object_: NDArray[np.bool_], box: Box) -> Map:
-    """Return the log density of the object's grey values over uniform, at the pixels of the box.
+def tone_densities(image: NDArray[np.uint8], object_: NDArray[np.bool_], region: Region) -> Map:
+    """Return the log density of the object's grey values over uniform, at the pixels of the region.
 
-    The density is the smoothed histogram of the pixels `object_` `(height, width)` of the box, some of the
+    The density is the smoothed histogram of the pixels `object_` `(height, width)` of the region, some of the
     object's.
     """
-    grey = grey_of(image[box.window])
+    grey = grey_of(image[region.window])
     counts = np.bincount(grey[object_], minlength=256).astype(np.float32)
     density = cv2.GaussianBlur(counts[None], (0, 0), TONE_WIDTH, borderType=cv2.BORDER_REFLECT)[0]
     share = N_GREYS * density / max(float(density.sum()), 1e-9)
@@ -211,36 +213,36 @@ class ExpertBackground(Rows):
         return cls(np.zeros(shape, np.float32), np.full(shape, UNKNOWN_VARIANCE, np.float32))
 
     def contrast(
-        self, image: NDArray[np.uint8], box: Box, tones: Map, unit: Map, elapsed: float
+        self, image: NDArray[np.uint8], region: Region, tones: Map, unit: Map, elapsed: float
     ) -> BackgroundContrast:
-        """Return the contrast in the box, `elapsed` s after the last picture.
+        """Return the contrast in the region, `elapsed` s after the last picture.
 
         Trust in a pixel is the share by which its variance is below that of an unseen one.
         """
         grey, n = grey_of(image), len(self.mean)
-        ratio, trust = np.empty((2, n, box.height, box.width), np.float32)
+        ratio, trust = np.empty((2, n, region.height, region.width), np.float32)
         everywhere = np.empty(n)
 
         def work(a: int, b: int) -> None:
             kernels.compare_with_maps(
-                grey, self.mean[a:b], self.variance[a:b], box, _noise(elapsed), np.float32(LEAST_RATIO),
+                grey, self.mean[a:b], self.variance[a:b], region, _noise(elapsed), np.float32(LEAST_RATIO),
                 ratio[a:b], trust[a:b], everywhere[a:b],
             )  # fmt: skip
 
         over_bands(work, n)
-        return BackgroundContrast.of(box, ratio, trust, tones, unit, everywhere)
+        return BackgroundContrast.of(region, ratio, trust, tones, unit, everywhere)
 
     def updated(
         self,
         image: NDArray[np.uint8],
         parents: NDArray[np.int64],
         hidden: NDArray[np.uint8],
-        box: Box,
+        region: Region,
         elapsed: float,
     ) -> Self:
         """Update the maps of the children of `parents` with a picture, `elapsed` s after the last one.
 
-        Pixels that are `hidden` `(n_experts, height, width)` in the box keep their mean.
+        Pixels that are `hidden` `(n_experts, height, width)` in the region keep their mean.
         """
         grey, n = grey_of(image), len(parents)
         mean, variance = np.empty((2, n, *grey.shape), np.float32)
@@ -252,7 +254,7 @@ class ExpertBackground(Rows):
                 self.variance,
                 parents[a:b],
                 hidden[a:b],
-                box,
+                region,
                 _noise(elapsed),
                 mean[a:b],
                 variance[a:b],
@@ -276,9 +278,10 @@ STRENGTH = 100.0  # prior odds of the tracked object over something unknown
 class Coverage:
     """Pixels that an object covers."""
 
-    box: Box  # contains the object, with a margin
-    inside: NDArray[np.uint8]  # `(n_experts, height, width)` of the box: 1 where an expert's object covers it
-    share: Map  # `(height, width)` float32 of the box: probability that the object covers the pixel
+    region: Region  # contains the object, with a margin
+    # `(n_experts, height, width)` of the region: 1 where an expert's object covers the pixel
+    inside: NDArray[np.uint8]
+    share: Map  # `(height, width)` float32 of the region: probability that the object covers the pixel
 
     @classmethod
     def of(
@@ -291,10 +294,10 @@ class Coverage:
     ) -> "Coverage":
         """Return the coverage by experts in `poses`, in a picture of `size`, with a `margin` in px."""
         positions = model.project(poses)
-        box = Box.around(positions, margin, size)
-        inside = covered(positions, model.triangles, box)
+        region = Region.around(positions, margin, size)
+        inside = covered(positions, model.triangles, region)
         share = np.tensordot(weights.astype(np.float32), inside.astype(np.float32), 1)
-        return cls(box, inside, np.asarray(share, np.float32))
+        return cls(region, inside, np.asarray(share, np.float32))
 
     @cached_property
     def hidden(self) -> NDArray[np.bool_]:
@@ -316,7 +319,9 @@ class Coverage:
         and without the light.
         """
         mask = cv2.dilate(self.share, np.ones((3, 3), np.uint8))
-        layer = Layer(self.box.top, self.box.left, np.asarray(mask, np.float32), None, strength=STRENGTH)
+        layer = Layer(
+            self.region.top, self.region.left, np.asarray(mask, np.float32), None, strength=STRENGTH
+        )
         if trust is None:
             return LayerStack((layer,))
         rows, columns = np.flatnonzero((trust <= 0).any(axis=1)), np.flatnonzero((trust <= 0).any(axis=0))
@@ -325,7 +330,7 @@ class Coverage:
         top, left = int(rows[0]), int(columns[0])
         free = trust[top : rows[-1] + 1, left : columns[-1] + 1] == 0
         hidden = np.zeros(trust.shape, np.bool_)
-        hidden[self.box.window] = self.hidden
+        hidden[self.region.window] = self.hidden
         free &= ~hidden[top : rows[-1] + 1, left : columns[-1] + 1]
         if not free.any():
             return LayerStack((layer,))

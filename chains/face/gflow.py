@@ -651,7 +651,7 @@ class GFlow(PickledByFields):
         if self._whole is None or (own is None and (message.background is None or trust is None)):
             return None
         coverage = self._coverage(state, message.size, margin=state.size)
-        near = coverage.box, tone_densities(image, coverage.inner, coverage.box)
+        near = coverage.region, tone_densities(image, coverage.inner, coverage.region)
         unit = units(image, state.size, local_mean=self.local_mean)
         if own is not None:
             return OccludedBackground(own.contrast(image, *near, unit, state.elapsed), self._whole)
@@ -662,8 +662,8 @@ class GFlow(PickledByFields):
         """Update the trust in the background that another chain predicts."""
         coverage, trust = self._coverage(state, message.size), state.background_trust
         if trust is None:
-            trust = first_trust(coverage.hidden, coverage.box, message.size)
-        after = SharedBackground(message).trust_after(trust, coverage.hidden, coverage.box, elapsed)
+            trust = first_trust(coverage.hidden, coverage.region, message.size)
+        after = SharedBackground(message).trust_after(trust, coverage.hidden, coverage.region, elapsed)
         return replace(state, background_trust=after)
 
     def _update_own_background(
@@ -674,7 +674,7 @@ class GFlow(PickledByFields):
         before = state.background or ExpertBackground.unknown(len(state.poses), size)
         coverage = self._coverage(state, size)
         hidden = np.stack([dilate(inside > 0) for inside in coverage.inside]).view(np.uint8)
-        after = before.updated(image, particles.parents, hidden, coverage.box, elapsed)
+        after = before.updated(image, particles.parents, hidden, coverage.region, elapsed)
         return replace(state, background=after)
 
     def _coverage(self, state: GFlowState, size: tuple[int, int], margin: float = 2 * MARGIN) -> Coverage:

@@ -380,15 +380,15 @@ class MapNoise(NamedTuple):
 
 
 @compiled
-def compare_with_maps(grey, mean, variance, box, noise, least, ratio, trust, everywhere):
-    """Write the log density of a picture under each map over the uniform one, and its trust, in a box.
+def compare_with_maps(grey, mean, variance, region, noise, least, ratio, trust, everywhere):
+    """Write the log density of a picture under each map over the uniform one, and its trust, in a region.
 
     `grey` `(height, width)` uint8; `mean` and `variance` `(n, height, width)`; `ratio` (not below `least`
-    nats) and `trust` `(n, rows, columns)` of the `box`; `everywhere` `(n,)`: sum of their product over all
+    nats) and `trust` `(n, rows, columns)` of the `region`; `everywhere` `(n,)`: sum of their product over all
     pixels.
     """
     height, width = grey.shape
-    top, left, rows, columns = box
+    top, left, rows, columns = region
     line, share = np.empty(width, _f4), np.empty(width, _f4)
     for m in range(len(mean)):
         total = 0.0
@@ -412,10 +412,10 @@ def compare_with_maps(grey, mean, variance, box, noise, least, ratio, trust, eve
 
 
 @compiled
-def update_maps(grey, mean, variance, parents, hidden, box, noise, new_mean, new_variance):
-    """Filter every pixel of every map; no gain where `hidden` `(n, rows, columns)` in the box."""
+def update_maps(grey, mean, variance, parents, hidden, region, noise, new_mean, new_variance):
+    """Filter every pixel of every map; no gain where `hidden` `(n, rows, columns)` in the region."""
     height, width = grey.shape
-    top, left, rows, columns = box
+    top, left, rows, columns = region
     shown = np.empty(width, _f4)
     for m in range(len(parents)):
         parent = parents[m]
@@ -878,16 +878,16 @@ def place_equations(
 
 
 @compiled
-def find_edges(contrast, box, scans, share, noise, targets, information):
+def find_edges(contrast, region, scans, share, noise, targets, information):
     """Find the edge of an object along the normals of its outline, between object and background.
 
     `contrast` `(n_maps, height, width)` float32: log density of the background over that of the object, of
-    pixels of the `box`; one map for all, or one each. Writes `targets` `(n, n_points, 2)` and `information`
-    `(n, n_points, 3)`, zero if a scan has none. The variance `noise`, in steps, is added to the result;
+    pixels of the `region`; one map for all, or one each. Writes `targets` `(n, n_points, 2)` and
+    `information` `(n, n_points, 3)`, zero if a scan has none. The variance `noise`, in steps, is added to the result;
     `share` `(n,)` is the weight of a px of outline. Nats are not multiplied by it, which would bias the edge.
     """
     places, normals, lengths, reach, step = scans
-    top, left, height, width = box
+    top, left, height, width = region
     n_steps = 2 * reach + 1
     outside = np.empty(n_steps + 1)
     for m in range(len(places)):

@@ -194,9 +194,9 @@ class Silhouette:
         the same mean and variance, divided by that of the scan itself.
         """
         positions = self.model.project(poses)
-        box = self.contrast.box
-        inside = covered(positions, self.edges.triangles, box)
-        found = outline(positions, self.edges, inside, box)
+        region = self.contrast.region
+        inside = covered(positions, self.edges.triangles, region)
+        found = outline(positions, self.edges, inside, region)
         every = np.arange(len(poses))[:, None, None]
         ends = positions[every, found.vertices]
         places = (ends * found.weights[..., None]).sum(axis=2)
@@ -206,7 +206,7 @@ class Silhouette:
         scans = kernels.Scans(
             places, found.normals.astype(np.float64), found.lengths.astype(np.float64), REACH, float(2**level)
         )
-        kernels.find_edges(self.contrast.border, box, scans, share, NOISE, targets, information)
+        kernels.find_edges(self.contrast.border, region, scans, share, NOISE, targets, information)
         bases = self.model.bases[:, found.vertices]  # (n_bases, n, n_points, 2, 3)
         bases = np.einsum("npe,knpec->npkc", found.weights, bases)
         return PointTerms(np.ascontiguousarray(bases), targets, information)

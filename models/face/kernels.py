@@ -160,13 +160,13 @@ class OutlinePoints(NamedTuple):
 
 
 @compiled
-def cover(positions, triangles, box, covered):
+def cover(positions, triangles, region, covered):
     """Mark the pixels whose centres lie in a triangle, pose by pose.
 
-    `positions` `(n, n_vertices, 2)` float32 px, `covered` `(n, height, width)` uint8 of the `box`, zero
+    `positions` `(n, n_vertices, 2)` float32 px, `covered` `(n, height, width)` uint8 of the `region`, zero
     before.
     """
-    top, left, height, width = box
+    top, left, height, width = region
     for pose in range(len(positions)):
         places, out = positions[pose], covered[pose]
         for number in range(len(triangles)):
@@ -206,7 +206,7 @@ def _inside(covered, x, y):
 
 
 @compiled
-def trace(positions, edges, covered, box, spacing, depth, points):
+def trace(positions, edges, covered, region, spacing, depth, points):
     """Write points along the outline about every `spacing` px, at most as many as `points` has room for.
 
     An edge is on the outline if only one of its triangles faces the viewer, or if it has only one, and if
@@ -214,7 +214,7 @@ def trace(positions, edges, covered, box, spacing, depth, points):
     """
     triangles, ends, sides = edges
     vertices, weights, normals, count = points
-    top, left = box.top, box.left
+    top, left = region.top, region.left
     room = vertices.shape[1]
     turned = np.empty(len(triangles), np.bool_)
     for pose in range(len(positions)):

@@ -151,7 +151,7 @@ DEPTH = 1.5  # px outside of an edge of the outline that must not be covered
 MOST_POINTS = 512  # points of one outline, at most
 
 
-class Box(NamedTuple):
+class Region(NamedTuple):
     """Rectangle of whole pixels, which may reach over the picture's edge."""
 
     # first row and column
@@ -211,27 +211,29 @@ class Outline:
     normals: Map  # `(n, n_points, 2)` float32: outward, of unit length
 
 
-def covered(positions: NDArray[np.floating], triangles: NDArray[np.int64], box: Box) -> NDArray[np.uint8]:
-    """Return the pixels of the box whose centres a mesh covers, `(n, height, width)`: 1 or 0.
+def covered(
+    positions: NDArray[np.floating], triangles: NDArray[np.int64], region: Region
+) -> NDArray[np.uint8]:
+    """Return the pixels of the region whose centres a mesh covers, `(n, height, width)`: 1 or 0.
 
     `positions` are `(n, n_vertices, 2)` px.
     """
-    out = np.zeros((len(positions), box.height, box.width), np.uint8)
-    kernels.cover(np.ascontiguousarray(positions, np.float32), triangles, box, out)
+    out = np.zeros((len(positions), region.height, region.width), np.uint8)
+    kernels.cover(np.ascontiguousarray(positions, np.float32), triangles, region, out)
     return out
 
 
 def outline(
-    positions: NDArray[np.floating], edges: MeshEdges, inside: NDArray[np.uint8], box: Box
+    positions: NDArray[np.floating], edges: MeshEdges, inside: NDArray[np.uint8], region: Region
 ) -> Outline:
     """Return points about every 3 px (more on large objects) of the outline of a mesh.
 
     `positions` `(n, n_vertices, 2)` px; `edges`: of the mesh; `inside` `(n, height, width)` as `covered`
-    gives them; `box`: of `inside`.
+    gives them; `region`: of `inside`.
     """
     n = len(positions)
     # a large object's outline, longer than its box's perimeter by folds, has to fit in `MOST_POINTS`
-    spacing = max(SPACING, 3 * (box.height + box.width) / MOST_POINTS)
+    spacing = max(SPACING, 3 * (region.height + region.width) / MOST_POINTS)
     vertices = np.zeros((n, MOST_POINTS, 2), np.int64)
     weights = np.zeros((n, MOST_POINTS, 3), np.float32)
     normals = np.zeros((n, MOST_POINTS, 2), np.float32)
@@ -241,7 +243,7 @@ def outline(
         np.ascontiguousarray(positions, np.float32),
         edges,
         inside,
-        box,
+        region,
         np.float32(spacing),
         np.float32(DEPTH),
         points,

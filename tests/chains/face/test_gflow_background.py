@@ -36,7 +36,7 @@ from rsmcm.inference.engine.protocols import Incoming
 from rsmcm.inference.engine.recursive_bp import RecursiveBP
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.morphable_model import Poses
-from rsmcm.models.face.surface import Box, SurfaceTexels
+from rsmcm.models.face.surface import Region, SurfaceTexels
 from rsmcm.models.pixels.pixel_labels import PixelLabels, PixelMessage
 
 from ...support.surfaces import bumpy, poses_near, smooth_picture
@@ -44,7 +44,7 @@ from ...support.surfaces import bumpy, poses_near, smooth_picture
 Array = NDArray[np.float64]
 
 SIZE = (120, 160)
-WHOLE = Box(0, 0, *SIZE)
+WHOLE = Region(0, 0, *SIZE)
 PIXELS = PixelLabels()
 DT = 1 / 25
 
@@ -69,7 +69,7 @@ def test_tones_are_a_density_over_grey_values() -> None:
     image = np.tile(np.arange(256, dtype=np.uint8), (4, 1))
     where = np.zeros(image.shape, np.bool_)
     where[:, 100:120] = True
-    found = np.exp(tone_densities(image, where, Box(0, 0, 4, 256))[0].astype(float)) / 256
+    found = np.exp(tone_densities(image, where, Region(0, 0, 4, 256))[0].astype(float)) / 256
     assert found.sum() == pytest.approx(1, abs=0.01)
     assert found[100:120].sum() > 0.6
     assert found[200] == pytest.approx(0.2 / 256, rel=0.01)
@@ -145,13 +145,13 @@ def test_a_background_that_is_not_known_favours_no_size() -> None:
 def test_maps_are_kalman_filters_of_pixels() -> None:
     random = np.random.default_rng(0)
     images = random.integers(0, 256, (4, *SIZE)).astype(np.uint8)
-    box = Box(10, 20, 30, 40)
+    region = Region(10, 20, 30, 40)
     hidden = (random.random((4, 2, 30, 40)) < 0.5).astype(np.uint8)
     maps = ExpertBackground.unknown(2, SIZE)
     mean, variance = np.zeros((2, *SIZE)), np.full((2, *SIZE), UNKNOWN_VARIANCE)
     for image, covers in zip(images, hidden, strict=True):
         parents = np.array([1, 0])
-        maps = maps.updated(image, parents, covers, box, DT)
+        maps = maps.updated(image, parents, covers, region, DT)
         variance = np.minimum(variance[parents] + WANDERING * DT, UNKNOWN_VARIANCE)
         gain = variance / (variance + NOISE)
         gain[:, 10:40, 20:60] *= 1 - covers
@@ -164,12 +164,12 @@ def test_maps_are_kalman_filters_of_pixels() -> None:
 def test_what_an_expert_never_saw_says_nothing_and_the_rest_is_a_density() -> None:
     random = np.random.default_rng(1)
     image = random.integers(60, 200, SIZE).astype(np.uint8)
-    box = Box(30, 40, 50, 60)
+    region = Region(30, 40, 50, 60)
     hidden = np.zeros((2, 50, 60), np.uint8)
     hidden[1, 10:40, 10:50] = 1
-    maps = ExpertBackground.unknown(2, SIZE).updated(image, np.arange(2), hidden, box, 0.0)
+    maps = ExpertBackground.unknown(2, SIZE).updated(image, np.arange(2), hidden, region, 0.0)
     flat = np.zeros((50, 60), np.float32)
-    found = maps.contrast(image, box, flat, units(image, 24.0, local_mean=True), DT)
+    found = maps.contrast(image, region, flat, units(image, 24.0, local_mean=True), DT)
     assert np.abs(found.log_ratio[1, 10:40, 10:50]).max() < 1e-5
     assert (found.trust[0] > 0.98).all()
     predicted = np.minimum(maps.variance.astype(float) + WANDERING * DT, UNKNOWN_VARIANCE)
@@ -189,13 +189,13 @@ def test_trust_grows_where_predictions_come_true_and_the_object_is_not() -> None
     scene = np.full(SIZE, 100, np.uint8)
     chain = AdaptiveBackground(follow_light=False)
     state = chain.initial(Frame(scene, 0.0, 1))
-    box, hidden = Box(40, 60, 20, 20), np.ones((20, 20), np.bool_)
-    trust = first_trust(hidden, box, SIZE)
+    region, hidden = Region(40, 60, 20, 20), np.ones((20, 20), np.bool_)
+    trust = first_trust(hidden, region, SIZE)
     changed = scene.copy()
     changed[:20] = 200
     for image, visible in ((scene, ~hidden), (changed, hidden)):
         message = chain.message(state, PIXELS, Incoming({PIXELS: PixelMessage(image=image)}))
-        trust = SharedBackground(message * PixelMessage(image=image)).trust_after(trust, ~visible, box, DT)
+        trust = SharedBackground(message * PixelMessage(image=image)).trust_after(trust, ~visible, region, DT)
     left = np.exp(-DT / TRUST_TIME)
     assert (trust[45, 65], trust[60, 5]) == (UNSEEN, pytest.approx(1 - left**2))
     assert trust[5, 5] == pytest.approx((1 - left) * left)

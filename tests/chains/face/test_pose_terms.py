@@ -13,7 +13,7 @@ from rsmcm.chains.face.experts import find_modes
 from rsmcm.chains.face.pose_terms import PointTerms, PoseDynamics, PosePrior, Silhouette
 from rsmcm.chains.face.texture_likelihood import Level, TexturedObject, TextureLikelihood
 from rsmcm.models.face.morphable_model import RIGID, MorphableModel, Poses
-from rsmcm.models.face.surface import Box, MeshEdges, SurfaceTexels, covered, outline
+from rsmcm.models.face.surface import MeshEdges, Region, SurfaceTexels, covered, outline
 from rsmcm.models.numerics.rotations import exponential
 from scipy.spatial import ConvexHull
 
@@ -81,7 +81,7 @@ def test_gradient_and_precision_are_derivatives_of_the_energy(seed: int) -> None
 Array = NDArray[np.float64]
 
 SIZE = (120, 160)
-WHOLE = Box(0, 0, *SIZE)
+WHOLE = Region(0, 0, *SIZE)
 
 
 def ellipsoid(n_points: int = 300) -> MorphableModel:
@@ -107,8 +107,8 @@ def centred(angles: Array, size: float = 22.0) -> Poses:
 def test_covered_pixels_are_those_whose_centres_are_in_a_triangle() -> None:
     model = bumpy(3, 1)
     positions = model.project(poses_near(3, 3, 5, turn=0.6))
-    box = Box(20, 31, 70, 100)
-    inside = covered(positions, model.triangles, box)
+    region = Region(20, 31, 70, 100)
+    inside = covered(positions, model.triangles, region)
     rows, columns = np.mgrid[20:90, 31:131]
     centres = np.stack([columns, rows], axis=-1).reshape(-1, 2)
     for found, places in zip(inside, positions, strict=True):
