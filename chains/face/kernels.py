@@ -883,8 +883,9 @@ def find_edges(contrast, region, scans, share, noise, targets, information):
 
     `contrast` `(n_maps, height, width)` float32: log density of the background over that of the object, of
     pixels of the `region`; one map for all, or one each. Writes `targets` `(n, n_points, 2)` and
-    `information` `(n, n_points, 3)`, zero if a scan has none. The variance `noise`, in steps, is added to the result;
-    `share` `(n,)` is the weight of a px of outline. Nats are not multiplied by it, which would bias the edge.
+    `information` `(n, n_points, 3)`, zero if a scan has none. The variance `noise`, in steps, is added to the
+    result; `share` `(n,)` is the weight of a px of outline. Nats are not multiplied by it, which would bias
+    the edge.
     """
     places, normals, lengths, reach, step = scans
     top, left, height, width = region
