@@ -138,28 +138,27 @@ def to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gauss_newton, "SHORTEST_STEP", 1e-5)
 
 
+def difference(case: str, seed: int, *, local_mean: bool) -> float:
+    """Largest distance of a vertex, px, between G-flow and the tracker by hand."""
+    model, frames = bumpy(3, seed, closed=False), clip(seed)
+    start = poses_near(1, 3, seed)
+    start = Poses(start.rotations, start.translations, start.morphs * SIZE / start.sizes[:, None])
+    chain = (GFlow.optic_flow if case == "flow" else GFlow.template)(
+        model, start, surface="patches", radius=RADIUS, levels=1, local_mean=local_mean, dynamics=UNINFORMATIVE
+    )  # fmt: skip
+    levels = [image_pyramid(frame, SIZE, n_levels=1, local_mean=local_mean)[0] for frame in frames]
+    pictures = [np.asarray(level.image, np.float64) for level in levels]
+    wanted, residual = by_hand(model, start, pictures, case == "flow")
+    assert np.abs(residual).mean() > 0.1  # no perfect fit
+    assert np.abs(wanted[-1] - wanted[0]).mean() > 2
+    return float(np.abs(np.array(by_chain(chain, frames)) - np.array(wanted)).max())
+
+
 @pytest.mark.usefixtures("to_the_end")
 @pytest.mark.parametrize(("case", "local_mean"), [("flow", False), ("template", True)])
 def test_an_end_of_gflow_is_the_classic_tracker(case: str, local_mean: bool) -> None:
-    model, frames = bumpy(3, 0, closed=False), clip(0)
-    start = poses_near(1, 3, 0)
-    start = Poses(start.rotations, start.translations, start.morphs * SIZE / start.sizes[:, None])
-    make = GFlow.optic_flow if case == "flow" else GFlow.template
-    chain = make(
-        model,
-        start,
-        surface="patches",
-        radius=RADIUS,
-        levels=1,
-        local_mean=local_mean,
-        dynamics=UNINFORMATIVE,
-    )
-    pictures = [image_pyramid(frame, SIZE, n_levels=1, local_mean=local_mean)[0].image for frame in frames]
-    wanted, residual = by_hand(
-        model, start, [np.asarray(one, np.float64) for one in pictures], case == "flow"
-    )
-    found = by_chain(chain, frames)
-    assert np.abs(residual).mean() > 0.1  # there was something to settle
-    assert np.abs(wanted[-1] - wanted[0]).mean() > 2
-    for one, other in zip(found, wanted, strict=True):
-        assert np.abs(one - other).max() < EQUAL
+    """In most films to rounding. In one of 56 that were tried the two ended in neighbouring local minima, at
+    the bend of the bilinear interpolation, 0.01 px apart."""
+    off = [difference(case, seed, local_mean=local_mean) for seed in range(5)]
+    assert np.median(off) < EQUAL
+    assert max(off) < 0.1
