@@ -144,7 +144,8 @@ def difference(case: str, seed: int, *, local_mean: bool) -> float:
     start = poses_near(1, 3, seed)
     start = Poses(start.rotations, start.translations, start.morphs * SIZE / start.sizes[:, None])
     chain = (GFlow.optic_flow if case == "flow" else GFlow.template)(
-        model, start, surface="patches", radius=RADIUS, levels=1, local_mean=local_mean, dynamics=UNINFORMATIVE
+        model, start, surface="patches", radius=RADIUS, levels=1, local_mean=local_mean,
+        dynamics=UNINFORMATIVE,
     )  # fmt: skip
     levels = [image_pyramid(frame, SIZE, n_levels=1, local_mean=local_mean)[0] for frame in frames]
     pictures = [np.asarray(level.image, np.float64) for level in levels]
