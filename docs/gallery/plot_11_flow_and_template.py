@@ -20,8 +20,8 @@ from rsmcm.models import PixelLabels
 
 # %%
 # Two films of the same fast motion. In one the texture is constant, in the other blotches come and go. Both
-# are tracked with each gain. (``GFlow.optic_flow`` is gain 1 on patches about the vertices; here all gains use
-# the same dense texture.)
+# are tracked with each gain. (``GFlow.optic_flow`` is gain 1 on patches about the vertices; here all gains
+# use the same dense texture.)
 
 films = {
     "texture stays": face(80, seed=0, motion="fast", light=0),
