@@ -101,7 +101,7 @@ CLAIMS: dict[str, Callable[[Names], bool]] = {
     ),
     "plot_11_flow_and_template": lambda n: (
         n["errors"]["texture stays"][0] < n["errors"]["texture stays"][-1]
-        and n["advantage"]["texture changes"] > n["advantage"]["texture stays"]
+        and n["errors"]["texture stays"][0] < min(n["errors"]["texture changes"])
     ),
     "plot_12_signer": together_is_better,
     "plot_13_do_they_help": lambda n: verdicts(n) == ["does not help", "helps"],
