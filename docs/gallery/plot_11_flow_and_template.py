@@ -41,9 +41,9 @@ for name, film in films.items():
     )
 
 # %%
-# In eight such pairs of films (seeds 0 to 7), with a constant texture the error is 0.37 ± 0.02 px as a template
-# and 0.64 ± 0.03 px as flow. With a changing texture it is about the same at both ends, 0.70 ± 0.05 and
-# 0.67 ± 0.02 px, and 0.62 ± 0.03 px at gains from 0.02 to 0.3. The best gain differs from film to film.
+# In eight such pairs of films (seeds 0 to 7), with a constant texture the error is 0.37 ± 0.02 px as a
+# template and 0.64 ± 0.03 px as flow. With a changing texture it is about the same at both ends, 0.70 ± 0.05
+# and 0.67 ± 0.02 px, and 0.62 ± 0.03 px at gains from 0.02 to 0.3. The best gain differs from film to film.
 #
 # Left and middle: frame 60 of either film. Right: mean error of the vertices over the gain. With
 # ``gain="learned"`` the gain of every texel is estimated.
