@@ -1,6 +1,7 @@
 """CONDENSATION (Isard and Blake 1998): the bootstrap filter, as a chain over a body's pose."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from ...inference.engine.generic_chains import ParticleChain, ParticleState
 from ...inference.engine.protocols import Incoming, Port
 from ...models.body.parts import BodyParts, PartMessage
 from ...models.body.upper_body import BodyPoses, UpperBody
+from ...models.core.checks import CountFrom0, at_least, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from .dynamics import BodyDynamics
@@ -20,10 +22,11 @@ Array = NDArray[np.float64]
 GROUPS = 6  # Gaussians of each part's mixture in the message
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class Condensation:
-    """Samples that are moved by the dynamics alone and weighed by the likelihood: the usual way, a baseline.
+    """Bootstrap particle filter of a body's pose: the usual way, as a baseline.
 
     X is a pose, F the places of head and hands in the picture:
 
@@ -53,9 +56,9 @@ class Condensation:
     """
 
     body: UpperBody
-    samples: int = 5000
+    samples: Annotated[int, at_least(2)] = 5000
     start: BodyPoses | None = None
-    seed: int = 0
+    seed: CountFrom0 = 0
     dynamics: BodyDynamics | None = None
     likelihood: PoseLikelihood | None = None
     name: str = "condensation"
@@ -63,8 +66,6 @@ class Condensation:
     ports = (Port(BodyParts),)
 
     def __post_init__(self) -> None:
-        if self.samples < 2:
-            raise ValueError(f"samples: got {self.samples}, expected 2 or more")
         if self.start is not None and not len(self.start):
             raise ValueError("start: got no poses, expected one or more")
 
@@ -109,12 +110,12 @@ class Condensation:
         return log_factors
 
     def initial(self, frame: Frame) -> BodySamples:
-        """The poses to start from, of equal weight."""
+        """Return the poses to start from, of equal weight."""
         first = self._filter.initial(frame)
         return BodySamples(first.particles, first.log_weights, _size(frame), first.random)
 
     def predict(self, state: BodySamples, dt: float) -> BodySamples:
-        """As many draws of each pose as its weight says, each moved at random; none that joints forbid."""
+        """Return poses resampled by their weights and moved at random, without those that joints forbid."""
         state, dt = state.origin(dt)
         moved = self._filter.predict(_particles(state), dt)
         return BodySamples(
@@ -122,12 +123,12 @@ class Condensation:
         )
 
     def message(self, state: BodySamples, feature: BodyParts, incoming: Incoming) -> PartMessage:
-        """What the predicted poses say of head and hands, as mixtures with the samples' moments."""
+        """Return mixtures of the places of head and hands, with the moments of the predicted poses."""
         message: PartMessage = self._filter.message(_particles(state), feature, incoming)
         return message
 
     def update(self, state: BodySamples, incoming: Incoming) -> BodySamples:
-        """Weights times the likelihood of the image; as they are where there is none."""
+        """Return the poses weighted by the likelihood of the image; as they are where there is none."""
         message = incoming[BodyParts]
         if message.image is None and not message.stacked.informative.any():
             return replace(state, before=None, elapsed=0.0, stationary=True)

@@ -1,14 +1,14 @@
-"""How reliable a detector is, as a chain: what it finds, how often it errs, and what its scores mean.
+"""Reliability of a detector, as a chain: how often it detects and errs, and what its scores mean.
 
-Of the share pi that is found, the rates c of false boxes, d of second boxes, b of newcomers:
+Of the share pi that is detected, the rates c of false boxes, d of second boxes, b of newcomers:
 
     pi ~ Beta, c, d, b ~ Gamma, all forgotten slowly
     p(score | true) = N(m_1, s^2), p(score | false) = N(m_0, s^2)
-    u_t = u_t-1 (1 - pi) + b dt, people in the picture who were not found yet (Poisson)
+    u_t = u_t-1 (1 - pi) + b dt, people in the picture who were not detected yet (Poisson)
     mu_{detector -> boxes} = the detector with the means of all these
 
-It learns from who the boxes turned out to be of (`Association`): nobody sets a threshold for scores. The
-undetected number is that of Poisson multi-Bernoulli filters (J. Williams, *Marginal multi-Bernoulli filters*,
+Boxes count by their association with objects (`Association`); scores need no threshold. The undetected
+number is that of Poisson multi-Bernoulli filters (J. Williams, *Marginal multi-Bernoulli filters*,
 2015).
 """
 
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Incoming, Port
-from ...models.core.bounds import POSITIVE, PROBABILITY, check_bounds
+from ...models.core.checks import Positive, Probability, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import BoxMessage, Scores
@@ -29,10 +29,12 @@ from ...models.objects.object_boxes import ObjectBoxes
 Numbers = NDArray[np.float64]
 
 ASSUMED = 10.0
-"""True and false boxes, of each so many, as which the assumption counts that true ones have higher scores."""
+"""Weight, in boxes of either kind, of the prior that true boxes have higher scores."""
 
 APART = 1.0  # deviations of all scores by which true and false ones are assumed to be apart
-UNDETECTED = 3.0  # people in the picture of whom nothing is known, before anybody has looked
+UNDETECTED = (
+    3.0  # undetected people in the picture at the first frame; a guess, forgotten within a few frames
+)
 
 
 @short_repr
@@ -45,22 +47,22 @@ class ScoreMoments:
     squares: Numbers
 
     @classmethod
-    def none(cls) -> Self:
-        """No score was seen."""
+    def empty(cls) -> Self:
+        """Return the moments of no scores."""
         return cls(np.zeros(2), np.zeros(2), np.zeros(2))
 
-    def forgotten(self, kept: float) -> Self:
-        """With less weight."""
+    def scaled(self, kept: float) -> Self:
+        """Return the moments with weights times `kept`."""
         return type(self)(kept * self.weights, kept * self.sums, kept * self.squares)
 
-    def with_more(self, scores: Numbers, true: Numbers) -> Self:
-        """With the scores of a frame `(n,)`, each true with a probability `(n,)`."""
+    def updated(self, scores: Numbers, true: Numbers) -> Self:
+        """Return the moments with the scores `(n,)` of a frame, each true with a probability `(n,)`."""
         share = np.stack([true, 1 - true])
         weights, sums = self.weights + share.sum(axis=1), self.sums + share @ scores
         return type(self)(weights, sums, self.squares + share @ scores**2)
 
-    def learned(self) -> Scores | None:
-        """What scores mean; `None` as long as they are all alike."""
+    def distributions(self) -> Scores | None:
+        """Return the distributions of true and false scores; `None` as long as all scores are alike."""
         total = self.weights.sum()
         if total <= 0:
             return None
@@ -79,24 +81,28 @@ class ScoreMoments:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class DetectorState:
-    """What is known of a detector."""
+    """Counts and exposures of a detector's rates, with its scores."""
 
-    counts: Numbers  # (4,): objects found, false boxes, second boxes, newcomers
-    exposures: Numbers  # (4,): of objects in sight, frames, found objects, seconds
+    counts: Numbers  # (4,): detected objects, false boxes, second boxes, newcomers
+    exposures: Numbers  # (4,): of objects in sight, frames, detected objects, seconds
     scores: ScoreMoments
-    undetected: float  # people in the picture who were not found yet
+    undetected: float  # people in the picture who were not detected yet
     area: float  # px of the picture
     elapsed: float  # s since the detector has run
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class DetectorRates:
-    """What is known of a detector, learned while it runs.
+    """Rates of a detector, learned while it runs.
+
+    Each rate has a conjugate Beta or Gamma distribution, whose counts are the state: its means are exact.
+    It is none of the generic chains: the state is neither Gaussian nor one of a few values.
 
     Parameters
     ----------
-    found
+    detection_probability
         share of the time for which it notices an object that is in sight, at first.
     clutter
         false boxes in a frame, at first.
@@ -105,84 +111,80 @@ class DetectorRates:
     newcomers
         1/s, objects that come into the picture, at first.
     memory
-        s in which what was learned is forgotten.
+        s, time constant of forgetting.
     """
 
-    found: float = 0.85
-    clutter: float = 0.5
-    doubles: float = 0.1
-    newcomers: float = 0.2
-    memory: float = 60.0
+    detection_probability: Probability = 0.85
+    clutter: Positive = 0.5
+    doubles: Positive = 0.1
+    newcomers: Positive = 0.2
+    memory: Positive = 60.0
     name: str = "detector"
 
     ports = (Port(ObjectBoxes, sole="detector"),)
 
-    def __post_init__(self) -> None:
-        positive = dict.fromkeys(("clutter", "doubles", "newcomers", "memory"), POSITIVE)
-        check_bounds(self, {"found": PROBABILITY, **positive})
-
     def initial(self, frame: Frame) -> DetectorState:
-        """As it is assumed to be."""
+        """Return a detector without observations: the parameters' rates."""
         height, width = frame.required_image().shape[:2]
         return DetectorState(
             counts=np.zeros(4),
             exposures=np.zeros(4),
-            scores=ScoreMoments.none(),
+            scores=ScoreMoments.empty(),
             undetected=UNDETECTED,
             area=float(height * width),
             elapsed=0.0,
         )
 
     def predict(self, state: DetectorState, dt: float) -> DetectorState:
-        """What was learned is slowly forgotten."""
+        """Return the counts `dt` seconds on, with exponential forgetting."""
         kept = math.exp(-dt / self.memory)
         return replace(
             state,
             counts=kept * state.counts,
             exposures=kept * state.exposures,
-            scores=state.scores.forgotten(kept),
+            scores=state.scores.scaled(kept),
             elapsed=state.elapsed + dt,
         )
 
     def message(self, state: DetectorState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage:
-        """The detector as it is known (mu_{detector -> objects})."""
-        found, clutter, doubles, arriving = self._rates(state)
+        """Return the detector with the mean rates (mu_{detector -> objects})."""
+        detected, clutter, doubles, arriving = self._rates(state)
         return BoxMessage(
             detector=replace(
                 feature.detector,
-                found=found,
+                found=detected,
                 clutter=clutter / state.area,
                 doubles=doubles,
                 newcomers=state.undetected + state.elapsed * arriving,
-                scores=state.scores.learned(),
+                scores=state.scores.distributions(),
             )
         )
 
     def update(self, state: DetectorState, incoming: Incoming) -> DetectorState:
-        """Counts of what was found, missed and false in a frame, each by its probability."""
+        """Return the counts with a frame's detected, missed and false boxes, each by its probability."""
         association = incoming[ObjectBoxes].association
         if association is None:
             return state
         true, new = association.true, float(association.new.sum())
         hits = float(association.pairs.sum())
         false = float((1 - true - association.double).sum())
-        found, _, _, arriving = self._rates(state)
+        detected, _, _, arriving = self._rates(state)
         counts = np.array([hits, false, float(association.double.sum()), new])
         exposures = np.array([hits + float(association.in_sight), 1.0, hits + new, state.elapsed])
         return replace(
             state,
             counts=state.counts + counts,
             exposures=state.exposures + exposures,
-            scores=state.scores.with_more(association.scores, true),
-            undetected=(state.undetected + state.elapsed * arriving) * (1 - found),
+            scores=state.scores.updated(association.scores, true),
+            undetected=(state.undetected + state.elapsed * arriving) * (1 - detected),
             elapsed=0.0,
         )
 
     def _rates(self, state: DetectorState) -> tuple[float, float, float, float]:
-        """Means of found, clutter, doubles and newcomers, with what is assumed as if seen before."""
-        assumed = np.array([self.found, self.clutter, self.doubles, self.newcomers])
+        """Means of detection probability, clutter, doubles and newcomers, given prior counts."""
+        assumed = np.array([self.detection_probability, self.clutter, self.doubles, self.newcomers])
         weight = np.array([10.0, 4.0, 10.0, 5.0])
-        found, clutter, doubles, newcomers = (
+        detected, clutter, doubles, newcomers = (
             (assumed * weight + state.counts) / (weight + state.exposures)
         ).tolist()
-        return min(found, 0.99), clutter, doubles, newcomers
+        return min(detected, 0.99), clutter, doubles, newcomers

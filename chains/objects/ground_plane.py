@@ -3,14 +3,14 @@
 Of objects j with feet (x_j, y_j), heights h_j and widths w_j, s_j being the plane's own height there:
 
     p(feet_t | feet_t-1): constant velocity but for white acceleration; a, b and all c_j stay
-    p(h_j | y_j) = N(h_j; a + b (y_j - middle) + c_j s_j, (spread s_j)^2)
+    p(h_j | y_j) = N(h_j; a + b (y_j - middle) + c_j s_j, (height_std s_j)^2)
     p(w_j | h_j) = N(w_j; r_j h_j, v_j s_j^2)
     mu_{ground -> boxes}(b_j) = N(x_j) N(y_j) p(h_j | y_j) p(w_j | h_j)
 
 The RSMCM paper names a level above its object trackers, a model of how objects share a scene, whose
-predictions of their positions guide the trackers (end of §3); it gives no equations. What is here is ours:
+predictions of their positions guide the trackers (end of §3); it gives no equations. The model here is ours:
 the scene's perspective is learned from the objects that walk through it, each object walks without jumps, and
-both together predict every object's box. What they predict comes from the past alone.
+both together predict every object's box, from the past alone.
 """
 
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...inference.engine.protocols import Incoming, Port
 from ...inference.kalman import kinematic
-from ...models.core.bounds import POSITIVE, SHARE, check_bounds
+from ...models.core.checks import Positive, Share, checked
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.identities import Turnover, find, places_of
@@ -30,23 +30,18 @@ from ...models.objects.object_boxes import ObjectBoxes
 
 Numbers = NDArray[np.float64]
 
-FIRST_TRUST, MOST_TRUST = 1.4, 4.0
+INITIAL_TRUST, MAX_TRUST = 1.4, 4.0
 """Log odds that an object stands on the plane: before its first observation, and as sure as one can get."""
 
-MOST_ASPECTS = 50.0  # observations that are remembered of everybody's width over height
+MOST_ASPECTS = 50.0  # observations that the statistics of width over height remember
 
-LEAST_SPREAD = 0.05
+MIN_ASPECT_STD = 0.05
 """Of a width, in heights: what remains uncertain about it, however alike the observations were."""
 
 HALF_HIDDEN = 0.5
 """Heights: standard deviation of what an observation is off by that does not show an object wholly."""
 
-MORE_THAN_0 = (
-    "stature", "spread", "foot_spread", "acceleration", "first_speed", "observation_time", "patience",
-)  # fmt: skip
-"""Parameters of `GroundPlane` that must be more than 0."""
-
-LEAST_WORTH = 1e-9
+MIN_WORTH = 1e-9
 """Of an observation that says nothing: it is left out as if its noise were that much greater."""
 
 
@@ -56,7 +51,7 @@ class GroundState:
     """Perspective of the scene and the objects in it.
 
     With its foot in row y, object k is scene[0] + scene[1] (y - middle) + scene[2 + k] heights[k] high: what
-    the plane makes of everybody, and how much taller or shorter this one is.
+    the plane predicts of any object, and how much taller or shorter this one is.
     """
 
     size: tuple[int, int]  # (height, width) px of the picture; `middle` is its middle row
@@ -64,7 +59,7 @@ class GroundState:
     # (2 + n,): px height in the middle row, px it grows with each row, and each object's share
     scene: Numbers
     scene_covariance: Numbers  # (2 + n, 2 + n)
-    everybody: Numbers  # (3,): weight, mean and variance of the width over height of all who were seen
+    all_aspects: Numbers  # (3,): weight, mean and variance of the width over height of all objects
     identities: NDArray[np.int64]  # (n,) of the objects, increasing
     feet: Numbers  # (n, 2, 2): along x and y, position px and velocity px/s
     feet_covariance: Numbers  # (n, 2, 2, 2)
@@ -72,7 +67,7 @@ class GroundState:
     aspects: Numbers  # (n,) width over height
     aspect_variances: Numbers
     trust: Numbers  # (n,) log odds that the object stands on the plane
-    unseen: Numbers  # (n,) s since it was last heard of
+    unseen: Numbers  # (n,) s since it was last observed
 
     @property
     def middle(self) -> float:
@@ -80,18 +75,18 @@ class GroundState:
         return 0.5 * self.size[0]
 
     def newcomers(self) -> Newcomers:
-        """Box of somebody new; as long as nobody was seen, heights deviate by about the picture's."""
-        _, aspect, variance = self.everybody.tolist()
+        """Return the distribution of a new object's box."""
+        _, aspect, variance = self.all_aspects.tolist()
         return Newcomers(
             self.size, self.scene[:2], self.scene_covariance[:2, :2], self.variation, aspect, variance
         )
 
     def expected_height(self, foot_y: ArrayLike) -> tuple[Numbers, Numbers]:
-        """Mean and standard deviation px of the height of somebody new, with feet in these rows."""
+        """Return mean and standard deviation px of a new object's height, with feet in these rows."""
         return self.newcomers().height(foot_y)
 
     def design(self, below: Numbers, places: NDArray[np.intp], own: Numbers) -> Numbers:
-        """`(n, 2 + n_objects)`: how heights depend on `scene`, of objects with feet `below` the middle row.
+        """Return the design `(n, 2 + n_objects)` of heights by `scene`, for feet `below` the middle row.
 
         An object's own share is of `own` px (see `usual_heights`).
         """
@@ -101,7 +96,7 @@ class GroundState:
         return design
 
     def usual_heights(self, below: Numbers, heights: Numbers) -> Numbers:
-        """px: what the plane says of the height of anybody there; before it is known, the measured one.
+        """Return the plane's heights px at these rows; the measured ones as long as it is unknown.
 
         An object's own share and all noise are scaled with it. The measured height comes in as little as can
         be: shares of hidden people's heights would let the plane sink while the shares grow.
@@ -113,20 +108,20 @@ class GroundState:
         usual = measured + share * (self.scene[0] + self.scene[1] * below - measured)
         return np.asarray(np.maximum(usual, 0.25 * measured))
 
-    def boxes(self, spread: float, foot_spread: float) -> GaussianMessage:
-        """Density N(x) N(y) N(height; plane's at y) N(width; aspect * height) of every object's box.
+    def boxes(self, height_std: float, foot_std: float) -> GaussianMessage:
+        """Return densities N(x) N(y) N(height; plane's at y) N(width; aspect * height) of all objects' boxes.
 
         Of the perspective, which all objects share, each gets its own marginal, with the slope at its mean.
-        `spread` and `foot_spread` are those of `GroundPlane`.
+        `height_std` and `foot_std` are those of `GroundPlane`.
         """
         count, slope, aspects, square = len(self.identities), self.scene[1], self.aspects, self.heights**2
         x, y = self.feet[:, :, 0].T
         design = self.design(y - self.middle, np.arange(count), self.heights)
         variance = ((design @ self.scene_covariance) * design).sum(axis=1)
         upright = design @ self.scene - slope * y
-        feet = 1 / (self.feet_covariance[:, :, 0, 0] + (foot_spread**2 * square)[:, None])
-        of_width = 1 / ((self.aspect_variances + LEAST_SPREAD**2) * square)
-        of_height = 1 / (1 + np.exp(-self.trust)) / (variance + spread**2 * square)
+        feet = 1 / (self.feet_covariance[:, :, 0, 0] + (foot_std**2 * square)[:, None])
+        of_width = 1 / ((self.aspect_variances + MIN_ASPECT_STD**2) * square)
+        of_height = 1 / (1 + np.exp(-self.trust)) / (variance + height_std**2 * square)
         information, vector = np.zeros((count, BOX, BOX)), np.zeros((count, BOX))
         information[:, FOOT_X, FOOT_X] = feet[:, 0]
         information[:, FOOT_Y, FOOT_Y] = feet[:, 1] + slope**2 * of_height
@@ -142,6 +137,7 @@ class GroundState:
         return GaussianMessage(self.identities, information, vector, 0.5 * (peak - quadratic))
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class GroundPlane:
@@ -149,53 +145,52 @@ class GroundPlane:
 
     Heights are a linear regression on the foot's row that all objects share, with a share of each object's
     own (a Kalman filter without dynamics: cameras stay, people keep their size); feet have first-order
-    dynamics. Both take observations for a mixture of good ones and outliers (half hidden, or no person).
+    dynamics. Both take observations for a mixture of good ones and outliers (half hidden, or no person). It
+    is no `LinearGaussianChain`: the regression correlates all objects, and one mixture weight belongs to a
+    height and a foot together.
 
     Parameters
     ----------
     stature
         standard deviation of people's sizes, as a share.
-    spread
+    height_std
         standard deviation of one person's height about their own mean (gait, ragged outlines), as a share.
-    foot_spread
+    foot_std
         heights: standard deviation of the bottom edge's middle about the point on the ground below a person.
     acceleration
         heights/s^2, standard deviation of what moves a foot out of its straight way; it lasts half a second.
-    first_speed
-        heights/s, standard deviation of the velocity of somebody new.
+    initial_velocity_std
+        heights/s, standard deviation of the velocity of a new object.
     outliers
         share of observations that do not show an object from head to foot.
     observation_time
         s after which an observation of the same object is worth a whole new one: outlines err for a while.
-    patience
-        s after which an object that is not heard of is forgotten.
+    max_coast_time
+        s after which an object without observations ends.
     """
 
-    stature: float = 0.1
-    spread: float = 0.05
-    foot_spread: float = 0.03
-    acceleration: float = 0.5
-    first_speed: float = 1.0
-    outliers: float = 0.1
-    observation_time: float = 1.0
-    patience: float = 3.0
+    stature: Positive = 0.1
+    height_std: Positive = 0.05
+    foot_std: Positive = 0.03
+    acceleration: Positive = 0.5
+    initial_velocity_std: Positive = 1.0
+    outliers: Share = 0.1
+    observation_time: Positive = 1.0
+    max_coast_time: Positive = 3.0
     name: str = "ground"
 
     ports = (Port(ObjectBoxes),)
 
-    def __post_init__(self) -> None:
-        check_bounds(self, dict.fromkeys(MORE_THAN_0, POSITIVE) | {"outliers": SHARE})
-
     def initial(self, frame: Frame) -> GroundState:
-        """Nobody there, and any perspective: people are taller lower down, if it has to be guessed."""
+        """Return a state without objects, with a vague perspective: people look taller lower down."""
         height, width = frame.required_image().shape[:2]
         none = np.zeros(0)
         return GroundState(
             size=(height, width),
-            variation=float(np.hypot(self.stature, self.spread)),
+            variation=float(np.hypot(self.stature, self.height_std)),
             scene=np.array([0.25 * height, 0.3]),
             scene_covariance=np.diag([(0.5 * height) ** 2, 0.5**2]),
-            everybody=np.array([1.0, 0.5, 0.3**2]),
+            all_aspects=np.array([1.0, 0.5, 0.3**2]),
             identities=np.zeros(0, np.int64),
             feet=np.zeros((0, 2, 2)),
             feet_covariance=np.zeros((0, 2, 2, 2)),
@@ -207,7 +202,7 @@ class GroundPlane:
         )
 
     def predict(self, state: GroundState, dt: float) -> GroundState:
-        """Feet walk on, but for a random force; perspective and sizes stay."""
+        """Return the state `dt` seconds on: feet move by constant velocity and white acceleration."""
         if not state.identities.size:
             return state
         force = 0.5 * (self.acceleration * state.heights[:, None]) ** 2  # px^2/s^3: it lasts half a second
@@ -215,17 +210,17 @@ class GroundPlane:
         return replace(state, feet=feet, feet_covariance=covariance, unseen=state.unseen + dt)
 
     def message(self, state: GroundState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage:
-        """Every known object's box, and that of somebody new (mu_{ground -> objects})."""
+        """Return the densities of all objects' boxes and of a new object's (mu_{ground -> objects})."""
         newcomers = state.newcomers()
         if not len(state.identities):
             return BoxMessage(newcomers=newcomers)
-        return BoxMessage(state.boxes(self.spread, self.foot_spread), newcomers=newcomers)
+        return BoxMessage(state.boxes(self.height_std, self.foot_std), newcomers=newcomers)
 
     def update(self, state: GroundState, incoming: Incoming) -> GroundState:
-        """Perspective and objects given what others say of the boxes."""
+        """Return perspective and objects given the boxes of `incoming`."""
         message = incoming[ObjectBoxes]
         identities, boxes, covariances = message.objects.moments
-        state = self._joined(state, identities, boxes)
+        state = self._with_births_and_deaths(state, identities, boxes)
         if not len(identities):
             return state
         places = places_of(state.identities, identities)
@@ -240,13 +235,13 @@ class GroundPlane:
         covariances: Numbers,
         exists: Numbers | float,
     ) -> GroundState:
-        """What boxes `(n, 4)` px, each of another object, teach; all are judged by what was known before."""
+        """The state given boxes `(n, 4)` px of different objects, each weighed by its prediction."""
         below, height, slope = boxes[:, FOOT_Y] - state.middle, boxes[:, HEIGHT], state.scene[1]
         own = state.usual_heights(below, height)
         design = state.design(below, places, own)
         off, known = height - design @ state.scene, design @ state.scene_covariance @ design.T
         # variance of the height less what an error of the foot's row would change it by along the plane
-        noise = covariances[:, HEIGHT, HEIGHT] + (self.spread * own) ** 2
+        noise = covariances[:, HEIGHT, HEIGHT] + (self.height_std * own) ** 2
         noise += slope * (slope * covariances[:, FOOT_Y, FOOT_Y] - 2 * covariances[:, FOOT_Y, HEIGHT])
         ratio = _good_over_bad(off**2, known.diagonal() + noise, (HALF_HIDDEN * own) ** 2)
         good = self._probability_of_good(ratio)
@@ -256,24 +251,24 @@ class GroundPlane:
         weight = whole * on_plane * good * worth
 
         gain = np.linalg.solve(
-            known + np.diag(noise / np.maximum(weight, LEAST_WORTH)), design @ state.scene_covariance
+            known + np.diag(noise / np.maximum(weight, MIN_WORTH)), design @ state.scene_covariance
         )
         scene_covariance = state.scene_covariance - state.scene_covariance @ design.T @ gain
         surprise = np.log((1 - self.outliers) * ratio + self.outliers)
-        trust = np.clip(state.trust[places] + whole * worth * surprise, -MOST_TRUST, MOST_TRUST)
+        trust = np.clip(state.trust[places] + whole * worth * surprise, -MAX_TRUST, MAX_TRUST)
         aspect = boxes[:, WIDTH] / np.maximum(height, 1.0)
         rate, change = 0.3 * whole * good * worth, aspect - state.aspects[places]
         variance = (1 - rate) * (state.aspect_variances[places] + rate * change**2)
-        feet, feet_covariance = self._walked(
+        feet, feet_covariance = self._updated_feet(
             state, places, boxes, covariances, own, whole * (1 - on_plane * (1 - good)), worth
         )
-        apart = aspect - state.everybody[1]
+        apart = aspect - state.all_aspects[1]
         moments = weight.sum(), (weight * apart).sum(), (weight * apart**2).sum()
         return replace(
             state,
             scene=state.scene + off @ gain,
             scene_covariance=0.5 * (scene_covariance + scene_covariance.T),
-            everybody=_with(state.everybody, *moments),
+            all_aspects=_pooled(state.all_aspects, *moments),
             feet=_put(state.feet, places, feet),
             feet_covariance=_put(state.feet_covariance, places, feet_covariance),
             heights=_put(state.heights, places, own),
@@ -283,7 +278,7 @@ class GroundPlane:
             unseen=_put(state.unseen, places, np.zeros(len(places))),
         )
 
-    def _walked(
+    def _updated_feet(
         self,
         state: GroundState,
         places: NDArray[np.intp],
@@ -297,9 +292,7 @@ class GroundPlane:
 
         What hides feet does so for a while: of their row they are `worth` `(n,)` a part of a new one.
         """
-        noise = (
-            covariances.diagonal(axis1=1, axis2=2)[:, :WIDTH] + ((self.foot_spread * heights) ** 2)[:, None]
-        )
+        noise = covariances.diagonal(axis1=1, axis2=2)[:, :WIDTH] + ((self.foot_std * heights) ** 2)[:, None]
         hidden = (1 - reliable) * (HALF_HIDDEN * boxes[:, [WIDTH, HEIGHT]].T) ** 2
         hidden[FOOT_Y] /= worth
         noise = noise + hidden.T
@@ -317,10 +310,12 @@ class GroundPlane:
         odds = ratio * (1 / self.outliers - 1)
         return odds / (1 + odds)
 
-    def _joined(self, state: GroundState, identities: NDArray[np.int64], boxes: Numbers) -> GroundState:
-        """The state without who was not heard of for long, and with who is new."""
+    def _with_births_and_deaths(
+        self, state: GroundState, identities: NDArray[np.int64], boxes: Numbers
+    ) -> GroundState:
+        """The state without objects that have ended, and with new ones."""
         place, is_known = find(state.identities, identities)
-        stays, new = state.unseen <= self.patience, ~is_known
+        stays, new = state.unseen <= self.max_coast_time, ~is_known
         stays[place[is_known]] = True
         if stays.all() and not new.any():
             return state
@@ -331,7 +326,7 @@ class GroundPlane:
         feet[:, :, 0] = boxes[new, :WIDTH]
         feet_covariance = np.zeros((n_new, 2, 2, 2))
         feet_covariance[:, :, 0, 0] = (10 * heights[:, None]) ** 2
-        feet_covariance[:, :, 1, 1] = (self.first_speed * heights[:, None]) ** 2
+        feet_covariance[:, :, 1, 1] = (self.initial_velocity_std * heights[:, None]) ** 2
         among = np.concatenate([[True, True], stays])
         scene = np.concatenate([state.scene[among], np.zeros(n_new)])
         covariance = np.zeros((2 + n_stay + n_new, 2 + n_stay + n_new))
@@ -348,13 +343,13 @@ class GroundPlane:
             heights=turnover.rows(state.heights, heights),
             aspects=turnover.rows(state.aspects, boxes[new, WIDTH] / heights),
             aspect_variances=turnover.rows(state.aspect_variances, 0.1**2),
-            trust=turnover.rows(state.trust, FIRST_TRUST),
+            trust=turnover.rows(state.trust, INITIAL_TRUST),
             unseen=turnover.rows(state.unseen, self.observation_time),
         )
 
 
-def _with(moments: Numbers, added: float, off: float, squares: float) -> Numbers:
-    """Weight, mean and variance of what was observed, with more; the last `MOST_ASPECTS` count.
+def _pooled(moments: Numbers, added: float, off: float, squares: float) -> Numbers:
+    """Weight, mean and variance with further observations; the last `MOST_ASPECTS` count.
 
     `off` and `squares` are weighted sums of the differences from the mean and of their squares.
     """

@@ -5,10 +5,9 @@ Of the map p_t (six numbers, px; see `AffineMap`) and the scene's picture:
     p(p_t | p_t-1) = N(p_t; e^(-dt / time) p_t-1, (1 - e^(-2 dt / time)) reach^2)   (Ornstein-Uhlenbeck)
     mu_{C -> F}(p) = N(p; predicted), together with the picture by which the frame is found
 
-The pixels' evidence registers the frame with that picture and gives back the likelihood of the map; with it
-the image is the scene's, so that all other chains of the pixels hear of a camera that stands still. They in
-turn say what is background, and from that alone the picture is learned: who stands in the scene for long is
-nothing to steer by.
+The pixels' evidence registers the frame with that picture and returns the likelihood of the map; with it
+the image is the scene's, so that all other chains of the pixels see a camera that stands still. Theirs
+say what is background, and the picture is updated there alone: objects that stand for long do not steer it.
 """
 
 import math
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from ...inference.engine.generic_chains import LinearGaussianChain, LinearGaussianState
 from ...inference.engine.protocols import Incoming, Port
 from ...models.camera.moving_camera import UNKNOWNS, AffineMap, View
-from ...models.core.bounds import POSITIVE, check_bounds
+from ...models.core.checks import Positive, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.pixels.pixel_labels import PixelMessage, ScenePixels
@@ -36,7 +35,7 @@ FIRST_VARIANCE = 1e-6  # px^2: the first frame is the scene's picture, by defini
 @short_repr
 @dataclass(frozen=True, eq=False)
 class CameraState:
-    """Where the camera looks, and at what."""
+    """Map from scene to frame, and the scene's picture."""
 
     where: LinearGaussianState  # of one thing, the map from scene to frame
     # (height, width[, 3]): the scene under today's light, in the first frame's places
@@ -54,10 +53,11 @@ class CameraState:
         return self.where.covariance[0]
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class CameraMotion:
-    """Follows a camera that shakes, turns, or slowly drifts about where it looked in the first frame.
+    """Chain of a camera that shakes, turns, or slowly drifts about where it looked in the first frame.
 
     What the first frame does not show never becomes part of the scene: a camera that pans away from it loses
     it.
@@ -67,20 +67,17 @@ class CameraMotion:
     reach
         share of half the picture's diagonal by which the camera's shake moves places (standard deviation).
     time
-        s after which it is forgotten where the camera looked.
+        s, time constant with which the camera returns to where it rests.
     """
 
-    reach: float = 0.05
-    time: float = 1.0
+    reach: Positive = 0.05
+    time: Positive = 1.0
     name: str = "camera"
 
     ports = (Port(ScenePixels, sole="camera"),)
 
-    def __post_init__(self) -> None:
-        check_bounds(self, {"reach": POSITIVE, "time": POSITIVE})
-
     def initial(self, frame: Frame) -> CameraState:
-        """The first image is the scene's picture."""
+        """Return a camera at rest, with the first image as the scene's picture."""
         picture = frame.required_image().astype(np.float32)
         return CameraState(self._motion(picture).initial(frame), picture, 0.0)
 
@@ -98,16 +95,16 @@ class CameraMotion:
         )
 
     def predict(self, state: CameraState, dt: float) -> CameraState:
-        """The camera returns to where it rests, but for what shakes it."""
+        """Return the map `dt` seconds on."""
         where = self._motion(state.picture).predict(state.where, dt)
         return replace(state, where=where, elapsed=state.elapsed + dt)
 
     def message(self, state: CameraState, feature: ScenePixels, incoming: Incoming) -> PixelMessage:
-        """Where the camera may look (mu_{C -> F})."""
+        """Return the density of the map, with the scene's picture (mu_{C -> F})."""
         return PixelMessage(view=View.predicted(state.mean, state.covariance, state.picture))
 
     def update(self, state: CameraState, incoming: Incoming) -> CameraState:
-        """The map given the frame's registration, and the picture given what others say is background."""
+        """Return the map given the frame's registration, and the picture updated at background pixels."""
         others = incoming[ScenePixels]
         if others.image is None:
             return state

@@ -18,12 +18,12 @@ Numbers = NDArray[np.float64]
 
 
 def observations(incoming_over_time: Sequence[BatchIncoming]) -> tuple[NDArray[np.int64], Numbers, Numbers]:
-    """Identities `(n,)`, positions `(n_frames, n, 2)` and 1 / variances `(n_frames, n)` of what comes in.
+    """Return identities `(n,)`, positions `(n_frames, n, 2)` and 1 / variances `(n_frames, n)`.
 
     Where there is information about one coordinate only the other one is NaN.
     """
     messages = [incoming[PointTracks].positions for incoming in incoming_over_time]
-    identities = np.unique(np.concatenate([each.identities[_told(each)] for each in messages]))
+    identities = np.unique(np.concatenate([each.identities[_is_observed(each)] for each in messages]))
     positions = np.zeros((len(messages), len(identities), 2))
     weights = np.zeros((len(messages), len(identities)))
     for time, message in enumerate(messages):
@@ -31,7 +31,7 @@ def observations(incoming_over_time: Sequence[BatchIncoming]) -> tuple[NDArray[n
         place = places_of(identities, known)
         positions[time, place] = means
         weights[time, place] = 2 / np.trace(covariances, axis1=1, axis2=2)
-        half = message.only(_told(message) & ~message.proper)
+        half = message.only(_is_observed(message) & ~message.proper)
         place = places_of(identities, half.identities)
         information = half.information.diagonal(axis1=1, axis2=2)
         positions[time, place] = np.where(information > 0, half.vector, np.nan) / np.where(
@@ -41,7 +41,7 @@ def observations(incoming_over_time: Sequence[BatchIncoming]) -> tuple[NDArray[n
     return identities, positions, weights
 
 
-def _told(message: GaussianMessage) -> NDArray[np.bool_]:
+def _is_observed(message: GaussianMessage) -> NDArray[np.bool_]:
     """Of whom both coordinates are known, or one of them."""
     one = np.count_nonzero(message.information.any(axis=2), axis=1) == 1
     return np.asarray(message.proper | one)
@@ -111,7 +111,7 @@ class FactorStructure:
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: StructureTrajectory | None = None
     ) -> Smoothed[StructureTrajectory]:
-        """Shape and cameras that explain what comes in; always found anew, so that no early error stays.
+        """Return shape and cameras fitted to `incoming`, from scratch, so that no early error stays.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class FactorStructure:
         feature: PointTracks,
         incoming_over_time: Sequence[BatchIncoming] = (),
     ) -> list[PointMessage]:
-        """Where the points of all tracks are in each frame, seen or not; nothing of tracks without one."""
+        """Return the predicted positions of all tracks that have a point, in each frame."""
         positions, covariances = predicted(trajectory.factorisation)
         covariances[..., [0, 1], [0, 1]] += trajectory.scatter + LEAST_SCATTER * trajectory.noise
         return point_messages(trajectory.identities, trajectory.point_of_track, positions, covariances)
@@ -147,7 +147,7 @@ class FactorStructure:
 def point_messages(
     identities: NDArray[np.int64], point_of_track: NDArray[np.int64], positions: Numbers, covariances: Numbers
 ) -> list[PointMessage]:
-    """What a shape says of tracks in each frame, and which of them it takes for one point.
+    """Return a shape's predictions of tracks in each frame, with tracks of one point grouped.
 
     Of `identities` and `point_of_track` `(n_tracks,)` those with -1 are left out; positions `(n_frames,
     n_points, 2)` px and covariances `(n_frames, n_points, 2, 2)` px^2 are of points.
@@ -165,7 +165,7 @@ def point_messages(
 def without_observations(
     shape: GaussianMessage, evidence: GaussianMessage, structure: StructureTrajectory
 ) -> GaussianMessage:
-    """The shape's message about points that are seen, each as if it had not been seen in this frame.
+    """Return the shape's message about observed points, each without its own observation in this frame.
 
     Each observation is taken out of the fit for its point and frame, as if the fit was linear.
     """

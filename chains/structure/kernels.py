@@ -7,7 +7,7 @@ from ...models.numerics.compiled import compiled, inlined
 
 @compiled
 def track_information(tracks, cameras, white, drift, decay):
-    """What each track says of its point, under noise that is in part remembered from frame to frame.
+    """Return the information of each track about its point, under correlated noise.
 
     White noise of variance white / weight plus a first-order Gauss-Markov process of variance drift whose
     correlation falls by `decay` a frame, along each axis. A Kalman filter of that process turns observations
@@ -65,7 +65,7 @@ def track_information(tracks, cameras, white, drift, decay):
 
 @compiled
 def camera_coupling(tracks, point, homogeneous, cameras, white, drift, decay, least):
-    """Second derivatives of the fit by cameras, and by cameras and points.
+    """Return second derivatives of the fit by cameras, and by cameras and points.
 
     Of both rows of a camera alike: own (4 n_frames, 4 n_frames). With the points: cross (2, n_frames, 4,
     n_points, 3). The noise's inverse falls off with the frames between; what is below `least` is left out.
@@ -124,7 +124,7 @@ def camera_coupling(tracks, point, homogeneous, cameras, white, drift, decay, le
 
 @compiled
 def same_point_gains(mean, covariance, apart, spread, gains):
-    """Log of how much likelier two points' estimates are if they are one point than if they are two.
+    """Return log likelihood ratios of pairs of estimates: of one point, over two points.
 
     covariance (n, 3, n, 3) is of all estimates together; two different points differ by a draw of covariance
     `spread` (3, 3), beside their errors. Fills `gains` (n, n), with -1e30 for pairs that are `apart`.
@@ -154,7 +154,7 @@ def assign_tracks(
     order, tracks, information, vector, prior_information, prior_vector, cameras, variance, far, log_new,
     hard, of_track, member, shares, busy,
 ):  # fmt: skip
-    """Probabilities that tracks show points, track after track in `order`, each without its own part.
+    """Return the probabilities that tracks show points, in `order`, each without its own observations.
 
     `information` `(n, 3, 3)` and `vector` `(n, 3)` are of each track, those of the prior of any point. A
     point is tried if the middle observation of the track, of this variance, is at most `far` squared
@@ -167,7 +167,7 @@ def assign_tracks(
     """
     edges, _, frame, x, y, weight = tracks
     n, n_points = information.shape[0], busy.shape[0]
-    others, whole, sums = _told(
+    others, whole, sums = _sum_information(
         information, vector, prior_information, prior_vector, of_track, member, shares, n_points
     )
     mean, covariance, before = np.empty((n_points, 3)), np.empty((n_points, 3, 3)), np.empty(n_points)
@@ -244,8 +244,10 @@ def assign_tracks(
 
 
 @compiled
-def _told(information, vector, prior_information, prior_vector, of_track, member, shares, n_points):
-    """Sum what tracks say of points: how many tell (n_points,), information and vector, with the prior."""
+def _sum_information(
+    information, vector, prior_information, prior_vector, of_track, member, shares, n_points
+):
+    """Sums over the tracks of points: shares (n_points,), information and vector, with the prior."""
     others, whole, sums = np.zeros(n_points), np.empty((n_points, 3, 3)), np.empty((n_points, 3))
     for p in range(n_points):
         whole[p] = prior_information

@@ -70,7 +70,7 @@ class NonrigidStructure:
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: NonrigidTrajectory | None = None
     ) -> Smoothed[NonrigidTrajectory]:
-        """Shape, poses and weights that explain what comes in; always found anew.
+        """Return shape, poses and weights fitted to `incoming`, from scratch.
 
         Raises
         ------
@@ -90,7 +90,7 @@ class NonrigidStructure:
         feature: PointTracks,
         incoming_over_time: Sequence[BatchIncoming] = (),
     ) -> list[PointMessage]:
-        """Where the points of all tracks are in each frame, seen or not; nothing of frames without a pose."""
+        """Return the predicted positions of all tracks in each frame that has a pose."""
         shape = trajectory.shape
         positions = shape.shapes()[..., :2]
         covariances = shape.shape_covariances()[..., :2, :2]

@@ -8,7 +8,7 @@ show, whose errors are not its own: so covariances stay consistent.
 """
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from ...inference.engine.protocols import Cavity, Incoming, Port
 from ...inference.kalman import kinematic
 from ...inference.sfm.factor_analysis.em import CameraPrior, estimate_cameras, homogeneous
 from ...inference.sfm.factor_analysis.factorisation import Factorisation, factorise, projected
+from ...models.core.checks import Positive, at_least, checked
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.identities import Turnover, common, find, union
@@ -29,14 +30,14 @@ Mask = NDArray[np.bool_]
 
 ROW = 4
 ORDERS = 3
-VAGUE = 1e2  # standard deviation of what is not known yet, in extents of the shape's picture (and a second)
-UNSTEADY = 1e-2  # noise of a motion of which nothing is known, in extents a frame
+VAGUE = 1e2  # standard deviation of a vague prior, in extents of the shape's picture (and a second)
+UNSTEADY = 1e-2  # noise of a motion before it is learned, in extents a frame
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class CameraMotion:
-    """What is known of the camera at one time.
+    """Gaussian state of the camera at one time.
 
     Parameters
     ----------
@@ -64,11 +65,11 @@ class CameraMotion:
 
     @classmethod
     def vague(cls, extent: float, noise: Numbers) -> Self:
-        """A camera of which nothing is known, before a shape that appears about `extent` px large."""
+        """Return a camera with a vague prior, for a shape of about `extent` px."""
         return cls(np.zeros((2, ORDERS * ROW)), (VAGUE * extent) ** 2 * np.eye(ORDERS * ROW), noise)
 
     def predict(self, dt: float) -> Self:
-        """The camera `dt` seconds on; a negative `dt` is a `ValueError`.
+        """Return the camera `dt` seconds on; a negative `dt` is a `ValueError`.
 
         Eq. (19), with noise that acts all the time: two steps do the same as one of their length.
         """
@@ -83,13 +84,13 @@ class CameraMotion:
         return replace(self, mean=self.mean @ steps.T, covariance=0.5 * (covariance + covariance.T))
 
     def shaken(self, variance: float) -> Self:
-        """The camera after a jerk that adds `variance` (px^2) to each number of its rows."""
+        """Return the camera after a jerk that adds `variance` (px^2) to each number of its rows."""
         covariance = self.covariance.copy()
         covariance[range(ROW), range(ROW)] += variance
         return replace(self, covariance=covariance)
 
     def update(self, information: Numbers, vector: Numbers) -> Self:
-        """The camera updated with a frame: information `(4, 4)` of either row, vector `(2, 4)` of u and v."""
+        """Return the camera updated with information `(4, 4)` of either row, vector `(2, 4)` of u and v."""
         seen = self.covariance[:, :ROW]
         shrink = np.linalg.inv(np.eye(ROW) + information @ seen[:ROW])
         mean = self.mean + (vector - self.camera @ information) @ shrink.T @ seen.T
@@ -103,7 +104,7 @@ class CameraMotion:
 def learned_noise(
     noise: Numbers | None, evidence: "CameraEvidence", extent: float, rounds: int = 1
 ) -> Numbers:
-    """The motion's noise, `(3, 2)` as in `CameraMotion`, that explains a stretch of frames better.
+    """Return the noise `(3, 2)` of `CameraMotion` after EM rounds over the last frames.
 
     `noise` is what to begin with, or `None`. `evidence` is of two frames or more; their times are brought
     onto a grid of their median distance. `extent` px is about how large the shape appears. No round of the
@@ -153,7 +154,7 @@ class ObservedPoints:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class CameraEvidence:
-    """What the last frames said of the camera: information `(n, 4, 4)`, vector `(n, 2, 4)`, times s."""
+    """Evidence of the last frames about the camera: information `(n, 4, 4)`, vector `(n, 2, 4)`, times s."""
 
     information: Numbers
     vector: Numbers
@@ -215,7 +216,7 @@ class Structure:
         return len(self.identities)
 
     def only(self, kept: NDArray[np.intp]) -> "Structure":
-        """Some of the points, by place."""
+        """Return the structure of some of the points, by row."""
         return replace(self, **{name: getattr(self, name)[kept] for name in PER_POINT})
 
 
@@ -250,7 +251,7 @@ class Registration:
 
 
 def register(structure: Structure, seen: ObservedPoints) -> Registration:
-    """The camera that fits a frame's points but for outliers; for each point also the camera without it."""
+    """Register a frame: the camera that fits its points, without outliers, and without each point."""
     places, known = find(structure.identities, seen.identities)
     places = places[known]
     positions, variances = seen.positions[known], structure.noise_scale * seen.variances[known]
@@ -262,7 +263,7 @@ def register(structure: Structure, seen: ObservedPoints) -> Registration:
     noise = variances + np.trace(of_shape, axis1=1, axis2=2) + of_both
 
     def distances(motion: CameraMotion, used: Mask) -> Numbers:
-        """Squared Mahalanobis distances of points from where the used ones, without them, say that they
+        """Return squared Mahalanobis distances of points from predictions by the used ones without them.
         are."""
         leverage = _leverage(motion, points)
         left = np.where(used, 1 - leverage / noise, 1.0)
@@ -307,25 +308,29 @@ def register(structure: Structure, seen: ObservedPoints) -> Registration:
     )
 
 
-def updated(structure: Structure, found: Registration, elapsed: float, time: float) -> Structure:
-    """The structure updated with a frame that it is registered with, `elapsed` s after the last one."""
+def updated(structure: Structure, registration: Registration, elapsed: float, time: float) -> Structure:
+    """Return the structure updated with a registered frame, `elapsed` s after the last one."""
     shape, covariance = structure.shape.copy(), structure.shape_covariance.copy()
     unseen = structure.unseen.copy()
-    inliers, outliers = found.places[found.inliers], found.places[~found.inliers]
-    noise = correlation_time(structure.autocorrelation) * found.variances[found.inliers]
-    noise += found.leverages[inliers]
+    inliers, outliers = registration.places[registration.inliers], registration.places[~registration.inliers]
+    noise = correlation_time(structure.autocorrelation) * registration.variances[registration.inliers]
+    noise += registration.leverages[inliers]
     shape[inliers], covariance[inliers] = intersect(
-        shape[inliers], covariance[inliers], found.cameras[inliers], found.positions[found.inliers], noise
+        shape[inliers],
+        covariance[inliers],
+        registration.cameras[inliers],
+        registration.positions[registration.inliers],
+        noise,
     )
     covariance[outliers] *= np.exp(elapsed / OUTLIER_TIME)
     unseen[inliers] = 0.0
-    if len(found.places):
-        structure = _with_learned_noise(structure, found, elapsed, time)
+    if len(registration.places):
+        structure = _with_learned_noise(structure, registration, elapsed, time)
     return replace(structure, shape=shape, shape_covariance=covariance, unseen=unseen)
 
 
 def add_points(structure: Structure, seen: ObservedPoints) -> Structure:
-    """The structure with the points that are new in a frame, whose camera is known."""
+    """Return the structure with the points that are new in a frame, whose camera is known."""
     new = ~find(structure.identities, seen.identities)[1]
     count, motion = int(new.sum()), structure.motion
     if not count:
@@ -344,7 +349,7 @@ def add_points(structure: Structure, seen: ObservedPoints) -> Structure:
 def intersect(
     shape: Numbers, covariance: Numbers, cameras: Numbers, positions: Numbers, noise: Numbers
 ) -> tuple[Numbers, Numbers]:
-    """Points after each was seen by a camera of its own (Kalman update in Joseph's form).
+    """Return points after each was seen by a camera of its own (Kalman update in Joseph's form).
 
     Points `(k, 3)` with covariances, cameras `(k, 2, 4)`, positions `(k, 2)` px, noise `(k,)` px^2 of u and
     of v.
@@ -360,24 +365,24 @@ def intersect(
 
 
 def correlation_time(autocorrelation: float) -> float:
-    """Frames whose observations of a point are worth one: integrated autocorrelation time of its errors."""
+    """Return the integrated autocorrelation time of a point's errors, in frames."""
     correlation = min(max(autocorrelation, 0.0), MOST_CORRELATION)
     return (1 + correlation) / (1 - correlation)
 
 
 def wandering(autocorrelation: float, variances: Numbers, elapsed: float) -> float:
-    """`Structure.wander` where errors have these variances, `elapsed` s after each other."""
+    """Return `Structure.wander` of errors with these variances, `elapsed` s apart."""
     return autocorrelation * (1 - autocorrelation) * float(np.median(variances)) / elapsed
 
 
 def camera_information(points: Numbers, positions: Numbers, precisions: Numbers) -> tuple[Numbers, Numbers]:
-    """Information `(4, 4)` and vector `(2, 4)` of a camera from observed points `(k, 4)`, with a 1 last."""
+    """Return information `(4, 4)` and vector `(2, 4)` of a camera, from homogeneous points `(k, 4)`."""
     weighted = points.T * precisions
     return weighted @ points, (weighted @ positions).T
 
 
 def isotropic(variances: Numbers) -> Numbers:
-    """`(n, 2, 2)` covariances, the same in all directions."""
+    """Return `(n, 2, 2)` covariances, the same in all directions."""
     return variances[:, None, None] * np.eye(2)
 
 
@@ -398,14 +403,18 @@ def _joint(motion: CameraMotion, spreads: Numbers) -> Numbers:
     return moved
 
 
-def _with_learned_noise(structure: Structure, found: Registration, elapsed: float, time: float) -> Structure:
+def _with_learned_noise(
+    structure: Structure, registration: Registration, elapsed: float, time: float
+) -> Structure:
     """With what a frame says of the noise of positions and of the camera's motion."""
-    places, count = found.places, len(found.places)
-    off = found.positions - found.means[places] + structure.offsets[places]
-    total = found.covariances[places] + isotropic(
-        found.variances - structure.wander * structure.unseen[places]
+    places, count = registration.places, len(registration.places)
+    off = registration.positions - registration.means[places] + structure.offsets[places]
+    total = registration.covariances[places] + isotropic(
+        registration.variances - structure.wander * structure.unseen[places]
     )
-    trust = 2 * found.variances / np.trace(total, axis1=1, axis2=2)  # else points are off by their own error
+    trust = (
+        2 * registration.variances / np.trace(total, axis1=1, axis2=2)
+    )  # else points are off by their own error
     rate = LEARNING_RATE * count / (count + MANY)
     # A Newton step towards the scale at which half of the points are farther off than the median should be:
     # those that are far off for another reason count as little as can be.
@@ -414,17 +423,17 @@ def _with_learned_noise(structure: Structure, found: Registration, elapsed: floa
     scale = max(structure.noise_scale * float(np.exp(rate * step)), LEAST_SCALE)
 
     innovations = structure.innovations.copy()
-    again = found.inliers & (structure.unseen[places] <= 1.01 * elapsed)
+    again = registration.inliers & (structure.unseen[places] <= 1.01 * elapsed)
     before, now = innovations[places[again]], off[again]
     products = float((trust[again] * (before * now).sum(axis=1)).sum())
     squares = float((trust[again] * 0.5 * (before**2 + now**2).sum(axis=1)).sum())
     correlation = products / squares if squares > 0 else structure.autocorrelation
     autocorrelation = max(0.0, structure.autocorrelation + rate * (correlation - structure.autocorrelation))
-    innovations[places[found.inliers]] = off[found.inliers]
+    innovations[places[registration.inliers]] = off[registration.inliers]
 
     evidence = CameraEvidence(
-        np.concatenate([structure.evidence.information, found.information[None]])[-MOTION_FRAMES:],
-        np.concatenate([structure.evidence.vector, found.vector[None]])[-MOTION_FRAMES:],
+        np.concatenate([structure.evidence.information, registration.information[None]])[-MOTION_FRAMES:],
+        np.concatenate([structure.evidence.vector, registration.vector[None]])[-MOTION_FRAMES:],
         np.append(structure.evidence.times, time)[-MOTION_FRAMES:],
     )
     noise = structure.motion.noise
@@ -434,10 +443,10 @@ def _with_learned_noise(structure: Structure, found: Registration, elapsed: floa
         structure,
         noise_scale=scale,
         evidence=evidence,
-        motion=replace(found.motion, noise=noise),
+        motion=replace(registration.motion, noise=noise),
         innovations=innovations,
         autocorrelation=autocorrelation,
-        wander=wandering(autocorrelation, found.variances, elapsed),
+        wander=wandering(autocorrelation, registration.variances, elapsed),
     )
 
 
@@ -468,11 +477,11 @@ class Window:
 
     @classmethod
     def empty(cls) -> "Window":
-        """No frames yet."""
+        """Return a window without frames."""
         return cls(np.zeros(0, np.int64), np.zeros((0, 0, 2)), np.zeros((0, 0)), np.zeros(0))
 
-    def lengthened(self, seen: ObservedPoints, time: float, most_points: int) -> "Window":
-        """With one more frame, if it is this one's turn; of too many points those seen most are kept."""
+    def lengthened(self, seen: ObservedPoints, time: float, max_points: int) -> "Window":
+        """Return the window with a frame, if it is due; of too many points those seen most are kept."""
         if len(seen) < LEAST_SEEN:
             return self
         if self.skipped + 1 < self.stride:
@@ -485,7 +494,7 @@ class Window:
         positions[:-1, old], variances[:-1, old] = self.positions[::every], self.variances[::every]
         positions[-1, new], variances[-1, new] = seen.positions, seen.variances
         counts = (variances > 0).sum(axis=0)
-        kept = np.sort(np.argsort(-counts, kind="stable")[: min(most_points, np.count_nonzero(counts))])
+        kept = np.sort(np.argsort(-counts, kind="stable")[: min(max_points, np.count_nonzero(counts))])
         return Window(identities[kept], positions[:, kept], variances[:, kept], times, stride)
 
     @property
@@ -496,7 +505,7 @@ class Window:
 
 
 def first_structure(window: Window) -> Structure | None:
-    """Shape and camera after the last frame, or `None` if the points' motion does not determine them.
+    """Return shape and camera after the last frame, or `None` if the points' motion does not determine them.
 
     Of a static camera or a flat scene one of the shape's three directions comes from noise alone.
     """
@@ -617,6 +626,7 @@ class StructureState:
     structure: Structure | None
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class RecursiveStructure:
@@ -632,30 +642,24 @@ class RecursiveStructure:
 
     Parameters
     ----------
-    patience
-        s after which a point that is not seen is forgotten.
-    most_points
-        that are kept; those that were seen longest ago are forgotten first.
+    max_coast_time
+        s after which a point without observations ends.
+    max_points
+        that are kept; those that were seen longest ago end first.
     """
 
-    patience: float = 20.0
-    most_points: int = 2000
+    max_coast_time: Positive = 20.0
+    max_points: Annotated[int, at_least(LEAST_SEEN)] = 2000
     name: str = "structure"
 
     ports = (Port(PointTracks, Cavity.OTHERS),)
 
-    def __post_init__(self) -> None:
-        if not self.patience > 0:
-            raise ValueError(f"patience: got {self.patience}, expected more than 0")
-        if not self.most_points >= LEAST_SEEN:
-            raise ValueError(f"most_points: got {self.most_points}, expected {LEAST_SEEN} or more")
-
     def initial(self, frame: Frame) -> StructureState:
-        """Nothing known."""
+        """Return a state without shape."""
         return StructureState(frame.time, 0.0, Window.empty(), None)
 
     def predict(self, state: StructureState, dt: float) -> StructureState:
-        """The camera moves on, the shape stays."""
+        """Return the state `dt` seconds on: the camera moves, the shape stays."""
         structure = state.structure
         if structure is not None:
             motion = structure.motion.predict(dt)
@@ -663,7 +667,7 @@ class RecursiveStructure:
         return replace(state, time=state.time + dt, elapsed=state.elapsed + dt, structure=structure)
 
     def message(self, state: StructureState, feature: PointTracks, incoming: Incoming) -> PointMessage:
-        """Where every known point should be (mu_{S -> F}); uniform as long as there is no shape.
+        """Return the densities of all points' positions (mu_{S -> F}); uniform as long as there is no shape.
 
         All points depend on one camera, which a message of independent points cannot hold: each gets its own
         marginal, given what its cavity says of the other points.
@@ -677,7 +681,7 @@ class RecursiveStructure:
         )
 
     def update(self, state: StructureState, incoming: Incoming) -> StructureState:
-        """Camera and points updated with the points that the frame shows."""
+        """Return camera and points updated with the frame's points."""
         others = incoming[PointTracks]
         seen, structure = _seen(state, others), state.structure
         if structure is not None:
@@ -687,15 +691,15 @@ class RecursiveStructure:
                 structure = updated(structure, found, state.elapsed, state.time)
                 structure = self._remembered(add_points(structure, seen))
                 return replace(state, elapsed=0.0, structure=structure)
-        window = state.window.lengthened(seen, state.time, self.most_points)
+        window = state.window.lengthened(seen, state.time, self.max_points)
         structure = first_structure(window) if window is not state.window and window.due else None
         window = window if structure is None else Window.empty()
         return StructureState(state.time, 0.0, window, structure)
 
     def _remembered(self, structure: Structure) -> Structure:
         """Without the points that were not seen for too long."""
-        latest = np.argsort(structure.unseen, kind="stable")[: self.most_points]
-        latest = latest[structure.unseen[latest] <= self.patience]
+        latest = np.argsort(structure.unseen, kind="stable")[: self.max_points]
+        latest = latest[structure.unseen[latest] <= self.max_coast_time]
         return structure if len(latest) == len(structure) else structure.only(np.sort(latest))
 
 

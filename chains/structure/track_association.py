@@ -18,7 +18,7 @@ from scipy.special import expit
 
 from ...inference.sfm.factor_analysis.em import homogeneous
 from ...inference.sfm.factor_analysis.factorisation import Factorisation, factorise, factorise_robustly
-from ...inference.sfm.factor_analysis.observations import Listed, Observations, as_arrays
+from ...inference.sfm.factor_analysis.observations import Observations, SparseObservations, as_arrays
 from .kernels import assign_tracks, camera_coupling, same_point_gains, track_information
 
 Numbers = NDArray[np.float64]
@@ -50,11 +50,13 @@ class CorrelatedNoise:
         return float(np.exp(-1 / self.memory))
 
     def scaled(self, factor: float) -> "CorrelatedNoise":
-        """The same with variances times a factor."""
+        """Return the same with variances times a factor."""
         return CorrelatedNoise(factor * self.white, factor * self.drift, self.memory)
 
-    def information(self, tracks: Listed, cameras: Numbers) -> tuple[Numbers, Numbers, Numbers, Numbers]:
-        """What tracks say of their points where cameras `(n_frames, 2, 4)` are known.
+    def information(
+        self, tracks: SparseObservations, cameras: Numbers
+    ) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+        """Return the information of tracks about their points, for known cameras `(n_frames, 2, 4)`.
 
         -2 log p(track | its point S) = quadratic - 2 vector . S + S . information S + determinant +
         constant; the four are `(n_tracks, 3, 3)`, `(n_tracks, 3)`, `(n_tracks,)`, `(n_tracks,)`.
@@ -66,7 +68,7 @@ class CorrelatedNoise:
 
 
 def estimate_correlated_noise(
-    tracks: Listed, cameras: Numbers, point_of_track: NDArray[np.int64], prior: Numbers
+    tracks: SparseObservations, cameras: Numbers, point_of_track: NDArray[np.int64], prior: Numbers
 ) -> CorrelatedNoise:
     """Find the noise under which the tracks are likeliest, whatever the points are (restricted likelihood).
 
@@ -130,7 +132,7 @@ def covariance_of_points(
     noise: CorrelatedNoise,
     chosen: Indices,
 ) -> Numbers:
-    """Covariance `(n, 3, n, 3)` of chosen points `(n,)`, with cameras uncertain as well (Laplace).
+    """Return covariance `(n, 3, n, 3)` of chosen points `(n,)`, with cameras uncertain as well (Laplace).
 
     `point_of_track` `(n_tracks,)` names points in the order of the observations; `fit` is in px, `noise` in
     the units of the observations.
@@ -166,7 +168,7 @@ def covariance_of_points(
 
 
 def camera_precision(fit: Factorisation, n_frames: int) -> Numbers:
-    """Prior information `(4 n_frames, 4 n_frames)` 1/px^2 of a row of the cameras at all times."""
+    """Return prior information `(4 n_frames, 4 n_frames)` 1/px^2 of a row of the cameras at all times."""
     if not fit.coherent:
         return np.diag(np.tile(1 / np.repeat(fit.motion_noise[0], (3, 1)), n_frames))
     linear, shift = (motion_precision(fit.motion_noise[:, k], n_frames) for k in range(2))
@@ -178,7 +180,7 @@ def camera_precision(fit: Factorisation, n_frames: int) -> Numbers:
 
 
 def motion_precision(variances: Numbers, n_frames: int) -> Numbers:
-    """Information `(n_frames, n_frames)` that eq. (19) holds of one number m at all times.
+    """Return information `(n_frames, n_frames)` that eq. (19) holds of one number m at all times.
 
     `variances` are those of eps_1, eps_2 and eps_3. Eq. (19) without its derivatives: the third difference
     of m is (eps_3 + its last value) / 2 plus the first difference of eps_2 plus the second difference of
@@ -206,20 +208,20 @@ LEAST_WEIGHT = 1e-3  # of a position that is pooled from tracks: less is none
 
 
 def certain(point: Indices, n_points: int) -> csr_array:
-    """Memberships `(n_tracks, n_points)` of tracks that show a point for sure, or none where it is -1."""
+    """Return memberships `(n_tracks, n_points)`, 0 or 1, of the tracks' points; none where it is -1."""
     shown = point >= 0
     edges = np.concatenate([[0], np.cumsum(shown)])
     return csr_array((np.ones(edges[-1]), point[shown], edges), shape=(len(point), n_points))
 
 
 def pooled(membership: csr_array, values: Numbers) -> Numbers:
-    """Sums `(n_points, ...)` over tracks of what each of them says, `(n_tracks, ...)`, by memberships."""
+    """Return sums `(n_points, ...)` of the tracks' `(n_tracks, ...)` information, by memberships."""
     sums = np.asarray(membership.T @ values.reshape(len(values), -1), np.float64)
     return sums.reshape(membership.shape[1], *values.shape[1:])
 
 
 def pooled_positions(membership: csr_array, positions: Numbers, weights: Numbers) -> tuple[Numbers, Numbers]:
-    """Positions `(n_frames, n_points, 2)` px and weights `(n_frames, n_points)` of points, from tracks."""
+    """Return positions `(n_frames, n_points, 2)` px and weights `(n_frames, n_points)` pooled over tracks."""
     known = ~np.isnan(positions)
     weight = weights[..., None] * known
     each = pooled(membership, weight.transpose(1, 0, 2)).transpose(1, 0, 2)
@@ -233,7 +235,7 @@ MOST_SHARE, LEAST_SHARE, SHARE_STEPS = 0.1, 1e-9, 50  # of pairs at one place: m
 
 
 def log_odds_of_new(gains: Numbers, apart: NDArray[np.bool_]) -> float:
-    """Log prior odds that a pair of points is two and not one; which share is at one place is learned by EM.
+    """Return the log prior odds that a pair of points is two and not one, learned by EM.
 
     Different points may be there, too: as often as pairs that are two for sure, `apart`. `gains`
     `(n_pairs,)` are logs of how much likelier a pair is if it is at one place than if it is not.
@@ -524,7 +526,7 @@ class _Association:
 
 
 def log_partition(information: Numbers, vector: Numbers) -> Numbers:
-    """Log integral of exp(vector . x - x . information x / 2) over x in 3-D, without log(2 pi); batched."""
+    """Return the log integral of exp(vector . x - x . information x / 2) over 3-D x, without log(2 pi)."""
     solved = np.linalg.solve(information, vector[..., None])[..., 0]
     result: Numbers = 0.5 * ((vector * solved).sum(axis=-1) - np.linalg.slogdet(information)[1])
     return result

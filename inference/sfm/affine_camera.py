@@ -160,7 +160,7 @@ def _linear_metric(rows: Numbers) -> Numbers:
     double = np.where(first == second, 1.0, 2.0)
 
     def product(one: Numbers, other: Numbers) -> Numbers:
-        """Coefficients of one . Q other."""
+        """Return coefficients of one . Q other."""
         return 0.5 * (one[:, first] * other[:, second] + one[:, second] * other[:, first]) * double
 
     u, v = rows[:, 0], rows[:, 1]
@@ -254,7 +254,7 @@ def _metric(rows: Numbers, spread: Numbers | None, root: Numbers, step: float) -
 
 
 def scaled_rotations(matrices: ArrayLike) -> tuple[Numbers, Numbers]:
-    """Scales `(n,)` and rotations `(n, 3, 3)`; scaled, their first rows are nearest to `(n, 2, 3)` ones."""
+    """Return scales `(n,)` and rotations `(n, 3, 3)` whose scaled first rows are nearest to `(n, 2, 3)`."""
     left, values, right = np.linalg.svd(np.asarray(matrices, np.float64), full_matrices=False)
     rows = left @ right
     third = np.cross(rows[:, 0], rows[:, 1])
@@ -278,7 +278,7 @@ class Alignment:
 
 
 def affine_alignment(shape: ArrayLike, target: ArrayLike) -> Alignment:
-    """Affine map of a shape `(n_points, 3)` onto another, by least squares; else a `ValueError`."""
+    """Return the affine map of a shape `(n_points, 3)` onto another, by least squares."""
     points, goal = np.asarray(shape, np.float64), np.asarray(target, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or points.shape != goal.shape or not len(points):
         raise ValueError(

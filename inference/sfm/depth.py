@@ -93,7 +93,7 @@ def motion_of(tracks: Numbers, most: float = MOST) -> Motion:
 
 
 def picture_motion(pictures: Sequence[NDArray[np.uint8]]) -> float:
-    """Median px by which ORB features move from a picture to the next; NaN where hardly any are found
+    """Return median px by which ORB features move from a picture to the next; NaN where hardly any are found
     again."""
     pairs = list(pairwise(pictures))
     chosen = np.linspace(0, len(pairs) - 1, min(MOST_LOOKED_AT, len(pairs))).round().astype(int)
@@ -110,7 +110,7 @@ def picture_motion(pictures: Sequence[NDArray[np.uint8]]) -> float:
 
 
 def far_pairs(seen: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Pairs of frames as far apart as half of the usual number of `seen` tracks allows."""
+    """Return pairs of frames as far apart as half of the usual number of `seen` tracks allows."""
     enough = max(LEAST_SHARED, float(np.median(seen.sum(axis=1))) / 2)
     lag = len(seen) // 2
     while lag:
@@ -123,7 +123,7 @@ def far_pairs(seen: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def variance_over_shape(places: Numbers, residuals: Numbers, most: float = MOST) -> float:
-    """Variance about homographies between pictures, in that about a shape in depth; NaN if it is not known.
+    """Return the variance about homographies over that about a shape in depth; NaN if unknown.
 
     Where homographies do as well, what was taken for depth is something else. Places `(n_frames, n_points,
     2)` px are NaN where not seen, residuals are what the shape leaves; of a pair of pictures `most` of the
@@ -240,23 +240,23 @@ class Depth:
         return self.gain > self.needed
 
 
-def depth(positions: ArrayLike, weights: ArrayLike | None, found: Factorisation) -> Depth:
+def depth(positions: ArrayLike, weights: ArrayLike | None, factorisation: Factorisation) -> Depth:
     """Compare the best shape in depth with the best flat one, by Schwarz's criterion (BIC).
 
     Before a static camera, under a motion in the picture plane, or of a flat scene, positions (less their
     mean) have rank 2, and a third direction fits noise. It has 2 n_frames + n_points - 6 numbers; fitting
     noise, they take away at most about twice as many variances, so that log(numbers observed) for each
     leaves room. Errors of a tracker that last may still pass for depth. Arguments and errors are those of
-    `factorise`, which gave `found`.
+    `factorise`, which gave `factorisation`.
     """
     observations = Observations.from_arrays(positions, weights)
-    frames, points = determined(observations, apart=found.coherent)
+    frames, points = determined(observations, apart=factorisation.coherent)
     part = observations.only(frames, points)
     needed = float(2 * frames.sum() + points.sum() - 2 * RANK) * float(np.log(2 * part.count))
     left = freedom(part)
     if left <= 0:  # everything is fitted, and nothing is left to tell noise by
         return Depth(0.0, needed)
-    cameras = observations.scaled(found.cameras)
+    cameras = observations.scaled(factorisation.cameras)
     fitted = partial(variable_projection, part, damping=NEAR, tolerance=PRECISION, most_steps=MOST_STEPS)
     deep = fitted(cameras)
     noise = max(deep.error / left, LEAST_NOISE**2)

@@ -19,7 +19,7 @@ from ....chains.structure.track_association import associate_tracks
 from ....inference import MultiChain
 from ....inference.sfm.factor_analysis.em import Posterior, expectation_maximisation
 from ....inference.sfm.factor_analysis.factorisation import around_start
-from ....inference.sfm.factor_analysis.observations import Listed, Numbers, Observations
+from ....inference.sfm.factor_analysis.observations import Numbers, Observations, SparseObservations
 from ....models import Frame, PointTracks
 from ....models.numerics.threads import set_threads
 from ...background.application import build_model
@@ -248,7 +248,7 @@ def turning(count: int) -> tuple[Observations, Posterior]:
         + 0.01 * errors.standard_normal(len(frame))
         for row in range(2)
     )
-    listed = Listed.sorted_by(point, n_points, frame, x, y, np.ones(len(point)))
+    listed = SparseObservations.sorted_by(point, n_points, frame, x, y, np.ones(len(point)))
     observations = Observations(listed.transposed(n_frames), listed, np.zeros(2), 1.0, 1.0)
     near = shape + 0.1 * generator.standard_normal(shape.shape)
     all_frames, all_points = np.ones(n_frames, np.bool_), np.ones(n_points, np.bool_)

@@ -24,12 +24,12 @@ _SYMMETRIC = np.array([[0, 1, 2, 3], [1, 4, 5, 6], [2, 5, 7, 8], [3, 6, 8, 9]])
 
 
 def homogeneous(shape: Numbers) -> Numbers:
-    """`(n, 4)`: points `(n, 3)` with a 1 behind."""
+    """Return `(n, 4)`: points `(n, 3)` with a 1 behind."""
     return np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
 
 
 def shape_moments(shape: Numbers, covariance: Numbers | None = None) -> Numbers:
-    """Give E[s s^T], s = (S, 1), as ten numbers `(n_points, 10)`."""
+    """Return E[s s^T], s = (S, 1), as ten numbers `(n_points, 10)`."""
     covariance = np.zeros((len(shape), 3, 3)) if covariance is None else covariance
     moments = np.empty((len(shape), 10))
     x, y, z = shape.T
@@ -42,7 +42,7 @@ def shape_moments(shape: Numbers, covariance: Numbers | None = None) -> Numbers:
 
 
 def camera_moments(cameras: Numbers, covariance: Numbers | None = None) -> Numbers:
-    """Give E[m m^T] summed over the rows of u and v, as ten numbers `(n_frames, 10)`."""
+    """Return E[m m^T] summed over the rows of u and v, as ten numbers `(n_frames, 10)`."""
     covariance = np.zeros((len(cameras), 4, 4)) if covariance is None else covariance
     second = np.einsum("tcj,tck->tjk", cameras, cameras) + 2 * covariance
     moments: Numbers = second[:, UPPER[0], UPPER[1]]
@@ -88,7 +88,7 @@ class Sums:
         return float(self._squares.sum())
 
     def of_frames(self, shape: Numbers, moments: Numbers) -> tuple[Numbers, Numbers]:
-        """Information `(n_frames, 4, 4)` and vector `(n_frames, 4, 2)` of cameras, at noise variance 1."""
+        """Return information `(n_frames, 4, 4)`, vector `(n_frames, 4, 2)` of cameras at noise variance 1."""
         if not self._dense:
             information, vector = frame_moments(self._observations.by_frame, shape, moments)
             return information, vector
@@ -100,7 +100,7 @@ class Sums:
         )
 
     def of_points(self, cameras: Numbers, moments: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-        """Information `(n_points, 3, 3)`, vector `(n_points, 3)` and quadratic `(n_points,)` of points."""
+        """Return information `(n_points, 3, 3)`, vector `(n_points, 3)`, quadratic `(n_points,)`."""
         if not self._dense:
             information, vector, quadratic = point_moments(self._observations.by_point, cameras, moments)
             return information, vector, quadratic
@@ -126,12 +126,12 @@ def _matrices(seconds: Numbers, places: NDArray[np.int64]) -> Numbers:
 
 
 def repeated(matrices: Numbers) -> bool:
-    """Whether an array is one matrix many times over."""
+    """Return whether all matrices of an array are the same."""
     return matrices.strides[0] == 0 and len(matrices) > 1
 
 
 def inverses(information: Numbers, prior: Numbers, scale: float) -> tuple[Numbers, Numbers]:
-    """Invert `scale * information + diag(prior)`, and give the log determinants of that."""
+    """Invert `scale * information + diag(prior)`; also its log determinants."""
     if repeated(information):
         covariance, log_determinant = invert_information(information[:1].copy(), prior, scale)
         n = len(information)
@@ -166,7 +166,7 @@ class CameraPrior:
 
 
 def first_prior(cameras: Numbers, coherent: bool) -> CameraPrior:
-    """Prior under which cameras are usual; of noise of the motion rather too much, EM takes it away."""
+    """Return a prior for these cameras, with more noise of the motion than less: EM reduces it."""
     if not coherent:
         linear, shift = (max(float(np.mean(part**2)), LEAST_VARIANCE) for part in _parts(cameras))
         return CameraPrior(np.array([[linear, shift]]), coherent)
@@ -217,7 +217,7 @@ LONGEST_STEP = 1e3  # factor by which a variance of the motion may grow at once
 def estimate_cameras(
     information: Numbers, vector: Numbers, noise: float, prior: CameraPrior
 ) -> CameraEstimate:
-    """E-step over cameras: `information (n_frames, 4, 4)` and `vector (n_frames, 4, 2)` at noise variance 1.
+    """Estimate the cameras (E-step) from information `(n_frames, 4, 4)` and vector `(n_frames, 4, 2)`.
 
     With coherence the noise of the motion is learned by the multiplicative step for variance components,
     q <- q sqrt(a / b), where a - b is twice the derivative of the log evidence by q: it never lowers the
@@ -248,7 +248,7 @@ def estimate_cameras(
 
 
 def least_variance(n_frames: int) -> Numbers:
-    """Weight of the prior exp(-b / q) on the variances q of eps_1, eps_2, eps_3 `(3, 1)`.
+    """Return the weight b of the prior exp(-b / q) on the variances q of eps_1, eps_2, eps_3 `(3, 1)`.
 
     Noise of order k changes rows over n frames by about sqrt(q n^(2k - 1)). Without a prior the likelihood
     of few frames may be highest where there is no noise at all.
@@ -276,7 +276,7 @@ def expectation_maximisation(
     tolerance: float,
     accelerate: bool = False,
 ) -> tuple[Posterior, list[float]]:
-    """Improve a posterior until the bound of the log likelihood stands still.
+    """Improve a posterior until the bound of the log likelihood converges.
 
     At most so many iterations, and until they gain less than `tolerance` nats each. With `accelerate` the
     shape is extrapolated from the last ones, and steps that lower the bound are taken back. Also returns the

@@ -67,7 +67,7 @@ def variable_projection(
     rank: int = RANK,
     enough: float = 0.0,
 ) -> LeastSquares:
-    """Lower the squared error as far as it goes, from cameras `(n_frames, 2, 4)`.
+    """Minimise the squared error, from cameras `(n_frames, 2, 4)`.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def around_start(
     *,
     coherent: bool,
 ) -> Posterior:
-    """A posterior from which EM can begin.
+    """Return a posterior from which EM can begin.
 
     `frames` and `points` are those of which cameras `(n_frames, 2, 4)` and shape `(n_points, 3)` are more
     than a filler: other frames lie between them, other points are draws of N(0, I).
@@ -173,25 +173,25 @@ def around_start(
     )
 
 
-def _bridged(cameras: Numbers, known: Mask) -> Numbers:
+def _bridged(cameras: Numbers, observed: Mask) -> Numbers:
     """Cameras of unknown frames, between those of the known ones before and after."""
-    if known.all():
+    if observed.all():
         return cameras
-    times = np.flatnonzero(known)
+    times = np.flatnonzero(observed)
     flat = cameras.reshape(len(cameras), 8)
     filled = [np.interp(np.arange(len(cameras)), times, flat[times, k]) for k in range(8)]
     return np.stack(filled, axis=1).reshape(-1, 2, 4)
 
 
-def around_optimum(observations: Observations, part: Observations, found: LeastSquares) -> Posterior:
-    """A posterior around the least squares optimum of `part`, the frames and points that it determines.
+def around_optimum(observations: Observations, part: Observations, optimum: LeastSquares) -> Posterior:
+    """Return a posterior around the least squares optimum of the frames and points of `part`.
 
     Points: sigma^2 (sum of w R^T R)^-1, given the cameras. Cameras: sigma^2 (sum of w (1 - h) s s^T)^-1
     with h the share that an observation has in its own point, so that a point which a frame all but defines
     does not vouch for the frame's camera. Other frames and points get the prior's posterior given those.
     """
-    cameras, shape = found.cameras, found.shape
-    noise = max(found.error / max(freedom(part), 1.0), LEAST_VARIANCE**2)
+    cameras, shape = optimum.cameras, optimum.shape
+    noise = max(optimum.error / max(freedom(part), 1.0), LEAST_VARIANCE**2)
     points, frames = np.diff(part.by_point.edges) > 0, np.diff(part.by_frame.edges) > 0
     information, _, _ = point_moments(part.by_point, cameras, camera_moments(cameras))
     good = points
@@ -279,7 +279,7 @@ class Factorisation:
     history: tuple[float, ...]
 
     def of_points(self, kept: Mask) -> "Factorisation":
-        """The same with some of the points only, `(n_points,)` bool."""
+        """Return the factorisation of some points, `(n_points,)` bool."""
         return replace(self, shape=self.shape[kept], shape_covariance=self.shape_covariance[kept])
 
 
@@ -337,7 +337,7 @@ def factorise(
     filled[missing] = projected(fit.cameras, fit.shape)[missing]
     acceleration, nearest = Anderson(), np.inf
     for _ in range(MOST_FILLINGS):
-        fit = _factorised(Observations.from_arrays(filled, given, known=share), fit, *settings)
+        fit = _factorised(Observations.from_arrays(filled, given, observed_share=share), fit, *settings)
         before, expected = filled[missing], projected(fit.cameras, fit.shape)[missing]
         off = float(np.sqrt(np.mean((expected - before) ** 2)))
         if off <= FILLED * np.sqrt(fit.noise_variance):
@@ -465,7 +465,8 @@ def _in_pixels(
         shape=posterior.shape @ axes,
         shape_covariance=axes.T @ posterior.shape_covariance @ axes,
         noise_variance=posterior.noise * square * observations.weight_unit,
-        rmse=scale * float(np.sqrt(error / (2 * observations.known * observations.by_point.weight.sum()))),
+        rmse=scale
+        * float(np.sqrt(error / (2 * observations.observed_share * observations.by_point.weight.sum()))),
         coherent=posterior.prior.coherent,
         motion_noise=posterior.prior.variance * square,
         frame_determined=frames,
@@ -484,13 +485,13 @@ def _axes(cameras: Numbers, counts: NDArray[np.int64]) -> Numbers:
 
 
 def projected(cameras: Numbers, shape: Numbers) -> Numbers:
-    """Positions `(n_frames, n_points, 2)` px of points `(n_points, 3)` before cameras `(n_frames, 2, 4)`."""
+    """Project points `(n_points, 3)` by cameras `(n_frames, 2, 4)`: `(n_frames, n_points, 2)` px."""
     positions: Numbers = np.einsum("tcj,ij->tic", cameras[..., :3], shape) + cameras[:, None, :, 3]
     return positions
 
 
 def predicted(factorisation: Factorisation) -> tuple[Numbers, Numbers]:
-    """Positions `(n_frames, n_points, 2)` px of all points in all frames, and their covariances px^2.
+    """Return positions `(n_frames, n_points, 2)` px of all points, and their covariances px^2.
 
     These are `(n_frames, n_points, 2, 2)`: how uncertain cameras and shape leave them, without observations'
     noise.

@@ -39,7 +39,7 @@ TERMS = (_Terms(6, 0.3, 0.3), _Terms(5, 0.1, 0.5), _Terms(4, 0.02, 1.0))
 
 
 def mean_filled(observations: Observations) -> tuple[Numbers, Numbers]:
-    """Cameras and shape from the SVD of the mean-filled matrix of positions: the published start."""
+    """Return cameras and shape from the SVD of the mean-filled matrix of positions: the published start."""
     listed = observations.by_point
     seen = np.maximum(np.diff(listed.edges), 1)
     n_frames, n_points = observations.n_frames, observations.n_points
@@ -51,7 +51,7 @@ def mean_filled(observations: Observations) -> tuple[Numbers, Numbers]:
 
 
 def factored(table: Numbers) -> tuple[Numbers, Numbers]:
-    """Cameras `(n_frames, 2, 4)` and white shape that fit a full table `(2 n_frames, n_points)` best."""
+    """Return the best cameras `(n_frames, 2, 4)` and white shape for a table `(2 n_frames, n_points)`."""
     middle = table.mean(axis=1, keepdims=True)
     rows, values, columns = _leading(table - middle)
     n_points, rank = table.shape[1], len(values)
@@ -73,8 +73,8 @@ def _leading(table: Numbers) -> tuple[Numbers, Numbers, Numbers]:
 
 
 @dataclass(eq=False)
-class _Known:
-    """A structure that grows: what is known of frames and points, in the gauge of a white shape."""
+class _PartialStructure:
+    """A structure that grows: its frames and points so far, in the gauge of a white shape."""
 
     cameras: Numbers
     shape: Numbers
@@ -86,7 +86,7 @@ class _Known:
 
 
 def grown(observations: Observations, *, coherent: bool) -> tuple[Numbers, Numbers, Mask, Mask]:
-    """Cameras and shape grown from a window by resection and intersection; what is determined of both.
+    """Grow cameras and shape from a window by resection and intersection.
 
     Frames come in as soon as they show enough known points, points as soon as known cameras determine them.
     What is known is refined after every round; with coherence by the smoother, which also foresees the next
@@ -105,7 +105,7 @@ def grown(observations: Observations, *, coherent: bool) -> tuple[Numbers, Numbe
     frames[first:end], points[members] = True, True
     noise = _noise(observations.only(frames, points), cameras, shape)
     prior = first_prior(cameras[first:end], coherent=True) if coherent else None
-    known = _Known(cameras, shape, frames, points, noise, prior, np.zeros((n_frames, 4, 4)))
+    known = _PartialStructure(cameras, shape, frames, points, noise, prior, np.zeros((n_frames, 4, 4)))
     alone = True
     while True:
         for terms in TERMS:
@@ -195,53 +195,53 @@ def _clearness(observations: Observations, first: int, length: int, members: Ind
     return float(signal / (expected + 1e-12 * values[0] ** 2 + 1e-300))
 
 
-def _resect(observations: Observations, known: _Known, terms: "_Terms") -> bool:
+def _resect(observations: Observations, partial: _PartialStructure, terms: "_Terms") -> bool:
     """Add frames whose camera the known points determine about as well as that of the best one left."""
-    part = observations.only(~known.frames, known.points)
-    information, vector = frame_moments(part.by_frame, known.shape, shape_moments(known.shape))
+    part = observations.only(~partial.frames, partial.points)
+    information, vector = frame_moments(part.by_frame, partial.shape, shape_moments(partial.shape))
     strength = np.linalg.eigvalsh(information)[:, 0]
     strength[np.diff(part.by_frame.edges) < terms.points] = 0
     chosen = strength >= max(terms.strength, 0.5 * strength.max(initial=0))
-    known.cameras[chosen] = np.linalg.solve(information[chosen], vector[chosen]).transpose(0, 2, 1)
-    known.frames |= chosen
+    partial.cameras[chosen] = np.linalg.solve(information[chosen], vector[chosen]).transpose(0, 2, 1)
+    partial.frames |= chosen
     return bool(chosen.any())
 
 
-def _intersect(observations: Observations, known: _Known, terms: "_Terms") -> bool:
+def _intersect(observations: Observations, partial: _PartialStructure, terms: "_Terms") -> bool:
     """Add points that known cameras determine well enough."""
-    part = observations.only(known.frames, ~known.points)
-    information, vector, _ = point_moments(part.by_point, known.cameras, camera_moments(known.cameras))
+    part = observations.only(partial.frames, ~partial.points)
+    information, vector, _ = point_moments(part.by_point, partial.cameras, camera_moments(partial.cameras))
     strength = np.linalg.eigvalsh(information)[:, 0]
-    chosen = (np.diff(part.by_point.edges) >= VIEWS) & (strength * terms.spread**2 > known.noise)
+    chosen = (np.diff(part.by_point.edges) >= VIEWS) & (strength * terms.spread**2 > partial.noise)
     if chosen.any():
-        known.shape[chosen] = np.linalg.solve(information[chosen], vector[chosen][..., None])[..., 0]
-        known.points |= chosen
+        partial.shape[chosen] = np.linalg.solve(information[chosen], vector[chosen][..., None])[..., 0]
+        partial.points |= chosen
     return bool(chosen.any())
 
 
-def _refine(observations: Observations, known: _Known, rounds: int) -> None:
+def _refine(observations: Observations, partial: _PartialStructure, rounds: int) -> None:
     """Estimate cameras and points in turns, in the gauge of a white shape; and the noise variance."""
-    part = observations.only(known.frames, known.points)
+    part = observations.only(partial.frames, partial.points)
     points = np.diff(part.by_point.edges) > 0
-    all_frames = np.ones(len(known.cameras), bool)
-    views = part.by_frame if known.prior is None else observations.only(all_frames, known.points).by_frame
+    all_frames = np.ones(len(partial.cameras), bool)
+    views = part.by_frame if partial.prior is None else observations.only(all_frames, partial.points).by_frame
     resected = np.diff(views.edges) >= LEAST_POINTS
     for _ in range(rounds):
-        cameras, shape = whitened(known.cameras, known.shape, points)
+        cameras, shape = whitened(partial.cameras, partial.shape, points)
         information, vector = frame_moments(views, shape, shape_moments(shape))
-        if known.prior is None:
+        if partial.prior is None:
             covariance, _ = invert_information(information[resected], np.full(4, RIDGE), 1.0)
             cameras[resected] = (covariance @ vector[resected]).transpose(0, 2, 1)
         else:
-            noise = max(known.noise, LEAST_NOISE**2)
-            known.prior = estimate_cameras(information, vector, noise, known.prior).better
-            estimate = estimate_cameras(information, vector, noise, known.prior)
-            cameras, known.camera_covariance = estimate.cameras, estimate.covariance
+            noise = max(partial.noise, LEAST_NOISE**2)
+            partial.prior = estimate_cameras(information, vector, noise, partial.prior).better
+            estimate = estimate_cameras(information, vector, noise, partial.prior)
+            cameras, partial.camera_covariance = estimate.cameras, estimate.covariance
         information, vector, _ = point_moments(part.by_point, cameras, camera_moments(cameras))
         covariance, _ = invert_information(information[points], np.full(RANK, RIDGE), 1.0)
         shape[points] = np.einsum("ijk,ik->ij", covariance, vector[points])
-        known.cameras, known.shape = cameras, shape
-    known.noise = _noise(part, known.cameras, known.shape)
+        partial.cameras, partial.shape = cameras, shape
+    partial.noise = _noise(part, partial.cameras, partial.shape)
 
 
 def _noise(part: Observations, cameras: Numbers, shape: Numbers) -> float:
@@ -251,26 +251,26 @@ def _noise(part: Observations, cameras: Numbers, shape: Numbers) -> float:
 
 
 def freedom(observations: Observations) -> float:
-    """Numbers observed minus those fitted: 8 a frame, 3 a point, without the 12 that no observation fixes."""
+    """Return the degrees of freedom: numbers observed less 8 a frame and 3 a point, plus 12 of the gauge."""
     frames = np.minimum(np.diff(observations.by_frame.edges), 4).sum()
     points = np.minimum(2 * np.diff(observations.by_point.edges), RANK).sum()
     return float(observations.numbers - 2 * frames - points + 12)
 
 
 def whitened(cameras: Numbers, shape: Numbers, points: Mask) -> tuple[Numbers, Numbers]:
-    """Move, turn and scale the shape so that `points` have mean 0 and covariance I, and cameras to match."""
+    """Whiten the shape, so that `points` have mean 0 and covariance I, and cameras to match."""
     return regauged(cameras, shape, *whitening(shape[points]))
 
 
 def whitening(shape: Numbers) -> tuple[Numbers, Numbers]:
-    """Mean `(3,)` of points and a root `(3, 3)` of their covariance, columns from the longest axis on."""
+    """Return the mean `(3,)` of points and a root `(3, 3)` of their covariance, longest axis first."""
     values, axes = np.linalg.eigh(np.cov(shape.T, bias=True))
     change: Numbers = (axes * np.sqrt(np.maximum(values, 1e-12 * values[-1] + 1e-300)))[:, ::-1]
     return shape.mean(axis=0), change
 
 
 def regauged(cameras: Numbers, shape: Numbers, mean: Numbers, change: Numbers) -> tuple[Numbers, Numbers]:
-    """Cameras and shape, with old shape = mean + change new shape."""
+    """Return cameras and shape, with old shape = mean + change new shape."""
     moved = np.concatenate([cameras[..., :3] @ change, cameras[..., 3:]], axis=2)
     moved[..., 3] += cameras[..., :3] @ mean
     return moved, np.ascontiguousarray(np.linalg.solve(change, (shape - mean).T).T, np.float64)

@@ -1,6 +1,6 @@
 """Loops of factor analysis: moments over observations, cameras frame by frame, points one by one.
 
-Observations come by frame or by point, as `Listed` of `observations` has them. A symmetric 4x4 matrix is ten
+Observations come by frame or by point, as in `observations.SparseObservations`. A symmetric 4x4 matrix is ten
 numbers: 00 01 02 03 11 12 13 22 23 33.
 """
 
@@ -11,7 +11,7 @@ from ....models.numerics.compiled import compiled, inlined
 
 @compiled
 def frame_moments(listed, shape, shape_moments):
-    """Information `(n_frames, 4, 4)` and vector `(n_frames, 4, 2)` that points give of each camera's rows.
+    """Return information `(n_frames, 4, 4)` and vector `(n_frames, 4, 2)` of cameras, from points.
 
     At noise variance 1. `shape` is `(n_points, 3)`, `shape_moments` `(n_points, 10)` E[s s^T], s = (S, 1).
     """
@@ -63,7 +63,7 @@ def _unpack(numbers, matrix):
 
 @compiled
 def point_moments(listed, cameras, camera_moments):
-    """Information `(n_points, 3, 3)`, vector `(n_points, 3)` and quadratic `(n_points,)` of each point.
+    """Return information `(n_points, 3, 3)`, vector `(n_points, 3)`, quadratic `(n_points,)` of points.
 
     E[sum_t w |x_t - M_t (S, 1)|^2] = quadratic - 2 vector . S + S . information S. `cameras` is
     `(n_frames, 2, 4)`, `camera_moments` `(n_frames, 10)`: E[m m^T] summed over both rows m.
@@ -100,7 +100,7 @@ def point_moments(listed, cameras, camera_moments):
 
 @compiled
 def squared_error(listed, cameras, shape):
-    """Weighted squared error of each point `(n_points,)` at given cameras and shape."""
+    """Return weighted squared error of each point `(n_points,)` at given cameras and shape."""
     edges, _, other, x, y, weight = listed
     error = np.zeros(edges.size - 1)
     for i in range(error.size):
@@ -117,7 +117,7 @@ def squared_error(listed, cameras, shape):
 
 @compiled
 def invert_information(information, prior, scale):
-    """Covariances `(n, d, d)` and log determinants `(n,)` of `scale * information + diag(prior)`."""
+    """Return covariances `(n, d, d)` and log determinants `(n,)` of `scale * information + diag(prior)`."""
     n, d = information.shape[0], information.shape[1]
     covariance = np.empty((n, d, d))
     log_determinant = np.empty(n)
@@ -166,7 +166,7 @@ def _invert(information, prior, scale, factor, inverse, covariance):
 
 @compiled
 def point_leverages(listed, cameras, inverses):
-    """Share of each observation `(n_observations,)`, by frame, in its point: mean of both coordinates, 0..1.
+    """Return the leverage of each observation `(n_observations,)` on its point, 0 to 1.
 
     `inverses` `(n_points, 3, 3)` of the points' information at noise variance 1.
     """
@@ -195,7 +195,7 @@ STATE = 12
 
 @compiled
 def smooth_cameras(information, vector, precision, noise, start_mean, start_variance):
-    """Posterior of the cameras under eq. (19), and what it says of the motion's noise.
+    """Return posterior of the cameras under eq. (19), and what it says of the motion's noise.
 
     `information` `(n_frames, 4, 4)` and `vector` `(n_frames, 4, 2)` are those of the camera rows at noise
     variance 1, `precision` is 1 / that of the observations, `noise` `(12,)` variances of eps_1, eps_2,
@@ -435,7 +435,7 @@ ROUNDING = 1e-13  # share of a point's information below which a direction of it
 
 @compiled
 def eliminate_points(by_point, cameras):
-    """Best points for given cameras, the inverses of their information, and the weighted squared error left.
+    """Return the best points for given cameras, inverses of their information, and the squared error.
 
     `(n_points, 3)` and `(n_points, 3, 3)`. Directions that only rounding determines stay at 0.
     """
@@ -487,7 +487,7 @@ def eliminate_points(by_point, cameras):
 
 @compiled
 def camera_gradient(by_point, cameras, shape):
-    """Half the derivative of the squared error by cameras, `(n_frames, 2, 4)`."""
+    """Return half the derivative of the squared error by cameras, `(n_frames, 2, 4)`."""
     edges, _, other, x, y, weight = by_point
     gradient = np.zeros(cameras.shape)
     for i in range(edges.size - 1):
@@ -519,7 +519,7 @@ def reduced_step(
     by_point, by_frame, cameras, shape, inverses, information, preconditioner, gradient, damping, accuracy,
     most,
 ):  # fmt: skip
-    """Gauss-Newton step of the cameras `(n_frames, 2, 4)`, points eliminated, by conjugate gradients.
+    """Return the Gauss-Newton step of cameras `(n_frames, 2, 4)`, points eliminated, by conjugate gradients.
 
     The matrix is never formed: a product with it goes through both lists of observations once. It leaves out
     how the eliminated points' own directions turn (Kaufman). `shape` and `inverses` are those that
@@ -551,7 +551,7 @@ def reduced_step(
         direction = solved + (length / before if turn else 0.0) * direction
         _turned_by(cameras, direction, of_frames)
         _weighted_sums(by_point, of_frames, of_points)
-        _answers(inverses, shape, of_points)
+        _apply_inverses(inverses, shape, of_points)
         _weighted_sums(by_frame, of_points, of_frames)
         stride = 0.0
         for t in range(n_frames):
@@ -598,7 +598,7 @@ def _weighted_sums(listed, rows, out):
 
 
 @inlined
-def _answers(inverses, shape, of_points):
+def _apply_inverses(inverses, shape, of_points):
     """From the sums E of R^T D, write z (S, 1)^T for every point, z = inverse E (S, 1)."""
     for i in range(shape.shape[0]):
         e, f, s = of_points[i], inverses[i], shape[i]

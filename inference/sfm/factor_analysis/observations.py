@@ -20,7 +20,7 @@ LEAST_POINTS = 4
 ROUNDING = 1e-13
 
 
-class Listed(NamedTuple):
+class SparseObservations(NamedTuple):
     """Observations in one order: those of frame (or point) k are `edges[k]:edges[k + 1]`.
 
     `own` is the frame (or point) of each and `other` the point (or frame), `x` and `y` its position,
@@ -36,20 +36,20 @@ class Listed(NamedTuple):
 
     @classmethod
     def sorted_by(cls, own: Indices, n: int, other: Indices, x: Numbers, y: Numbers, weight: Numbers) -> Self:
-        """Observations that are in the order of their own side already, of which there are `n`."""
+        """Return the observations of `n` rows, which are sorted by row already."""
         edges = np.zeros(n + 1, np.int64)
         np.cumsum(np.bincount(own, minlength=n), out=edges[1:])
         return cls(edges, own, other, x, y, weight)
 
     def transposed(self, n: int) -> Self:
-        """The same in the order of the other side, of which there are `n`."""
+        """Return the observations sorted by the other side, of which there are `n`."""
         rows = csr_array((np.arange(len(self.own)), self.other, self.edges), shape=(len(self.edges) - 1, n))
         order = rows.tocsc().data  # faster than sorting
         own, x, y, weight = self.own[order], self.x[order], self.y[order], self.weight[order]
         return self.sorted_by(self.other[order], n, own, x, y, weight)
 
     def only(self, own: NDArray[np.bool_], other: NDArray[np.bool_]) -> Self:
-        """Observations of which both sides are kept."""
+        """Return the observations of which both sides are kept."""
         if own.all() and other.all():
             return self
         keep = own[self.own] & other[self.other]
@@ -58,7 +58,7 @@ class Listed(NamedTuple):
 
 
 def as_arrays(positions: ArrayLike, weights: ArrayLike | None) -> tuple[Numbers, Numbers]:
-    """Positions `(n_frames, n_points, 2)` and weights `(n_frames, n_points)`; else a `ValueError`."""
+    """Return positions `(n_frames, n_points, 2)` and weights `(n_frames, n_points)`; else a `ValueError`."""
     where = np.asarray(positions, np.float64)
     if where.ndim != 3 or where.shape[2] != 2:
         raise ValueError(f"positions: got {where.shape}, expected (n_frames, n_points, 2)")
@@ -74,24 +74,24 @@ class Observations:
     """What was seen of points, moved and scaled so that numbers are around 1, in two orders.
 
     Px from the `centre` `(2,)` of all positions over their root mean square about their frame's middle,
-    `scale`; weights over their mean as given, `weight_unit`. `known` is the share of the coordinates that
+    `scale`; weights over their mean as given, `weight_unit`. `observed_share` is that of the coordinates that
     were seen, others are filled in.
     """
 
-    by_frame: Listed
-    by_point: Listed
+    by_frame: SparseObservations
+    by_point: SparseObservations
     centre: Numbers
     scale: float
     weight_unit: float
-    known: float = 1.0
+    observed_share: float = 1.0
 
     @classmethod
     def from_arrays(
-        cls, positions: ArrayLike, weights: ArrayLike | None = None, *, known: float = 1.0
+        cls, positions: ArrayLike, weights: ArrayLike | None = None, *, observed_share: float = 1.0
     ) -> Self:
-        """List what was observed; `positions` and `weights` as of `factorise`.
+        """Return the list of observations; `positions` and `weights` as of `factorise`.
 
-        `known` is the share of the coordinates that were seen. A `ValueError` says if shapes do not fit,
+        `observed_share` is that of the coordinates that were seen. A `ValueError` says if shapes do not fit,
         weights are negative or not finite, a position with weight is not finite, or there are fewer than 3
         frames or 4 points.
         """
@@ -136,8 +136,8 @@ class Observations:
         scale = float(np.sqrt(max(squares, 0.0) / (2 * len(x))))
         if scale <= ROUNDING * float(np.abs(centre).max() + np.sqrt(x @ x + y @ y)):
             raise ValueError("positions: got all points of a frame in one place, expected points that differ")
-        by_frame = Listed.sorted_by(frames, n_frames, points, x / scale, y / scale, given / unit)
-        return cls(by_frame, by_frame.transposed(n_points), centre, scale, unit, known)
+        by_frame = SparseObservations.sorted_by(frames, n_frames, points, x / scale, y / scale, given / unit)
+        return cls(by_frame, by_frame.transposed(n_points), centre, scale, unit, observed_share)
 
     @property
     def n_frames(self) -> int:
@@ -157,16 +157,16 @@ class Observations:
     @property
     def numbers(self) -> float:
         """How many coordinates were seen."""
-        return 2 * self.count * self.known
+        return 2 * self.count * self.observed_share
 
     def scaled(self, cameras: Numbers) -> Numbers:
-        """Cameras `(n_frames, 2, 4)` given in px, in the units used in here."""
+        """Return cameras `(n_frames, 2, 4)` given in px, in the units used in here."""
         scaled = cameras / self.scale
         scaled[..., 3] -= self.centre / self.scale
         return scaled
 
     def only(self, frames: NDArray[np.bool_], points: NDArray[np.bool_]) -> "Observations":
-        """Those of some frames `(n_frames,)` and points `(n_points,)`; numbering and units stay."""
+        """Return the observations of some frames `(n_frames,)` and points `(n_points,)`."""
         return replace(
             self, by_frame=self.by_frame.only(frames, points), by_point=self.by_point.only(points, frames)
         )
@@ -176,7 +176,7 @@ LEAST_VIEWS = 2
 
 
 def determined(observations: Observations, *, apart: bool = False) -> tuple[Mask, Mask]:
-    """Frames that show four points or more that two such frames or more show; and those points.
+    """Return the frames with four or more points that two or more of these frames show, and the points.
 
     With `apart` frames may fall into sets that share too few points to be one structure. It is a
     `ValueError` if they do otherwise, or if there are not enough of them.
@@ -226,7 +226,7 @@ def _joined(part: Observations) -> Mask:
 
 
 def ranges(numbers: Sequence[int] | NDArray[np.int64]) -> str:
-    """Increasing whole numbers as text: `"0-3, 7"`."""
+    """Return increasing whole numbers as text: `"0-3, 7"`."""
     values = np.asarray(numbers)
     breaks = np.flatnonzero(np.diff(values) > 1) + 1
     return ", ".join(

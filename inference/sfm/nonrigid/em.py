@@ -53,7 +53,7 @@ class Tracks:
 
     @classmethod
     def of(cls, positions: Numbers) -> Self:
-        """From positions that are NaN where not seen."""
+        """Return the tracks of positions that are NaN where not seen."""
         seen = ~np.isnan(positions[..., 0])
         patterns, pattern_of_frame = np.unique(seen.astype(np.float64), axis=0, return_inverse=True)
         return cls(
@@ -91,7 +91,7 @@ class State:
     damping: Numbers
 
     def begun(self, **changes: Any) -> Self:
-        """The same with these changes, before the first step."""
+        """Return the state with these changes, before the first step."""
         return replace(self, damping=np.full(len(self.scales), FIRST_DAMPING), **changes)
 
     @property
@@ -134,7 +134,7 @@ class PointSums:
 
 
 def point_sums(tracks: Tracks, bases: Numbers) -> PointSums:
-    """The sums for these bases."""
+    """Return the sums for these bases."""
     n_bases, n_points = bases.shape[:2]
     flat = np.ones((n_points, 1 + 3 * n_bases))
     flat[:, 1:] = bases.transpose(1, 0, 2).reshape(n_points, -1)
@@ -148,7 +148,7 @@ def point_sums(tracks: Tracks, bases: Numbers) -> PointSums:
 
 
 def e_step(state: State, sums: PointSums) -> WeightPosterior:
-    """E-step: z_t | y_t ~ N((A'A + sigma^2 I)^-1 A'y, sigma^2 (A'A + sigma^2 I)^-1), A = c R V."""
+    """Return z_t | y_t ~ N((A'A + sigma^2 I)^-1 A'y, sigma^2 (A'A + sigma^2 I)^-1), A = c R V (E-step)."""
     n, n_bases, noise = len(state.scales), len(state.bases), state.noise
     axes, shift = state.seen_axes, state.translations
     squared = np.matmul(axes.transpose(0, 2, 1), axes).reshape(n, 1, 9)
@@ -173,24 +173,24 @@ def e_step(state: State, sums: PointSums) -> WeightPosterior:
     return WeightPosterior(mean, noise * inverse, log_likelihood, gram, middle)
 
 
-def pose_step(state: State, sums: PointSums, found: WeightPosterior) -> tuple[State, WeightPosterior]:
-    """One damped Gauss-Newton step of every pose, taken where the likelihood gains by it."""
-    normal, pull = pose_equations(state, sums, found)
+def pose_step(state: State, sums: PointSums, posterior: WeightPosterior) -> tuple[State, WeightPosterior]:
+    """Take one damped Gauss-Newton step of every pose whose likelihood gains by it."""
+    normal, pull = pose_equations(state, sums, posterior)
     every = np.arange(6)
     diagonal = normal[:, every, every]
     normal[:, every, every] += state.damping[:, None] * diagonal + RIDGE * diagonal.max(axis=1)[:, None]
     step: Numbers = np.linalg.solve(normal, pull[..., None])[..., 0].astype(np.float64)
     moved = replace(moved_poses(state, step), damping=np.maximum(state.damping / 10, LEAST_DAMPING))
     reached = e_step(moved, sums)
-    better = reached.log_likelihood >= found.log_likelihood
+    better = reached.log_likelihood >= posterior.log_likelihood
     stay = replace(state, damping=np.minimum(state.damping * 10, MOST_DAMPING))
     return chosen_poses(better, moved, stay), chosen(
-        better, reached, found, [each.name for each in fields(found)]
+        better, reached, posterior, [each.name for each in fields(posterior)]
     )
 
 
 def moved_poses(state: State, step: Numbers) -> State:
-    """The state after a step `(n_frames, 6)`, which is cut to `LONGEST_TURN` and `LONGEST_GROWTH`."""
+    """Return the state after a step `(n_frames, 6)`, which is cut to `LONGEST_TURN` and `LONGEST_GROWTH`."""
     length = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
     turns = step[:, :3] * np.minimum(1, LONGEST_TURN / np.maximum(length, LONGEST_TURN))
     return replace(
@@ -201,15 +201,15 @@ def moved_poses(state: State, step: Numbers) -> State:
     )
 
 
-def pose_equations(state: State, sums: PointSums, found: WeightPosterior) -> tuple[Numbers, Numbers]:
-    """Curvature `(n_frames, 6, 6)` and gradient `(n_frames, 6)` of log likelihoods, times the noise.
+def pose_equations(state: State, sums: PointSums, posterior: WeightPosterior) -> tuple[Numbers, Numbers]:
+    """Return curvature `(n_frames, 6, 6)` and gradient `(n_frames, 6)` of log likelihoods, times the noise.
 
     By turn (R <- exp([w]x) R), logarithm of scale and translation. The gradient is that of the likelihood
     without the weights (Fisher's identity), the curvature that of poses after the weights are eliminated
     from a joint step.
     """
     n, n_bases = len(state.scales), len(state.bases)
-    axes, extended = state.seen_axes, found.extended
+    axes, extended = state.seen_axes, posterior.extended
     turned = state.scales[:, None, None, None] * np.einsum("iab,nbc->niac", _TURNS[:, :2], state.rotations)
 
     # d position / d (w, log c) is linear in (1, v_j): its coefficients
@@ -223,28 +223,31 @@ def pose_equations(state: State, sums: PointSums, found: WeightPosterior) -> tup
     normal[:, 4:, :4] = weighted[..., 0].transpose(0, 2, 1)
     normal[:, 4, 4] = normal[:, 5, 5] = sums.points[:, 0, 0]
     with_modes = np.concatenate(
-        [np.einsum("nicka,nca->nik", weighted[..., 4:].reshape(n, 4, 2, -1, 3), axes), found.sums[..., 1:]],
+        [
+            np.einsum("nicka,nca->nik", weighted[..., 4:].reshape(n, 4, 2, -1, 3), axes),
+            posterior.sums[..., 1:],
+        ],
         axis=1,
     )
-    normal -= with_modes @ found.covariance @ with_modes.transpose(0, 2, 1) / state.noise
+    normal -= with_modes @ posterior.covariance @ with_modes.transpose(0, 2, 1) / state.noise
 
     residual = sums.positions - weighted[:, 3] - state.translations[..., None] * sums.points[:, :1]
     pull = np.concatenate(
         [np.matmul(rows.reshape(n, 4, -1), residual.reshape(n, -1, 1))[..., 0], residual[..., 0]], axis=1
     )
-    uncertain = _uncertain_shape(sums, found, n_bases)
+    uncertain = _uncertain_shape(sums, posterior, n_bases)
     pull[:, :4] -= np.einsum("nca,nab,nicb->ni", axes, uncertain, changes, optimize=True)
     return normal, pull
 
 
-def _uncertain_shape(sums: PointSums, found: WeightPosterior, n_bases: int) -> Numbers:
+def _uncertain_shape(sums: PointSums, posterior: WeightPosterior, n_bases: int) -> Numbers:
     """`(n_frames, 3, 3)`: the part of sum_j E[s_j s_j'] that comes from the covariance of the weights."""
-    n, n_modes = found.mean.shape
+    n, n_modes = posterior.mean.shape
     if not n_modes:
         return np.zeros((n, 3, 3))
     products = sums.points[:, 1:, 1:].reshape(-1, n_bases, 3, n_bases, 3)[:, 1:, :, 1:]
     by_modes = products.transpose(0, 1, 3, 2, 4).reshape(-1, n_modes**2, 9)
-    flat = found.covariance.reshape(n, 1, n_modes**2)
+    flat = posterior.covariance.reshape(n, 1, n_modes**2)
     summed: Numbers = np.matmul(flat, by_modes).reshape(n, 3, 3)
     return summed
 
@@ -253,12 +256,12 @@ OfFrames = TypeVar("OfFrames", State, WeightPosterior)
 
 
 def chosen_poses(first: NDArray[np.bool_], one: State, other: State) -> State:
-    """The state `other` with the poses of `one` in the frames `first` `(n_frames,)`."""
+    """Return the state `other` with the poses of `one` in the frames `first` `(n_frames,)`."""
     return chosen(first, one, other, ("rotations", "scales", "translations", "damping"))
 
 
 def chosen(first: NDArray[np.bool_], one: OfFrames, other: OfFrames, names: Iterable[str]) -> OfFrames:
-    """`other` with these of the arrays of `one` in the frames `first`."""
+    """Return `other` with these of the arrays of `one` in the frames `first`."""
 
     def mixed(name: str) -> Any:
         new, old = getattr(one, name), getattr(other, name)
@@ -268,7 +271,7 @@ def chosen(first: NDArray[np.bool_], one: OfFrames, other: OfFrames, names: Iter
 
 
 def basis_covariance(bases: Numbers, axes: Numbers) -> Numbers:
-    """Prior covariance `(n_bases, n_bases)` of a point's bases along any axis: as seen by `(n_frames, 2, 3)`.
+    """Return the prior covariance `(n_bases, n_bases)` of a point's bases along any axis.
 
     Where an object hardly turns, its likelihood grows with its depth: whatever does not fit the model is
     best explained by deep shapes that turn by a trifle. The prior says that a basis is about as deep as it
@@ -285,22 +288,22 @@ def basis_covariance(bases: Numbers, axes: Numbers) -> Numbers:
 
 
 def log_prior(bases: Numbers, covariance: Numbers) -> float:
-    """Log density of the bases, tempered, less a constant."""
+    """Return log density of the bases, tempered, less a constant."""
     squares = np.einsum("kja,lja->kl", bases, bases)
     return -0.5 * ALIKE * float(np.sum(np.linalg.inv(covariance) * squares))
 
 
 def shape_step(
-    state: State, tracks: Tracks, found: WeightPosterior, covariance: Numbers
+    state: State, tracks: Tracks, posterior: WeightPosterior, covariance: Numbers
 ) -> tuple[State, Numbers]:
-    """M-step: bases by the normal equations of each point, then the noise; weights back to N(0, I).
+    """Update bases by the normal equations of each point, then the noise (M-step).
 
     Returns the state and the prior's covariance in terms of the new modes.
     """
     n_bases, n_points = state.bases.shape[:2]
-    axes, extended = state.seen_axes, found.extended
+    axes, extended = state.seen_axes, posterior.extended
     second = extended[:, :, None] * extended[:, None, :]
-    second[:, 1:, 1:] += found.covariance
+    second[:, 1:, 1:] += posterior.covariance
     squared = np.matmul(axes.transpose(0, 2, 1), axes)
     if tracks.seen.all():  # all points have the same normal matrix
         product = second.reshape(len(second), -1).T @ squared.reshape(len(squared), -1)
@@ -321,9 +324,9 @@ def shape_step(
     bases = flat.reshape(n_points, n_bases, 3).transpose(1, 0, 2).copy()
     noise = max(float(squares) / tracks.count, LEAST_NOISE**2)
     if n_bases > 1:
-        middle = found.mean.mean(axis=0)
-        away = found.mean - middle
-        root = np.linalg.cholesky(away.T @ away / len(away) + found.covariance.mean(axis=0))
+        middle = posterior.mean.mean(axis=0)
+        away = posterior.mean - middle
+        root = np.linalg.cholesky(away.T @ away / len(away) + posterior.covariance.mean(axis=0))
         bases[0] += np.tensordot(middle, bases[1:], 1)
         bases[1:] = np.tensordot(root.T, bases[1:], 1)
         covariance = covariance.copy()
@@ -334,7 +337,7 @@ def shape_step(
 def run_em(
     tracks: Tracks, state: State, iterations: int, tolerance: float, on_iteration: Callable[[], None]
 ) -> tuple[State, list[float]]:
-    """EM until it gains less than `tolerance` nats a coordinate, or for so many iterations.
+    """Run EM until it gains less than `tolerance` nats a coordinate, or for so many iterations.
 
     Extrapolated from the last iterations (Anderson); what lowers the likelihood is taken back. Also returns
     the log likelihood with the prior before each iteration that counts, which never falls.
@@ -386,7 +389,7 @@ def _from_vector(vector: Numbers, like: State) -> State:
 
 
 def log_likelihood(tracks: Tracks, state: State) -> float:
-    """Nats, in the unit of the tracks, weights integrated out."""
+    """Return the log likelihood, nats, in the unit of the tracks, weights integrated out."""
     return float(e_step(state, point_sums(tracks, state.bases)).log_likelihood.sum())
 
 
@@ -400,7 +403,7 @@ WINDOW = 200  # frames from which the spread of turns is learned; its posterior 
 
 
 def smoothed(tracks: Tracks, state: State, on_iteration: Callable[[], None]) -> tuple[State, WeightPosterior]:
-    """The state and its weights after EM with the prior of smoothness; frames' own log likelihoods."""
+    """Return the state and its weights after EM with the prior of smoothness; frames' own log likelihoods."""
     correlations, spread = np.zeros(len(state.bases) - 1), None
     prior, damping = basis_covariance(state.bases, state.seen_axes), DAMPING.first
     for _ in range(ITERATIONS):
@@ -421,7 +424,7 @@ def smoothed(tracks: Tracks, state: State, on_iteration: Callable[[], None]) -> 
 def smooth_weights(
     state: State, sums: PointSums, correlations: Numbers
 ) -> tuple[WeightPosterior, Numbers, float]:
-    """Posterior of weights given all frames, covariances of each frame's with the one before, log likelihood.
+    """Smooth the weights: posterior given all frames, covariances with the frame before, log likelihood.
 
     Information is block tridiagonal: elimination forward, and back (Rauch, Tung and Striebel 1965).
     """
@@ -454,10 +457,10 @@ def smooth_weights(
     return replace(alone, mean=means, covariance=covariances), cross, likelihood
 
 
-def _correlations(found: WeightPosterior, cross: Numbers) -> tuple[Numbers, Numbers]:
+def _correlations(posterior: WeightPosterior, cross: Numbers) -> tuple[Numbers, Numbers]:
     """Correlations of successive weights, and the modes (columns) in terms of those of `shape_step`."""
-    away = found.mean - found.mean.mean(axis=0)
-    squares = away[:, :, None] * away[:, None] + found.covariance
+    away = posterior.mean - posterior.mean.mean(axis=0)
+    squares = away[:, :, None] * away[:, None] + posterior.covariance
     white = np.linalg.inv(np.linalg.cholesky(squares.mean(axis=0)))
     successive = white @ ((away[1:].T @ away[:-1] + cross[1:].sum(axis=0)) @ white.T)
     both = white @ ((squares[1:] + squares[:-1]).sum(axis=0) / 2) @ white.T
@@ -467,7 +470,7 @@ def _correlations(found: WeightPosterior, cross: Numbers) -> tuple[Numbers, Numb
 
 
 def second_differences(rotations: Numbers) -> Numbers:
-    """`(n_frames - 2, 3)` rad: by how much the turn from frame to frame changes, about the camera's axes."""
+    """Return second differences of rotations about the camera's axes, `(n_frames - 2, 3)` rad."""
     turns = logarithm(rotations[1:] @ rotations[:-1].transpose(0, 2, 1))
     return np.diff(turns, axis=0)
 

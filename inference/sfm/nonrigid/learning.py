@@ -56,7 +56,7 @@ TOLERANCE = 1e-5  # nats a coordinate, for what comes before the last climb
 
 
 def rigid_states(tracks: Tracks, positions: Numbers, on_iteration: Callable[[], None]) -> list[State]:
-    """Rigid motions: as factorisation gives it, and with smooth turns where they are not.
+    """Return rigid motions: that of the factorisation, and one with smooth turns.
 
     Sudden turns of about 180 degrees explain a flat object's picture as well.
     """
@@ -68,7 +68,7 @@ def rigid_states(tracks: Tracks, positions: Numbers, on_iteration: Callable[[], 
 
 
 def shape_seen_from(positions: Numbers, rotations: Numbers) -> State:
-    """The rigid shape that fits best under given rotations; `positions` are complete and about middles."""
+    """Return the best rigid shape under given rotations; `positions` are complete and centred."""
     n_frames, n_points, _ = positions.shape
     axes = rotations[:, :2].reshape(-1, 3)
     rows = positions.transpose(0, 2, 1).reshape(-1, n_points)
@@ -80,7 +80,7 @@ def shape_seen_from(positions: Numbers, rotations: Numbers) -> State:
 
 
 def rigid_start(positions: Numbers) -> State:
-    """A rigid shape and its poses from factorisation `(n_frames, n_points, 2)`, NaN where not seen."""
+    """Return a rigid shape and its poses from factorisation `(n_frames, n_points, 2)`, NaN where not seen."""
     found = factorise(positions)
     metric = euclidean(found.cameras, found.shape, found.camera_covariance)
     shape, cameras = metric.shape, metric.cameras
@@ -108,7 +108,7 @@ def _usual_depth(cameras: Numbers, shape: Numbers) -> Numbers:
 
 
 def with_modes(tracks: Tracks, state: State, count: int) -> State:
-    """The state with more modes, the principal ones of what is left of positions, put into the picture plane.
+    """Return the state with more modes: principal components of the residuals, in the picture plane.
 
     Depth follows from the other frames as soon as EM goes on.
     """
@@ -126,7 +126,7 @@ def with_modes(tracks: Tracks, state: State, count: int) -> State:
 
 
 def without_modes(state: State, n_bases: int) -> State:
-    """The state with the largest modes only, so many bases in all."""
+    """Return the state with the largest modes only, so many bases in all."""
     flat = state.bases[1:].reshape(len(state.bases) - 1, -1)
     order = np.linalg.eigh(flat @ flat.T)[1][:, ::-1]
     modes = np.tensordot(order.T[: n_bases - 1], state.bases[1:], 1)
@@ -137,7 +137,7 @@ def without_modes(state: State, n_bases: int) -> State:
 
 
 def with_smooth_turns(tracks: Tracks, state: State) -> State | None:
-    """The state with each frame's rotation or its mirror image, so that turns are smooth; `None` if they are.
+    """Return the state with mirrored rotations where turns become smooth; `None` if they are.
 
     Under orthography a flat object appears the same as its mirror image behind it, R -> F R F_n with F a
     reflection in depth and F_n one of the object through its plane. The best sequence is found by Viterbi's
@@ -186,7 +186,7 @@ RANDOM_STARTS, SEED = 4, 0
 
 
 def rotations_of_rank(positions: Numbers, ranks: set[int]) -> list[Numbers]:
-    """Rotations `(n_frames, 3, 3)`, two for each rank, by the method of Levenberg and Marquardt.
+    """Return rotations `(n_frames, 3, 3)`, two for each rank, by the method of Levenberg and Marquardt.
 
     One starts from the three strongest columns, the other one is the best of some that start from random
     ones: there are local optima. Positions `(n_frames, n_points, 2)` are about the middle of each frame, in
@@ -344,13 +344,13 @@ def _filled(tracks: Tracks, state: State) -> Numbers:
 
 
 def whole_shapes(tracks: Tracks, state: State) -> Numbers:
-    """`(n_frames, n_points, 3)` in the camera's axes, with all modes, from the object's origin."""
+    """Return shapes `(n_frames, n_points, 3)` in the camera's axes, from the object's origin."""
     return shapes_of(state, e_step(state, point_sums(tracks, state.bases)))
 
 
-def shapes_of(state: State, found: WeightPosterior) -> Numbers:
-    """The same for weights that are known."""
-    shapes = np.tensordot(found.extended, state.bases, 1) @ state.rotations.transpose(0, 2, 1)
+def shapes_of(state: State, posterior: WeightPosterior) -> Numbers:
+    """Return the shapes for known weights."""
+    shapes = np.tensordot(posterior.extended, state.bases, 1) @ state.rotations.transpose(0, 2, 1)
     return state.scales[:, None, None] * shapes
 
 
@@ -459,7 +459,7 @@ def _check(positions: Numbers, bases: int) -> NDArray[np.bool_]:
 
 
 def most_bases(positions: Numbers) -> int:
-    """How many bases positions `(n_frames, n_points, 2)` can tell apart: each adds three to their rank."""
+    """Return how many bases positions `(n_frames, n_points, 2)` can determine: each adds 3 to their rank."""
     n_frames, n_points = positions.shape[:2]
     return int(min(2 * n_frames, n_points - 1)) // 3
 
@@ -467,7 +467,7 @@ def most_bases(positions: Numbers) -> int:
 def _in_pixels(
     tracks: Tracks,
     state: State,
-    found: WeightPosterior,
+    posterior: WeightPosterior,
     history: list[float],
     others: list[tuple[float, Numbers]],
     n_bases: int,
@@ -480,7 +480,7 @@ def _in_pixels(
     bases, rotations = state.bases @ turn.T, state.rotations @ turn.T
     centroids = bases.mean(axis=1)
     axes = state.scales[:, None, None] * rotations[:, :2]
-    translations = state.translations + np.einsum("nca,nk,ka->nc", axes, found.extended, centroids)
+    translations = state.translations + np.einsum("nca,nk,ka->nc", axes, posterior.extended, centroids)
     bases = bases - centroids[:, None]
     if not convex(bases[0]):
         bases, rotations = bases * MIRRORED, MIRRORED[:, None] * rotations * MIRRORED
@@ -491,13 +491,13 @@ def _in_pixels(
 
     bases = bases / size
     noise = unit * float(np.sqrt(state.noise))
-    weights = found.mean @ order
-    spread = order.T @ found.covariance @ order
+    weights = posterior.mean @ order
+    spread = order.T @ posterior.covariance @ order
     scales = state.scales * size * unit
     translations = translations * unit + middles
     seen = tracks.seen > 0
     poses = posed(rotations, translations, scales, weights)
-    shapes = shapes_of(state, found)
+    shapes = shapes_of(state, posterior)
 
     def everywhere(values: Numbers) -> Numbers:
         whole = np.full((len(determined), *values.shape[1:]), np.nan)
@@ -513,8 +513,8 @@ def _in_pixels(
         scales=everywhere(scales),
         translations=everywhere(translations),
         noise=noise,
-        rmse=unit * float(np.sqrt(_squared_error(tracks, state, found) / tracks.count)),
-        log_likelihood=float(found.log_likelihood.sum()) - tracks.count * float(np.log(unit)),
+        rmse=unit * float(np.sqrt(_squared_error(tracks, state, posterior) / tracks.count)),
+        log_likelihood=float(posterior.log_likelihood.sum()) - tracks.count * float(np.log(unit)),
         history=tuple(value - tracks.count * float(np.log(unit)) for value in history),
         frame_determined=determined,
         frame_covariances=everywhere(frame_covariances(bases, poses, seen, noise)),
@@ -523,9 +523,9 @@ def _in_pixels(
     )
 
 
-def _squared_error(tracks: Tracks, state: State, found: WeightPosterior) -> float:
+def _squared_error(tracks: Tracks, state: State, posterior: WeightPosterior) -> float:
     """What the mean shapes leave of the positions."""
-    shapes = np.tensordot(found.extended, state.bases, 1)
+    shapes = np.tensordot(posterior.extended, state.bases, 1)
     predicted = shapes @ state.seen_axes.transpose(0, 2, 1) + state.translations[:, None]
     return float(np.sum(tracks.seen[..., None] * (tracks.positions - predicted) ** 2))
 
@@ -589,7 +589,7 @@ def choose_bases(
 
 
 def withheld(positions: Numbers) -> NDArray[np.bool_]:
-    """`(n_frames, n_points)`: which positions that were seen are not to be learned from."""
+    """Return which observed positions are withheld, `(n_frames, n_points)` bool."""
     seen = ~np.isnan(positions[..., 0])
     draws = np.where(seen, np.random.default_rng(SEED).random(seen.shape), 2.0)
     # those that a frame, or a point, has to keep are the ones with the largest draws among what was seen

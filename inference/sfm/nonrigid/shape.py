@@ -14,8 +14,8 @@ Numbers = NDArray[np.float64]
 MIRRORED = np.array([1.0, 1.0, -1.0])
 
 
-def shape_error(found: Numbers, truth: Numbers) -> float:
-    """Mean 3-D error of points over the mean standard deviation of the true ones: e3D.
+def shape_error(estimate: Numbers, truth: Numbers) -> float:
+    """Return mean 3-D error of points over the mean standard deviation of the true ones: e3D.
 
     Gotardo and Martinez (2011) after Akhter et al. (2008): sum_tj |s_tj - s*_tj| / (n_frames n_points
     sigma), sigma the mean over frames of (sigma_x + sigma_y + sigma_z) / 3, the standard deviations of the
@@ -27,38 +27,38 @@ def shape_error(found: Numbers, truth: Numbers) -> float:
     ValueError
         if shapes of the arrays differ, or they have no frame in common.
     """
-    if np.shape(found) != np.shape(truth) or np.ndim(found) != 3 or np.shape(found)[2] != 3:
+    if np.shape(estimate) != np.shape(truth) or np.ndim(estimate) != 3 or np.shape(estimate)[2] != 3:
         raise ValueError(
-            f"shapes: got {np.shape(found)} and {np.shape(truth)}, expected (n_frames, n_points, 3) twice"
+            f"shapes: got {np.shape(estimate)} and {np.shape(truth)}, expected (n_frames, n_points, 3) twice"
         )
-    known = np.isfinite(found).all(axis=(1, 2)) & np.isfinite(truth).all(axis=(1, 2))
+    known = np.isfinite(estimate).all(axis=(1, 2)) & np.isfinite(truth).all(axis=(1, 2))
     if not known.any():
         raise ValueError("shapes: got no frame that is known in both")
     goal = about_centroids(truth[known])
     size = goal.std(axis=1).mean()
-    return float(np.linalg.norm(nearer_image(found[known], goal) - goal, axis=2).mean() / size)
+    return float(np.linalg.norm(nearer_image(estimate[known], goal) - goal, axis=2).mean() / size)
 
 
 def nearer_image(shapes: Numbers, truth: Numbers) -> Numbers:
-    """The shapes about their centroids, or their mirror images in depth, all frames alike."""
+    """Return the shapes about their centroids, or their mirror images in depth, all frames alike."""
     goal = about_centroids(truth)
     images = [about_centroids(shapes), about_centroids(shapes) * MIRRORED]
     return min(images, key=lambda image: float(np.linalg.norm(image - goal, axis=2).sum()))
 
 
 def about_centroids(shapes: Numbers) -> Numbers:
-    """Shapes `(n_frames, n_points, 3)` about their centroids."""
+    """Return shapes `(n_frames, n_points, 3)` about their centroids."""
     about: Numbers = shapes - shapes.mean(axis=1, keepdims=True)
     return about
 
 
 def without_triangles(bases: Numbers) -> MorphableModel:
-    """Points of which only places are of interest."""
+    """Return a model of points without triangles."""
     return MorphableModel(bases, np.zeros((0, 3), np.int64))
 
 
 def frame_changes(bases: Numbers, poses: Poses) -> Numbers:
-    """d shape / d (turn, log scale, translation, weights): `(n_frames, n_points, 3, 6 + n_modes)` px."""
+    """Return derivatives `(n_frames, n_points, 3, 6 + n_modes)` px by pose and weights."""
     model = without_triangles(bases)
     by_morph = model.jacobian(poses, 3)
     growth = model.turned(poses)[..., None]
@@ -67,7 +67,7 @@ def frame_changes(bases: Numbers, poses: Poses) -> Numbers:
 
 
 def frame_covariances(bases: Numbers, poses: Poses, seen: NDArray[np.bool_], noise: float) -> Numbers:
-    """`(n_frames, 6 + n_modes, 6 + n_modes)` given the bases; weights are N(0, 1) before, `noise` is px."""
+    """Return covariances `(n_frames, 6 + n_modes, 6 + n_modes)` of pose and weights, given the bases."""
     rows = frame_changes(bases, poses)[:, :, :2] * seen[..., None, None] / noise
     flat = rows.reshape(len(rows), -1, rows.shape[-1])
     information = flat.transpose(0, 2, 1) @ flat
@@ -81,7 +81,7 @@ def frame_covariances(bases: Numbers, poses: Poses, seen: NDArray[np.bool_], noi
 def basis_covariances(
     bases: Numbers, poses: Poses, weights: Numbers, spread: Numbers, seen: NDArray[np.bool_], noise: float
 ) -> Numbers:
-    """`(n_points, 3 n_bases, 3 n_bases)` given poses and weights, from all frames that show the point."""
+    """Return covariances `(n_points, 3 n_bases, 3 n_bases)` of the bases, given poses and weights."""
     axes = poses.sizes[:, None, None] * poses.rotations[:, :2]
     extended = np.concatenate([np.ones((len(weights), 1)), weights], axis=1)
     second = extended[:, :, None] * extended[:, None]
@@ -178,7 +178,7 @@ class NonrigidShape:
         return float(np.sqrt(2) * self.rmse / np.nanmean(self.scales))
 
     def shapes(self) -> Numbers:
-        """`(n_frames, n_points, 3)` px: where points are seen, and how far behind the object's origin.
+        """Return `(n_frames, n_points, 3)` px: positions, and depths behind the object's origin.
 
         With all details: the best that is known of the points. `model().positions(poses)` are without.
         """
@@ -186,7 +186,7 @@ class NonrigidShape:
         return without_triangles(bases).positions(poses)
 
     def shape_covariances(self) -> Numbers:
-        """`(n_frames, n_points, 3, 3)` px^2: what the tracks leave open of `shapes()`.
+        """Return covariances `(n_frames, n_points, 3, 3)` px^2 of `shapes()`.
 
         Frames given bases, and bases given frames, to first order; without the noise of observations.
         """
@@ -201,25 +201,25 @@ class NonrigidShape:
         return covariances
 
     def model(self) -> MorphableModel:
-        """The object's model, with triangles between neighbours as they are seen from the front."""
+        """Return the object's model, with triangles between neighbours as they are seen from the front."""
         return MorphableModel(self.bases, triangles_in_front(self.bases[0]))
 
 
 def posed(rotations: Numbers, translations: Numbers, scales: Numbers, weights: Numbers) -> Poses:
-    """Poses with weights `(n_frames, n_modes)` of modes in units of the scale."""
+    """Return poses with weights `(n_frames, n_modes)` of modes in units of the scale."""
     extended = np.pad(weights, ((0, 0), (1, 0)), constant_values=1)
     return Poses(rotations, translations, scales[:, None] * extended)
 
 
 def convex(shape: Numbers) -> bool:
-    """Whether a shape `(n_points, 3)` is nearer to the viewer in its middle than at its margin."""
+    """Return whether a shape `(n_points, 3)` is nearer to the viewer in its middle than at its margin."""
     centred = shape - shape.mean(axis=0)
     outwards = np.sum(centred[:, :2] ** 2, axis=1)
     return bool(np.sum(centred[:, 2] * (outwards - outwards.mean())) >= 0)
 
 
 def triangles_in_front(shape: Numbers) -> NDArray[np.int64]:
-    """Delaunay triangles `(n_triangles, 3)` of a shape `(n_points, 3)` as seen from the front.
+    """Return Delaunay triangles `(n_triangles, 3)` of a shape `(n_points, 3)` as seen from the front.
 
     Their normals (cross products of edges) have z < 0. Points on a line are a `ValueError`.
     """

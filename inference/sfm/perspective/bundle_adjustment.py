@@ -20,7 +20,7 @@ from ....models.camera.perspective_camera import NEAREST, PerspectiveCameras
 from ....models.core.short_repr import short_repr
 from ....models.numerics.rotations import exponential
 from ...optimisation import Damping, levenberg_marquardt
-from ..factor_analysis.observations import Listed, Numbers
+from ..factor_analysis.observations import Numbers, SparseObservations
 from .kernels import (
     CAMERA,
     eliminated,
@@ -54,7 +54,7 @@ class StudentNoise:
 
     @classmethod
     def of_errors(cls, squares: Numbers, weight: Numbers) -> "StudentNoise":
-        """The noise under which squared distances `(n,)` px^2 of such weights are likeliest."""
+        """Return the noise under which squared distances `(n,)` px^2 of such weights are likeliest."""
         middle = float(np.median(weight * squares))
 
         def of_freedom(log_freedom: float) -> "StudentNoise":
@@ -72,7 +72,7 @@ class StudentNoise:
         return of_freedom(float(found.x))
 
     def rescaled(self, squares: Numbers, weight: Numbers) -> "StudentNoise":
-        """The likeliest variance for these degrees of freedom, by EM; arguments as of `of_errors`."""
+        """Return the likeliest variance for these degrees of freedom, by EM; arguments as of `of_errors`."""
         weighted, variance = weight * squares, self.variance
         for _ in range(MOST_ROUNDS):
             shares = (self.freedom + 2) / (self.freedom + weighted / variance)
@@ -83,21 +83,21 @@ class StudentNoise:
         return replace(self, variance=variance)
 
     def weights(self, squares: Numbers, weight: Numbers) -> Numbers:
-        """What each observation counts in least squares `(n,)`: `weight` less what makes it an outlier."""
+        """Return the weights `(n,)` of observations in iteratively reweighted least squares."""
         return weight * (self.freedom + 2) / (self.freedom + weight * squares / self.variance)
 
     def agrees(self, squares: Numbers, weight: Numbers) -> NDArray[np.bool_]:
-        """Whether an observation is no outlier: it counts for `HARDLY` or more of one that fits."""
+        """Return which observations are inliers: of `HARDLY` or more of the weight of a perfect fit."""
         return weight * squares <= (1 / HARDLY - 1) * self.freedom * self.variance
 
     def log_likelihood(self, squares: Numbers, weight: Numbers) -> float:
-        """Log density of errors `(n,)` px^2."""
+        """Return log density of errors `(n,)` px^2."""
         unlikely = np.log1p(weight * squares / (self.freedom * self.variance)).sum()
         scale = len(squares) * np.log(2 * np.pi * self.variance) - np.log(weight).sum()
         return -float(scale + 0.5 * (self.freedom + 2) * unlikely)
 
     def precision(self, squares: Numbers, weight: Numbers, parameters: float) -> float:
-        """Information, 1/px^2, that a coordinate of weight 1 gives about where it should be.
+        """Return the information, 1/px^2, of a coordinate of weight 1 about its mean.
 
         By Huber's formula for M-estimators ("Robust Statistics", 1981, section 7.6): with psi the derivative
         of minus the log density by a coordinate it is mean(psi')^2 / mean(psi^2), here times what is left of
@@ -141,26 +141,26 @@ class Bundle:
     log_likelihood: float
 
 
-def about(by_point: Listed, principal: Numbers) -> Listed:
-    """Observations in px from the principal point `(2,)`, as everything in here takes them."""
+def about(by_point: SparseObservations, principal: Numbers) -> SparseObservations:
+    """Return observations in px from the principal point `(2,)`."""
     return by_point._replace(x=by_point.x - principal[0], y=by_point.y - principal[1])
 
 
-def freedom(listed: Listed, *, focal_known: bool) -> int:
-    """How many numbers are fitted: of frames and points with observations, and of the focal length."""
+def freedom(listed: SparseObservations, *, focal_known: bool) -> int:
+    """Return the number of fitted parameters of frames, points and the focal length."""
     n_frames = len(np.unique(listed.other))
     n_points = np.count_nonzero(np.diff(listed.edges))
     return int(CAMERA * n_frames + 3 * n_points - GAUGE + (not focal_known))
 
 
-def squares_of(listed: Listed, cameras: PerspectiveCameras, shape: Numbers) -> Numbers:
-    """Squared distances `(n,)` px^2 between observations and where they should be."""
+def squares_of(listed: SparseObservations, cameras: PerspectiveCameras, shape: Numbers) -> Numbers:
+    """Return squared residuals `(n,)` px^2."""
     squares: Numbers = squared_distances(listed, *cameras.arrays, shape, NEAREST, BEHIND)
     return squares
 
 
 def adjust(
-    listed: Listed,
+    listed: SparseObservations,
     cameras: PerspectiveCameras,
     shape: Numbers,
     *,
@@ -202,22 +202,24 @@ def adjust(
     )[0]
 
 
-def retriangulated(listed: Listed, found: Bundle) -> Numbers:
-    """Points `(n_points, 3)` for the cameras of a bundle, none of them less likely than its own."""
-    noise, shape = found.noise, found.shape.copy()
-    triangulate(listed, *found.cameras.arrays, shape, noise.variance, noise.freedom, NEAREST, BEHIND)
+def retriangulated(listed: SparseObservations, bundle: Bundle) -> Numbers:
+    """Triangulate points `(n_points, 3)` again, where that makes them likelier."""
+    noise, shape = bundle.noise, bundle.shape.copy()
+    triangulate(listed, *bundle.cameras.arrays, shape, noise.variance, noise.freedom, NEAREST, BEHIND)
     return shape
 
 
-def sums_of(listed: Listed, weights: Numbers, cameras: PerspectiveCameras, shape: Numbers) -> Sums:
-    """Normal equations at the weights `(n,)` of observations."""
+def sums_of(
+    listed: SparseObservations, weights: Numbers, cameras: PerspectiveCameras, shape: Numbers
+) -> Sums:
+    """Return normal equations at the weights `(n,)` of observations."""
     return Sums(*normal_equations(listed, weights, *cameras.arrays, shape, NEAREST))
 
 
 def reduced(
-    listed: Listed, sums: Sums, damping: float, *, focal_known: bool
+    listed: SparseObservations, sums: Sums, damping: float, *, focal_known: bool
 ) -> tuple[Numbers, Numbers, Numbers]:
-    """Normal equations of cameras and q `(6 n_frames + 1, ...)`, and inverse blocks `(n_points, 3, 3)`."""
+    """Return the reduced normal equations of cameras and q `(6 n_frames + 1, ...)`, points eliminated."""
     n_frames = len(sums.cameras)
     matrix, vector = np.zeros((CAMERA * n_frames + 1,) * 2), np.zeros(CAMERA * n_frames + 1)
     blocks = matrix[:-1, :-1].reshape(n_frames, CAMERA, n_frames, CAMERA)
@@ -241,7 +243,7 @@ def reduced(
 
 
 def _moved(
-    listed: Listed, sums: Sums, damping: float, at: Bundle, focal_known: bool
+    listed: SparseObservations, sums: Sums, damping: float, at: Bundle, focal_known: bool
 ) -> tuple[PerspectiveCameras, Numbers] | None:
     """Cameras and shape after a step; `None` if the normal equations are not positive definite."""
     matrix, vector, inverses = reduced(listed, sums, damping, focal_known=focal_known)
@@ -289,22 +291,24 @@ class BundleCovariance:
         return float(np.sqrt(self.cameras[0, -1, -1]))
 
 
-def covariance_of(listed: Listed, found: Bundle, prior: Numbers, *, focal_known: bool) -> BundleCovariance:
-    """Uncertainty at the optimum, from the information of all observations (Laplace).
+def covariance_of(
+    listed: SparseObservations, bundle: Bundle, prior: Numbers, *, focal_known: bool
+) -> BundleCovariance:
+    """Return the covariance at the optimum, from the information of all observations (Laplace).
 
     `prior` is the covariance `(3, 3)` of points before anything is seen: what is known of one of a single
     frame.
     """
-    squares = squares_of(listed, found.cameras, found.shape)
-    precision = found.noise.precision(squares, listed.weight, freedom(listed, focal_known=focal_known))
+    squares = squares_of(listed, bundle.cameras, bundle.shape)
+    precision = bundle.noise.precision(squares, listed.weight, freedom(listed, focal_known=focal_known))
     # on the whole as Huber has it; an outlier, whose place depends on nothing, says nothing of cameras
-    counted = found.noise.weights(squares, listed.weight)
+    counted = bundle.noise.weights(squares, listed.weight)
     counted *= precision * listed.weight.mean() / counted.mean()
-    sums = sums_of(listed, counted, found.cameras, found.shape)
+    sums = sums_of(listed, counted, bundle.cameras, bundle.shape)
     sums = sums._replace(points=sums.points + np.linalg.inv(prior))
-    whole, inverses = _of_cameras(listed, sums, found.cameras, focal_known=focal_known)
+    whole, inverses = _of_cameras(listed, sums, bundle.cameras, focal_known=focal_known)
 
-    n_frames, n_points = len(found.cameras.scales), len(found.shape)
+    n_frames, n_points = len(bundle.cameras.scales), len(bundle.shape)
     columns = CAMERA * listed.other[:, None] + np.arange(CAMERA)
     rows = 3 * listed.own[:, None] + np.arange(3)
     where = (
@@ -330,7 +334,7 @@ def covariance_of(listed: Listed, found: Bundle, prior: Numbers, *, focal_known:
 
 
 def _of_cameras(
-    listed: Listed, sums: Sums, cameras: PerspectiveCameras, *, focal_known: bool
+    listed: SparseObservations, sums: Sums, cameras: PerspectiveCameras, *, focal_known: bool
 ) -> tuple[Numbers, Numbers]:
     """Covariance of all cameras and 1 / focal length, and of points given those."""
     matrix, _, inverses = reduced(listed, sums, 0.0, focal_known=focal_known)
@@ -347,7 +351,7 @@ def _of_cameras(
 
 
 def gauge_of(cameras: PerspectiveCameras) -> Numbers:
-    """By which changes of cameras and q `(6 n_frames + 1, 7)` the shape may turn, grow and move unseen."""
+    """Return the gauge directions `(6 n_frames + 1, 7)` of cameras and q: turn, growth and shift."""
     n_frames, rotations = len(cameras.scales), cameras.rotations
     changes = np.zeros((n_frames, CAMERA, GAUGE))
     changes[:, :3, :3] = -rotations
@@ -360,9 +364,9 @@ def gauge_of(cameras: PerspectiveCameras) -> Numbers:
     return np.concatenate([changes.reshape(-1, GAUGE), np.zeros((1, GAUGE))])
 
 
-def predicted(found: Bundle, covariance: BundleCovariance) -> tuple[Numbers, Numbers]:
-    """Positions `(n_frames, n_points, 2)` px of all points in all frames, and their covariances px^2."""
-    positions, _ = found.cameras.seen(found.shape)
+def predicted(bundle: Bundle, covariance: BundleCovariance) -> tuple[Numbers, Numbers]:
+    """Return positions `(n_frames, n_points, 2)` px of all points, and their covariances px^2."""
+    positions, _ = bundle.cameras.seen(bundle.shape)
     known = covariance.cameras, covariance.points, covariance.points_and_cameras
-    covariances: Numbers = prediction_covariances(*found.cameras.arrays, found.shape, *known)
+    covariances: Numbers = prediction_covariances(*bundle.cameras.arrays, bundle.shape, *known)
     return positions, covariances

@@ -1,6 +1,6 @@
 """Loops of bundle adjustment: normal equations of cameras and points, points eliminated, put in again.
 
-Observations come by point, as `Listed` of `factor_analysis.observations` has them. The unknowns of a camera
+Observations come by point, as in `SparseObservations` of `factor_analysis`. The unknowns of a camera
 are a turn w (R <- exp([w]x) R), log a, and u of `PerspectiveCameras`; of all frames q = 1 / f; of a point X.
 """
 
@@ -15,7 +15,7 @@ _at = np.uint64  # a number that is no index from the end, which loops would hav
 
 @compiled
 def squared_distances(by_point, rotations, scales, shifts, curvature, shape, nearest, behind):
-    """Squared distances `(n,)` from where observations should be; `behind` where depth < `nearest`."""
+    """Return squared residuals `(n,)`; `behind` where depth < `nearest`."""
     edges, _, other, x, y, _ = by_point
     out = np.empty(x.size)
     for i in range(edges.size - 1):
@@ -34,7 +34,7 @@ def squared_distances(by_point, rotations, scales, shifts, curvature, shape, nea
 
 @compiled
 def normal_equations(by_point, weight, rotations, scales, shifts, curvature, shape, nearest):
-    """Normal equations at weights `(n,)`: sums of w J^T J and of w J^T r, by blocks.
+    """Return normal equations at weights `(n,)`: sums of w J^T J and of w J^T r, by blocks.
 
     Of cameras `(n_frames, 6, 6)` and `(n_frames, 6)`; of q with them `(n_frames, 6)`, with itself, and its
     sum; of points `(n_points, 3, 3)` and `(n_points, 3)`; of the point and the camera of each observation
@@ -143,7 +143,7 @@ def _take_out(lifted, lines, start, count, matrix, row, column):
 
 @compiled
 def put_in(by_point, inverses, mixed, mixed_border, point_vector, step):
-    """Steps `(n_points, 3)` of the points for a step `(6 n_frames + 1,)` of cameras and q."""
+    """Return steps `(n_points, 3)` of the points for a step `(6 n_frames + 1,)` of cameras and q."""
     edges, _, other, _, _, _ = by_point
     out = np.empty(point_vector.shape)
     last = step.size - 1
@@ -299,7 +299,7 @@ def _solve(matrix, vector, out):
 def prediction_covariances(
     rotations, scales, shifts, curvature, shape, of_cameras, of_points, of_points_and_cameras
 ):
-    """Covariances `(n_frames, n_points, 2, 2)` of all points in all frames, to first order.
+    """Return covariances `(n_frames, n_points, 2, 2)` of all points in all frames, to first order.
 
     From those of each frame's camera and q `(n_frames, 7, 7)`, points, and both `(n_points, 3, 6 n_frames +
     1)`.

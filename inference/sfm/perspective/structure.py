@@ -21,7 +21,7 @@ from ....models.core.short_repr import short_repr
 from ....models.numerics.rotations import exponential
 from ..affine_camera import Euclidean, euclidean
 from ..factor_analysis.factorisation import NEAR, projected, variable_projection
-from ..factor_analysis.observations import Listed, Numbers, Observations, determined
+from ..factor_analysis.observations import Numbers, Observations, SparseObservations, determined
 from .bundle_adjustment import (
     Bundle,
     BundleCovariance,
@@ -93,7 +93,7 @@ class _Growth:
         self._level = 0
 
     def result(self) -> tuple[PerspectiveCameras, Numbers, Mask]:
-        """What has grown; see `grown`."""
+        """Return the structure that has grown; see `grown`."""
         known = np.flatnonzero(self._frames)
         nearest = known[np.abs(np.arange(len(self._frames))[:, None] - known).argmin(axis=1)]
         return self._cameras.of(nearest), self._shape, self._frames
@@ -101,7 +101,7 @@ class _Growth:
     # --- the beginning ---
 
     def begin(self) -> bool:
-        """Two views with most parallax, and the points between them; whether there are such."""
+        """Return two views with most parallax, and the points between them; whether there are such."""
         best, score = None, 0.0
         for one, other in self._pairs():
             found = self._two_views(one, other)
@@ -242,7 +242,7 @@ class _Growth:
         self._cameras = replace(cameras, curvature=part.cameras.curvature)
         self._shape[points] = part.shape
 
-    def _bundle(self, wanted: Mask) -> tuple[Bundle, Listed, Indices] | None:
+    def _bundle(self, wanted: Mask) -> tuple[Bundle, SparseObservations, Indices] | None:
         """The part that is known so far, of which only some points are wanted, and these points."""
         seen = self._seen[self._frames]
         points = np.flatnonzero(wanted & (seen.sum(axis=0) >= 2))
@@ -250,7 +250,7 @@ class _Growth:
             return None
         frames, columns = np.nonzero(seen[:, points])
         x, y = self._places[self._frames][:, points][frames, columns].T.copy()
-        by_frame = Listed.sorted_by(frames, len(seen), columns, x, y, np.ones(len(x)))
+        by_frame = SparseObservations.sorted_by(frames, len(seen), columns, x, y, np.ones(len(x)))
         listed = by_frame.transposed(len(points))
         noise = StudentNoise((AGREEING_DISTANCE / 2) ** 2, 4.0)
         part = Bundle(self._cameras.of(self._frames), self._shape[points], noise, 0.0)
@@ -336,7 +336,7 @@ SETTLED = 3.0  # nats: a round that gains less is the last
 def affine_starts(
     metric: Euclidean, principal: Numbers, width: float, focal: float | None
 ) -> Iterable[Start]:
-    """An affine structure and its mirror image, before cameras of several focal lengths."""
+    """Return an affine structure and its mirror image, before cameras of several focal lengths."""
     shifts = metric.cameras[..., 3] - principal
     focals = [focal] if focal is not None else [factor * width for factor in AFFINE_STARTS]
     curvatures = [sign / each for each in focals for sign in (1, -1)]
@@ -346,7 +346,7 @@ def affine_starts(
 
 
 def grown_starts(places: Numbers, principal: Numbers, width: float, focal: float | None) -> Iterable[Start]:
-    """Structures that grow from two views, with several focal lengths."""
+    """Return structures that grow from two views, with several focal lengths."""
     focals = [focal] if focal is not None else [factor * width for factor in FOCAL_STARTS]
     tried = [grown(places - principal, each, focal_known=focal is not None) for each in focals]
     found = [each for each in tried if each is not None]
@@ -356,8 +356,8 @@ def grown_starts(places: Numbers, principal: Numbers, width: float, focal: float
             yield replace(cameras, principal=principal), shape
 
 
-def best_bundle(listed: Listed, starts: Iterable[Start], *, focal_known: bool) -> Bundle | None:
-    """Bundle adjustment from the start that gets farthest; `None` where there is none.
+def best_bundle(listed: SparseObservations, starts: Iterable[Start], *, focal_known: bool) -> Bundle | None:
+    """Adjust the bundle from the start that grows most; `None` where there is none.
 
     Of an unknown focal length the sign is free, too: a negative one is that of the mirrored shape.
     """
@@ -369,21 +369,21 @@ def best_bundle(listed: Listed, starts: Iterable[Start], *, focal_known: bool) -
     return max(ends, key=lambda each: each.log_likelihood)
 
 
-def _tried(listed: Listed, start: Start, focal_known: bool) -> Bundle:
+def _tried(listed: SparseObservations, start: Start, focal_known: bool) -> Bundle:
     found = _round(listed, start, focal_known, TRIAL_STEPS)
     return _round(listed, (found.cameras, found.shape), focal_known, TRIAL_STEPS)
 
 
-def _settled(listed: Listed, found: Bundle, focal_known: bool) -> Bundle:
+def _settled(listed: SparseObservations, bundle: Bundle, focal_known: bool) -> Bundle:
     for _ in range(MOST_ROUNDS):
-        before = found.log_likelihood
-        found = _round(listed, (found.cameras, found.shape), focal_known)
-        if found.log_likelihood < before + SETTLED:
+        before = bundle.log_likelihood
+        bundle = _round(listed, (bundle.cameras, bundle.shape), focal_known)
+        if bundle.log_likelihood < before + SETTLED:
             break
-    return found
+    return bundle
 
 
-def _round(listed: Listed, start: Start, focal_known: bool, most_steps: int = 100) -> Bundle:
+def _round(listed: SparseObservations, start: Start, focal_known: bool, most_steps: int = 100) -> Bundle:
     """Bundle adjustment and new points, before cameras of a focal length that is not negative."""
     found = adjust(listed, *start, focal_known=focal_known, most_steps=most_steps)
     if found.cameras.curvature < 0:
@@ -459,18 +459,18 @@ class PerspectiveStructure:
         return (self.cameras.curvature / self.curvature_deviation) ** 2 > math.log(self.observations)
 
     def agrees(self, positions: Numbers, weights: Numbers) -> Mask:
-        """Whether there is an observation `(n_frames, n_points)`, and no outlier."""
+        """Return which positions `(n_frames, n_points)` are observed and no outliers."""
         squares = np.sum((positions - self.positions) ** 2, axis=2)
         return (weights > 0) & self.noise.agrees(np.where(weights > 0, squares, 0), weights)
 
     def of_points(self, points: Mask) -> Self:
-        """The same with some points only."""
+        """Return the structure of some points."""
         kept = {name: getattr(self, name)[points] for name in ("shape", "shape_covariance")}
         kept |= {name: getattr(self, name)[:, points] for name in ("positions", "covariances")}
         return replace(self, **kept)
 
     def better_than(self, affine: AffineFit) -> bool:
-        """Whether it explains the positions better than affine cameras do, by Schwarz's criterion (BIC).
+        """Return whether it explains the positions better than affine cameras, by Schwarz's criterion (BIC).
 
         An affine camera has 8 numbers, and 12 of a film's are the choice of the shape's axes; a perspective
         one has 6, all together have a focal length, and 7 are the choice of the axes.
@@ -493,7 +493,7 @@ def perspective_structure(
     frames, points = np.nonzero(weights[known] > 0)
     x, y = positions[known][frames, points].T.copy()
     weight = weights[known][frames, points]
-    by_frame = Listed.sorted_by(frames, int(known.sum()), points, x, y, weight)
+    by_frame = SparseObservations.sorted_by(frames, int(known.sum()), points, x, y, weight)
     everything = about(by_frame.transposed(n_points), lens.principal)
     listed = everything.only(affine.points, np.ones(int(known.sum()), bool))
     metric = euclidean(affine.cameras[known], affine.shape)
@@ -529,10 +529,10 @@ def perspective_structure(
     )
 
 
-def _upright(found: Bundle, points: Mask) -> Bundle:
+def _upright(bundle: Bundle, points: Mask) -> Bundle:
     """The same in the axes of the first view, about the middle of some points, in px at the mean scale."""
-    cameras = found.cameras
-    turn, middle = cameras.rotations[0], np.median(found.shape[points], axis=0)
+    cameras = bundle.cameras
+    turn, middle = cameras.rotations[0], np.median(bundle.shape[points], axis=0)
     # what a camera sees of the new origin is its new depth and shift
     moved = cameras.rotations @ middle * cameras.scales[:, None]
     depths = 1 + cameras.curvature * moved[:, 2]
@@ -545,28 +545,28 @@ def _upright(found: Bundle, points: Mask) -> Bundle:
         shifts=(moved[:, :2] + cameras.shifts) / depths[:, None],
     )
     return replace(
-        found, cameras=cameras, shape=size * np.where(points[:, None], found.shape - middle, 0) @ turn.T
+        bundle, cameras=cameras, shape=size * np.where(points[:, None], bundle.shape - middle, 0) @ turn.T
     )
 
 
 def _in_all_frames(
-    found: Bundle, covariance: BundleCovariance, known: Mask
+    bundle: Bundle, covariance: BundleCovariance, observed: Mask
 ) -> tuple[PerspectiveCameras, Numbers, Numbers]:
     """Cameras of all frames, positions of all points in them, and how uncertain these are."""
-    positions, covariances = predicted(found, covariance)
-    if known.all():
-        return found.cameras, positions, covariances
-    times, wanted = np.flatnonzero(known), np.arange(len(known))
+    positions, covariances = predicted(bundle, covariance)
+    if observed.all():
+        return bundle.cameras, positions, covariances
+    times, wanted = np.flatnonzero(observed), np.arange(len(observed))
     inside = np.clip(wanted, times[0], times[-1])
     cameras = replace(
-        found.cameras,
-        rotations=Slerp(times, Rotation.from_matrix(found.cameras.rotations))(inside).as_matrix(),
-        scales=np.exp(np.interp(wanted, times, np.log(found.cameras.scales))),
-        shifts=np.stack([np.interp(wanted, times, each) for each in found.cameras.shifts.T], axis=1),
+        bundle.cameras,
+        rotations=Slerp(times, Rotation.from_matrix(bundle.cameras.rotations))(inside).as_matrix(),
+        scales=np.exp(np.interp(wanted, times, np.log(bundle.cameras.scales))),
+        shifts=np.stack([np.interp(wanted, times, each) for each in bundle.cameras.shifts.T], axis=1),
     )
-    places, _ = cameras.seen(found.shape)
+    places, _ = cameras.seen(bundle.shape)
     after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
     way = np.sum((positions[after] - positions[after - 1]) ** 2, axis=2)
     whole = covariances[after] + way[..., None, None] * np.eye(2)
-    whole[known], places[known] = covariances, positions
+    whole[observed], places[observed] = covariances, positions
     return cameras, places, whole

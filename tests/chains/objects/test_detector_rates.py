@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.chains import BlobTracker, DetectorRates, GroundPlane
 from rsmcm.chains.objects.detector_rates import ScoreMoments
-from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.inference.engine.recursive_bp import Belief
 from rsmcm.models import Frame, GivenBoxes, ObjectBoxes, PixelLabels
 
@@ -103,19 +103,22 @@ def test_what_was_learned_is_forgotten() -> None:
     frames, _ = walkers(1, n_frames=60, found=0.5)
     *_, last = run(frames)
     chain = DetectorRates()
-    learned = chain._rates(last["detector"])[0]
-    later = chain._rates(chain.predict(last["detector"], 1000.0))[0]
+    objects = ObjectBoxes()
+    learned, later = (
+        chain.message(state, objects, Incoming({})).detector.found
+        for state in (last["detector"], chain.predict(last["detector"], 1000.0))
+    )
     assert learned < 0.75
-    assert later == pytest.approx(chain.found, abs=1e-3)
+    assert later == pytest.approx(chain.detection_probability, abs=1e-3)
 
 
 def test_scores_that_are_all_alike_mean_nothing() -> None:
-    moments = ScoreMoments.none()
-    assert moments.learned() is None
-    assert moments.with_more(np.full(5, 0.7), np.array([1.0, 1, 0, 0, 0.5])).learned() is None
+    moments = ScoreMoments.empty()
+    assert moments.distributions() is None
+    assert moments.updated(np.full(5, 0.7), np.array([1.0, 1, 0, 0, 0.5])).distributions() is None
 
 
-@pytest.mark.parametrize("values", [{"found": 1.0}, {"clutter": 0}, {"memory": -1}])
+@pytest.mark.parametrize("values", [{"detection_probability": 1.0}, {"clutter": 0}, {"memory": -1}])
 def test_bad_parameters(values: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=rf"{next(iter(values))}: got"):
         DetectorRates(**values)

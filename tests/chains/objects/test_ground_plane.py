@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains import AdaptiveBackground, GroundPlane
-from rsmcm.chains.objects.ground_plane import LEAST_SPREAD, GroundState
+from rsmcm.chains.objects.ground_plane import MIN_ASPECT_STD, GroundState
 from rsmcm.inference import Incoming, MultiChain, Port, RecursiveBP
 from rsmcm.inference.engine.recursive_bp import Belief
 from rsmcm.models import ObjectBoxes, PixelLabels
@@ -281,7 +281,7 @@ def test_message_is_the_chain_of_its_conditionals(walk: tuple[World, list[Belief
     random = np.random.default_rng(0)
     n_draws, person = 200_000, 2
     scale = state.heights[person]
-    sway = (ground.foot_spread * scale) ** 2
+    sway = (ground.foot_std * scale) ** 2
     x, y = (
         random.normal(foot[0], np.sqrt(covariance[0, 0] + sway), n_draws)
         for foot, covariance in zip(state.feet[person], state.feet_covariance[person], strict=True)
@@ -289,11 +289,11 @@ def test_message_is_the_chain_of_its_conditionals(walk: tuple[World, list[Belief
     row = state.feet[person, 1, 0]
     design = np.array([1.0, row - state.middle, 0, 0, scale, 0, 0, 0])
     trusted = 1 / (1 + np.exp(-state.trust[person]))
-    variance = (design @ state.scene_covariance @ design + (ground.spread * scale) ** 2) / trusted
+    variance = (design @ state.scene_covariance @ design + (ground.height_std * scale) ** 2) / trusted
     expected = design @ state.scene + state.scene[1] * (y - row)
     height = random.normal(expected, np.sqrt(variance))
     width = random.normal(
-        state.aspects[person] * height, np.sqrt(state.aspect_variances[person] + LEAST_SPREAD**2) * scale
+        state.aspects[person] * height, np.sqrt(state.aspect_variances[person] + MIN_ASPECT_STD**2) * scale
     )
     draws = np.stack([x, y, width, height])
     deviations = draws.std(axis=1)
@@ -367,7 +367,7 @@ def test_boxes_that_the_edge_cuts_off_do_not_teach_heights(
 
 
 def test_who_is_gone_is_forgotten_after_a_while() -> None:
-    ground = GroundPlane(patience=1.0)
+    ground = GroundPlane(max_coast_time=1.0)
     boxes = np.array([[100.0, 300.0, 30.0, 80.0], [300.0, 400.0, 40.0, 110.0]])
     state = ground.initial(Frame(BLANK, 0.0, 1))
     state = ground.update(state, Incoming({OBJECTS: boxes_of(np.array([1, 2]), boxes)}))
@@ -502,7 +502,7 @@ def test_is_quick(walk: tuple[World, list[Belief], list[Belief]]) -> None:
     assert min(durations) < 1e-3
 
 
-@pytest.mark.parametrize(("name", "value"), [("stature", 0.0), ("patience", -1.0), ("outliers", 1.0)])
+@pytest.mark.parametrize(("name", "value"), [("stature", 0.0), ("max_coast_time", -1.0), ("outliers", 1.0)])
 def test_bad_parameters(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{name}: got {value}"):
         GroundPlane(**{name: value})

@@ -32,7 +32,7 @@ def people(random: np.random.Generator) -> GroundState:
         variation=0.1,
         scene=scene,
         scene_covariance=covariance,
-        everybody=np.array([1e-300, 0.4, 0.0]),
+        all_aspects=np.array([1e-300, 0.4, 0.0]),
         identities=np.arange(N_OBJECTS),
         feet=feet,
         feet_covariance=feet_root @ feet_root.swapaxes(2, 3) + 4 * np.eye(2),
@@ -81,7 +81,7 @@ def joint_update(state: GroundState, observed: Observed) -> tuple[Numbers, Numbe
     variance = ((of_plane @ covariance[:2, :2]) * of_plane).sum(axis=1)
     share = 1 / (1 + variance / (HALF_HIDDEN * height) ** 2)
     own = np.maximum(height + share * (of_plane @ scene[:2] - height), 0.25 * height)
-    noise += (GROUND.spread * own) ** 2
+    noise += (GROUND.height_std * own) ** 2
     design = np.zeros((len(places), len(scene)))
     design[:, :2] = of_plane
     design[np.arange(len(places)), 2 + places] = own
@@ -134,4 +134,4 @@ def test_aspects_of_whole_boxes_are_summed() -> None:
     observed = places, boxes, covariances, np.full(2, 1 - 1e-12)
     after = observed_by(GroundPlane(outliers=1e-9), state, observed)
     # of differences 0.1 and 0.2 from the mean before, with a weight of 1/2 each
-    np.testing.assert_allclose(after.everybody, [1.0, 0.4 + 0.15, 0.025 - 0.15**2], rtol=1e-6)
+    np.testing.assert_allclose(after.all_aspects, [1.0, 0.4 + 0.15, 0.025 - 0.15**2], rtol=1e-6)

@@ -711,11 +711,11 @@ def test_identity_given_to_another_point_is_believed_at_last() -> None:
 def test_points_are_forgotten() -> None:
     scene = cylinder(13, n_frames=80, p_loose=0.0)
     scene.visible[40:, 30:] = False
-    _, state = follow(scene, patience=1.0)
+    _, state = follow(scene, max_coast_time=1.0)
     assert state.structure is not None
     np.testing.assert_array_equal(state.structure.identities, np.arange(30))
     assert len(state.structure.shape) == len(state.structure.innovations) == 30
-    _, state = follow(scene, most_points=35)
+    _, state = follow(scene, max_points=35)
     assert state.structure is not None
     assert len(state.structure) == 35
     assert (state.structure.identities[:30] == np.arange(30)).all()
@@ -802,7 +802,7 @@ def test_numbers_place_and_size_do_not_matter(order: list[int], shift: float, sc
 
 
 def test_wrong_parameters() -> None:
-    with pytest.raises(ValueError, match="patience: got 0, expected more than 0"):
-        RecursiveStructure(patience=0)
-    with pytest.raises(ValueError, match=f"most_points: got 3, expected {LEAST_SEEN} or more"):
-        RecursiveStructure(most_points=3)
+    with pytest.raises(ValueError, match="max_coast_time: got 0, expected more than 0"):
+        RecursiveStructure(max_coast_time=0)
+    with pytest.raises(ValueError, match=f"max_points: got 3, expected {LEAST_SEEN} or more"):
+        RecursiveStructure(max_points=3)

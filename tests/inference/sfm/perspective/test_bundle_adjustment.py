@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.inference.sfm.factor_analysis.observations import Listed
+from rsmcm.inference.sfm.factor_analysis.observations import SparseObservations
 from rsmcm.inference.sfm.perspective.bundle_adjustment import (
     Bundle,
     about,
@@ -24,10 +24,10 @@ from ....support.perspective_films import PerspectiveFilm, table_top, turning
 Numbers = NDArray[np.float64]
 
 
-def listed_of(film: PerspectiveFilm) -> Listed:
+def listed_of(film: PerspectiveFilm) -> SparseObservations:
     frames, points = np.nonzero(film.weights)
     x, y = film.tracks[frames, points].T.copy()
-    by_frame = Listed.sorted_by(frames, len(film.tracks), points, x, y, np.ones(len(x)))
+    by_frame = SparseObservations.sorted_by(frames, len(film.tracks), points, x, y, np.ones(len(x)))
     return about(by_frame.transposed(film.tracks.shape[1]), film.cameras.principal)
 
 
@@ -44,13 +44,13 @@ def moved(cameras: PerspectiveCameras, shape: Numbers, step: Numbers) -> tuple[P
     ), shape + step[n + 1 :].reshape(-1, 3)
 
 
-def residuals(listed: Listed, cameras: PerspectiveCameras, shape: Numbers) -> Numbers:
+def residuals(listed: SparseObservations, cameras: PerspectiveCameras, shape: Numbers) -> Numbers:
     places, _ = replace(cameras, principal=np.zeros(2)).seen(shape)
     seen = places[listed.other, listed.own]
     return np.concatenate([listed.x - seen[:, 0], listed.y - seen[:, 1]])
 
 
-def dense_jacobian(listed: Listed, cameras: PerspectiveCameras, shape: Numbers) -> Numbers:
+def dense_jacobian(listed: SparseObservations, cameras: PerspectiveCameras, shape: Numbers) -> Numbers:
     """Of the predicted positions, by central differences."""
     size = 6 * len(cameras.scales) + 1 + shape.size
     scale = np.full(size, 1e-5)
