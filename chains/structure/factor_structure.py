@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ...inference.engine.protocols import BatchIncoming, Cavity, Port, Smoothed
 from ...inference.sfm.factor_analysis.factorisation import Factorisation, factorise_robustly, predicted
+from ...models.core.checks import checked
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.identities import common, places_of
 from ...models.core.short_repr import short_repr
@@ -82,6 +83,7 @@ class StructureTrajectory:
         return -0.5 * float((self.factorisation.shape**2).sum())
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class FactorStructure:

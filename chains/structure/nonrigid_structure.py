@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from ...inference.engine.protocols import BatchIncoming, Cavity, Port, Smoothed
 from ...inference.sfm.nonrigid.learning import learn_associated
 from ...inference.sfm.nonrigid.shape import NonrigidShape
+from ...models.core.checks import at_least, checked
 from ...models.core.short_repr import short_repr
 from ...models.points.point_tracks import PointMessage, PointTracks
 from .factor_structure import LEAST_SCATTER, observations, point_messages
@@ -43,6 +45,7 @@ class NonrigidTrajectory:
         return -0.5 * float(sum(np.nansum(each**2) for each in weights))
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class NonrigidStructure:
@@ -61,7 +64,7 @@ class NonrigidStructure:
         point of its own.
     """
 
-    bases: int = 3
+    bases: Annotated[int, at_least(2)] = 3
     associate: bool = True
     name: str = "structure"
 
