@@ -46,7 +46,7 @@ from ..models.face.detectors import default_faces
 from ..models.face.morphable_model import MorphableModel
 from ..models.pixels.pixel_labels import PixelLabels
 from ..models.points.point_tracks import PointTracks
-from .background.application import build_model, found_in
+from .background.application import build_model, read_frame_result
 from .background.parameters import with_defaults
 from .exports.coco import object_masks
 from .exports.for_supervision import to_supervision
@@ -302,7 +302,7 @@ class ObjectTracker(Tracker[None, Objects]):
         found = None if boxes is None else GivenBoxes.of(boxes)
         belief = self._step(self._frame(image, time, boxes=found))
         height, width = (belief.state.shape or (0, 0))[:2]
-        objects = found_in(belief, (width, height))
+        objects = read_frame_result(belief, (width, height))
         return Objects(objects.tracks, objects.foreground)
 
     def _build(self, start: None) -> RecursiveBP:

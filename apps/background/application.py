@@ -17,7 +17,7 @@ from ...inference.engine.recursive_bp import RunState
 from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
 from ..evaluation.predictions import FILE, write_predictions
 from ..evaluation.scoring import Scoring, scoring_of
-from ..events.page import Happened
+from ..events.page import ZoneEvents
 from ..events.watch import EVENTS, EventLog, EventWriter, rounded, write_events
 from ..io.detections import Detections, given_boxes, with_boxes
 from ..io.files import LineWriter, MaskWriter, segment_pattern, write_image
@@ -35,7 +35,7 @@ from ..view.page import Page
 from .job import WHOLE_FILM, BackgroundJob, Camera
 from .job import Engine as EngineName
 from .moving_camera import MOVES, CameraWatch
-from .page import RunRecord, background_page, drawn_of
+from .page import RunRecord, background_page, view_row_of
 from .parameters import SECTIONS, Parameters, build_chain, other_chains, read_parameters
 from .predictions import Predictions
 from .whole_film import read_whole, warmed_up
@@ -103,21 +103,23 @@ def build_model(
 
 
 @dataclass(frozen=True)
-class Found:
+class FrameResult:
     """What was found in a frame: the foreground `(height, width)` uint8, 0 or 255, and objects."""
 
     foreground: NDArray[np.uint8]
     tracks: list[TrackedObject]
 
 
-def found_in(belief: Belief, size: tuple[int, int], region: NDArray[np.uint8] | None = None) -> Found:
+def read_frame_result(
+    belief: Belief, size: tuple[int, int], region: NDArray[np.uint8] | None = None
+) -> FrameResult:
     """Read mask and tracks from a belief, where the frame shows them, whatever the camera has moved.
 
     Of a frame without image, they are what the chains predict. Where the `region` `(height, width)` is 0, the
     mask is, and tracks that stand there are left out; `size` is `(width, height)` px.
     """
     if not belief.states:  # no image yet
-        return Found(np.zeros((size[1], size[0]), np.uint8), [])
+        return FrameResult(np.zeros((size[1], size[0]), np.uint8), [])
     pixels: PixelMessage = belief["pixels"]
     foreground = pixels.foreground()
     tracks: list[Any] = belief["blobs"].tracks() if "blobs" in belief.states else []
@@ -125,9 +127,9 @@ def found_in(belief: Belief, size: tuple[int, int], region: NDArray[np.uint8] | 
         foreground &= region
         tracks = inside(region, tracks)
     if pixels.view is None:
-        return Found(foreground, tracks)
+        return FrameResult(foreground, tracks)
     view = pixels.view.map
-    return Found(view.warp_to_frame(foreground), [track.seen_by(view) for track in tracks])
+    return FrameResult(view.warp_to_frame(foreground), [track.seen_by(view) for track in tracks])
 
 
 def run_background(job: BackgroundJob) -> Outcome:
@@ -237,13 +239,13 @@ class Background(Application[BackgroundJob]):
     def columns(self, belief: Belief) -> Columns:
         """Objects, the mask, and what has happened to zones."""
         frame = belief.frame
-        found = found_in(belief, self._start.source.size, self._region)
+        found = read_frame_result(belief, self._start.source.size, self._region)
         foreground, tracks = found.foreground, found.tracks
         if self._trajectories is not None:
             tracks = inside(self._region, self._trajectories.at(len(self._log)))
         if self._predictions is not None:
-            self._predictions.take_in(belief)
-        if (moves := self._camera.take_in(belief, foreground)) is not None:
+            self._predictions.on_frame(belief)
+        if (moves := self._camera.on_frame(belief, foreground)) is not None:
             self._start.notes.append(moves)
         if self._scoring is not None:
             self._scoring.add(frame.number, foreground)
@@ -258,9 +260,9 @@ class Background(Application[BackgroundJob]):
             },
             objects,
             pictures={"mask": foreground},
-            drawn=partial(drawn_of, foreground, tracks, frame.boxes),
+            view_row=partial(view_row_of, foreground, tracks, frame.boxes),
             live={"tracks": len(tracks)},
-            news=events,
+            events=events,
         )
 
     def drawing(self) -> Draw:
@@ -293,7 +295,7 @@ class Background(Application[BackgroundJob]):
         if self._zones is not None:
             self._events = EventLog(self._zones, output.log)
             events = EventWriter(folder / EVENTS, self._events.events)
-            sinks.append(Sink(lambda _, columns: events.write(columns.news), events))
+            sinks.append(Sink(lambda _, columns: events.write(columns.events), events))
         return sinks
 
     def state_dict(self) -> dict[str, Any]:
@@ -315,7 +317,7 @@ class Background(Application[BackgroundJob]):
         if self._events is not None:
             self._events.end(int(log["number"][-1]) if len(log) else 0)
             write_events(out / EVENTS, self._events.events)
-        happened = self._happened(log)
+        zone_events = self._zone_events(log)
         metrics = given = None
         if self._scoring is not None:
             tracked = self.job.engine != "stand-alone"
@@ -326,22 +328,22 @@ class Background(Application[BackgroundJob]):
             "tracks": len(np.unique(log.objects("id"))),
             "detections": given,
             "metrics": metrics,
-            "events": None if happened is None else happened.counts(),
+            "events": None if zone_events is None else zone_events.counts(),
         }
 
-    def _happened(self, log: RowLog) -> Happened | None:
+    def _zone_events(self, log: RowLog) -> ZoneEvents | None:
         """What has happened to zones, as `events.csv` has it."""
         if self._zones is None or self._events is None:
             return None
         span = (float(log["time"][0]), float(log["time"][-1])) if len(log) else (0.0, 0.0)
-        return Happened(self._zones, [rounded(event) for event in self._events.events], span)
+        return ZoneEvents(self._zones, [rounded(event) for event in self._events.events], span)
 
     def page(self, log: RowLog, film: Film | None, summary: Mapping[str, Any]) -> Page:
         """Tracks over the film, and what is to be said of them."""
         states = self._engine.state.states
         background = states["background"].picture() if states else None
-        title, happened = self.title(summary["source"]), self._happened(log)
-        return background_page(title, RunRecord(log), summary, film, background, happened)
+        title, zone_events = self.title(summary["source"]), self._zone_events(log)
+        return background_page(title, RunRecord(log), summary, film, background, zone_events)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """Tracks, and measures against ground truth."""

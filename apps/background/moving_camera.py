@@ -52,7 +52,7 @@ class CameraWatch:
         if saved is not None:
             self._due, self._wait = saved
 
-    def take_in(self, belief: Belief, foreground: NDArray[np.uint8]) -> str | None:
+    def on_frame(self, belief: Belief, foreground: NDArray[np.uint8]) -> str | None:
         """What is to be said, and is logged, after this frame with its mask `(height, width)`."""
         frame = belief.frame
         if self.noticed or frame.image is None or frame.time < self._due:

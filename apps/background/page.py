@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import GivenBoxes
 from ...models.numerics.evenly_spaced import evenly_spaced
-from ..events.page import Happened
+from ..events.page import ZoneEvents
 from ..events.watch import Event
 from ..io.row_log import RowLog
 from ..io.tracks import TrackedObject
@@ -90,7 +90,7 @@ LEAST_SIDE = 960
 """px of the longer side of the picture with all paths."""
 
 
-def drawn_of(
+def view_row_of(
     foreground: NDArray[np.uint8], tracks: Sequence[TrackedObject], given: GivenBoxes | None = None
 ) -> Row:
     """What is drawn on a frame, in px of the source: objects, outlines of the foreground, given boxes."""
@@ -124,14 +124,14 @@ def background_page(
     summary: Mapping[str, Any],
     film: Film | None,
     background: Image | None,
-    happened: Happened | None = None,
+    zone_events: ZoneEvents | None = None,
 ) -> Page:
     """Fill the page of a run.
 
-    The film has columns of `drawn_of`, and is `None` if no frame could be read; `background` is the picture
-    `(height, width[, 3])` uint8, BGR, at the end.
+    The film has columns of `view_row_of`, and is `None` if no frame could be read; `background` is the
+    picture `(height, width[, 3])` uint8, BGR, at the end.
     """
-    zones = None if happened is None else happened.zones
+    zones = None if zone_events is None else zone_events.zones
     sections: list[Section] = []
     if summary["metrics"]:
         sections.append(("Against the ground truth", [table(("measure", "value"), flat(summary["metrics"]))]))
@@ -140,9 +140,9 @@ def background_page(
         text = "Where the feet went, on the background at the end: from the ring to the dot with the number."
         tracks.insert(0, picture(draw_paths(background, record.tracks, zones), text))
     sections.append(("Tracks", tracks))
-    if happened is not None:
-        sections += happened.sections()
-    layers, timeline = ({}, []) if film is None else over_the_film(film, happened)
+    if zone_events is not None:
+        sections += zone_events.sections()
+    layers, timeline = ({}, []) if film is None else over_the_film(film, zone_events)
     missing = [f"Missing or unreadable, and only predicted: {listed(record.missing)}."] * bool(record.missing)
     return record.page(
         title,
@@ -235,12 +235,14 @@ def draw_paths(background: Image, tracks: Mapping[int, TrackHistory], zones: Zon
     return np.asarray(canvas, np.uint8)
 
 
-def over_the_film(film: Film, happened: Happened | None = None) -> tuple[dict[str, Any], list[TimelineRow]]:
-    """What is drawn over a film with columns of `drawn_of`, and a row for each object."""
+def over_the_film(
+    film: Film, zone_events: ZoneEvents | None = None
+) -> tuple[dict[str, Any], list[TimelineRow]]:
+    """What is drawn over a film with columns of `view_row_of`, and a row for each object."""
     layer = {name: film.columns[name] for name in (*OF_TRACKS, *OF_OUTLINES, "given")}
     for name, of in (("count", "id"), ("polygons", "corners"), ("givenCount", "given")):
         layer[name] = film.counts[of].astype(np.int32)
-    zones, events = (Zones(), ()) if happened is None else (happened.zones, happened.events)
+    zones, events = (Zones(), ()) if zone_events is None else (zone_events.zones, zone_events.events)
     shown = [event for event in events if film.numbers[0] <= event.moment.frame <= film.numbers[-1]]
     shown.sort(key=lambda event: event.moment.time)  # a stay that ends is known late
     layers = {"events": list(map(_plain, shown)), "zones": zones.plain(), "tracks": layer}

@@ -41,9 +41,9 @@ class Predictions:
         self._objects: ObjectBoxes = model.features["objects"]
         self._boxes = PairRecorder("blobs", "ground", "boxes", most=MOST_BOXES)
 
-    def take_in(self, belief: Belief) -> None:
+    def on_frame(self, belief: Belief) -> None:
         """Note what was predicted of a frame."""
-        self._pixels.take_in(self._before, belief)
+        self._pixels.on_frame(self._before, belief)
         self._before = belief.state
         observed = None if belief.frame.boxes is None else _observed(belief.evidence(self._objects))
         if observed is not None:
@@ -81,7 +81,7 @@ class PixelScores:
         self._rows: list[tuple[int, list[float]]] = []
         self._every, self._last = EVERY, -inf
 
-    def take_in(self, before: RunState, belief: Belief) -> None:
+    def on_frame(self, before: RunState, belief: Belief) -> None:
         """A frame, and the state before it."""
         frame = belief.frame
         if frame.image is None or not before.states or frame.time < self._last + self._every:

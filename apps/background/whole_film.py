@@ -24,12 +24,12 @@ def read_whole(
     job: BackgroundJob,
     source: Source,
     model: MultiChain,
-    known: Callable[[Iterator[Frame]], Iterator[Frame]],
+    attach_detections: Callable[[Iterator[Frame]], Iterator[Frame]],
     interruption: Interruption,
 ) -> tuple[RunState, ObjectsOverTime]:
     """The state before a film's first frame, and who was where in it, given all of it.
 
-    The source is opened again for every pass; `known` puts to frames what is known of them beforehand.
+    The source is opened again for every pass; `attach_detections` adds given boxes to frames.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def read_whole(
 
     def passing(frames: Iterator[Frame]) -> Iterator[Frame]:
         with Progress(next(names, PASSES[-1]), source.n_frames) as progress:
-            for frame in interruption.items(known(frames)):
+            for frame in interruption.items(attach_detections(frames)):
                 yield frame
                 progress.update()
         if interruption.signal is not None:

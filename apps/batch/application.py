@@ -35,8 +35,8 @@ from ..runs.parallel import Workers, as_they_end, chosen_workers, end_working, i
 from ..runs.saved_run import STATE, about_of, check_source
 from ..view.film import FILM
 from .job import APPLICATIONS, INDEX, OWN, SUMMARY, Batch, Typed, job_of, typed, words_of
-from .sources import TRACKS, Found, find_films, folder_names
-from .summary import Line, State, Summary, Told
+from .sources import TRACKS, FilmSource, find_films, folder_names
+from .summary import FilmStatus, Line, State, Summary
 
 THUMBNAIL = (160, 120)
 """Largest width and height, px."""
@@ -50,7 +50,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Ended:
+class BatchResult:
     """Lines of a batch's films, and the number of the signal that ended it early, if one did."""
 
     lines: Sequence[Line]
@@ -58,19 +58,19 @@ class Ended:
 
     def report(self, out: Path) -> int:
         """Print how the batch ended, and failures on standard error; return the exit code."""
-        failed = [line for line in self.lines if line.told.state in ("failed", "lost")]
+        failed = [line for line in self.lines if line.status.state in ("failed", "lost")]
         for line in failed:
-            error = line.told.error
+            error = line.status.error
             named = error if error.startswith(line.source) else f"{line.source}: {error}"
             print(f"rsmcm: {named}", file=sys.stderr)
         counts = Counter({"complete": 0})
-        counts.update(line.told.state for line in self.lines)
+        counts.update(line.status.state for line in self.lines)
         listed = ", ".join(f"{count} {state}" for state, count in counts.items())
         print(f"{len(self.lines)} films: {listed}", f"results: {out / INDEX}", sep="\n")
         return FAILED * bool(failed) if self.signal is None else SIGNALLED + self.signal
 
 
-class _Ending(Interruption):
+class _SignalHandler(Interruption):
     """A first signal has all runs on this machine end with what they have, the second ends the batch.
 
     Runs on a cluster are not reached: the first signal ends the batch, and what has begun there goes on.
@@ -89,7 +89,7 @@ class _Ending(Interruption):
                 child.terminate()
 
 
-def run_batch(application: str, sources: Sequence[str], batch: Batch, options: Any) -> Ended:
+def run_batch(application: str, sources: Sequence[str], batch: Batch, options: Any) -> BatchResult:
     """Run an application over many films; each in a folder of its own in that of the batch.
 
     What is complete is left as it is, what was broken off goes on, what fails stops no other film. Options
@@ -113,27 +113,27 @@ def run_batch(application: str, sources: Sequence[str], batch: Batch, options: A
                 del summary.lines[source]
         for source, job in jobs.items():
             earlier = None if batch.overwrite else summary.lines.get(source)
-            told = Told("waiting") if earlier is None else earlier.told
-            summary.lines[source] = Line(source, job.out.name, told)
+            status = FilmStatus("waiting") if earlier is None else earlier.status
+            summary.lines[source] = Line(source, job.out.name, status)
         summary.write()
-        ending = _Ending(here=workers.dask is None)
+        ending = _SignalHandler(here=workers.dask is None)
         try:
-            told_by = _all_told(application, jobs, workers, ending)
-            with ending, working(workers), closing(told_by):
-                for source, told in told_by:
-                    summary.tell(Line(source, jobs[source].out.name, told))
+            statuses = _all_statuses(application, jobs, workers, ending)
+            with ending, working(workers), closing(statuses):
+                for source, status in statuses:
+                    summary.tell(Line(source, jobs[source].out.name, status))
         except Interrupted as stop:
             ending.signal = stop.signal
         finally:
             summary.write()
-        return Ended([summary.lines[source] for source in jobs], ending.signal)
+        return BatchResult([summary.lines[source] for source in jobs], ending.signal)
     finally:
         lock.release()
 
 
 def planned(
     application: str, sources: Sequence[str], batch: Batch, options: Typed
-) -> tuple[list[Found], dict[str, Job]]:
+) -> tuple[list[FilmSource], dict[str, Job]]:
     """Return the films that are meant, and the job of each by its source as it is shown."""
     found = find_films(sources, tracks=application == "structure")
     earlier = Summary(batch.out).lines.items() if (batch.out / SUMMARY).exists() else ()
@@ -179,7 +179,7 @@ def shown(source: str) -> str:
     return "".join(each if each.isprintable() else ascii(each)[1:-1] for each in letters)
 
 
-def workers_for(found: Sequence[Found], batch: Batch) -> Workers:
+def workers_for(found: Sequence[FilmSource], batch: Batch) -> Workers:
     """Who works: all live cameras at once, and no more threads together than there are cores.
 
     It is a ValueError if there would be fewer processes than live cameras.
@@ -208,9 +208,9 @@ def commands(application: str, sources: Sequence[str], batch: Batch, options: An
     return lines
 
 
-def _all_told(
+def _all_statuses(
     application: str, jobs: Mapping[str, Job], workers: Workers, ending: Interruption
-) -> Generator[tuple[str, Told]]:
+) -> Generator[tuple[str, FilmStatus]]:
     """Each film and what becomes of it, as films end; one that takes its process along stops no other.
 
     When a process dies, all films that wait for it are given back. Those that were begun (all, where nothing
@@ -219,61 +219,61 @@ def _all_told(
     waiting, suspects = list(jobs), list[str]()
     while waiting and ending.signal is None:
         given_back = []
-        for film, told in _told(application, jobs, waiting, ending):
-            if told is None:
+        for film, status in _statuses(application, jobs, waiting, ending):
+            if status is None:
                 given_back.append(film)
             else:
-                yield film, told
+                yield film, status
         begun = [film for film in given_back if was_cut_off(jobs[film].out)] or given_back
         suspects += begun
         waiting = [film for film in given_back if film not in begun]
     with working(replace(workers, jobs=1)):
         for suspect in suspects:
             if ending.signal is None:
-                for film, told in _told(application, jobs, [suspect], ending):
-                    yield film, told or Told("failed", "its process was ended by the system, twice")
+                for film, status in _statuses(application, jobs, [suspect], ending):
+                    yield film, status or FilmStatus("failed", "its process was ended by the system, twice")
 
 
-def _told(
+def _statuses(
     application: str, jobs: Mapping[str, Job], films: Sequence[str], ending: Interruption
-) -> Iterator[tuple[str, Told | None]]:
-    """Each film with what is told of it; `None` where a process has died that might have had it."""
+) -> Iterator[tuple[str, FilmStatus | None]]:
+    """Yield each film with its status; `None` where a process died that may have had it."""
     work = [(run_film, (application, jobs[film])) for film in films]
     for number, future in as_they_end(application, work, "films", lambda: ending.signal is not None):
-        told: Told | None = None
+        status: FilmStatus | None = None
         try:
-            told = future.result()
+            status = future.result()
         except BrokenProcessPool:
             if ending.signal is not None:
                 continue
         except Exception as error:
-            told = Told("failed", f"{type(error).__name__}: {one_line(error)}")
-        yield films[number], told
+            status = FilmStatus("failed", f"{type(error).__name__}: {one_line(error)}")
+        yield films[number], status
 
 
-def run_film(application: str, job: Job) -> Told:
-    """Run a job, or go on with it, unless it is complete; whatever goes wrong is told.
+def run_film(application: str, job: Job) -> FilmStatus:
+    """Run a job, or resume it, unless it is complete; return how it ended, whatever went wrong.
 
     What is in the job's folder decides what there is to do. So it may be called again, by another process on
     another machine, wherever an earlier call has ended.
     """
     if is_ending():
-        return Told("waiting")
+        return FilmStatus("waiting")
     try:
         return _run(application, job)
     except KeyboardInterrupt:
         end_working()
-        return Told("interrupted")
+        return FilmStatus("interrupted")
     except Exception as error:
         _log.info("%s", job.source, exc_info=error)
         line = one_line(error) + opencv_hint(error)
         if line.startswith("--resume: "):  # of results in the film's folder
             line = f"{line.removeprefix('--resume: ')}: --overwrite begins anew"
         expected = isinstance(error, ValueError | OSError)
-        return Told("failed", line if expected else f"{type(error).__name__}: {line}")
+        return FilmStatus("failed", line if expected else f"{type(error).__name__}: {line}")
 
 
-def _run(application: str, job: Any) -> Told:
+def _run(application: str, job: Any) -> FilmStatus:
     complete = None if job.overwrite else summary_if_complete(application, job)
     if complete is not None:
         outcome = Outcome(complete, None)
@@ -298,7 +298,7 @@ def _run(application: str, job: Any) -> Told:
     elif outcome.nothing is not None:
         state, error = "failed", outcome.nothing
     summary = outcome.summary
-    return Told(
+    return FilmStatus(
         state,
         error,
         summary.get("frames"),

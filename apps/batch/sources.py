@@ -37,7 +37,7 @@ CAMERA = "camera"
 
 
 @dataclass(frozen=True)
-class Found:
+class FilmSource:
     """A film or camera: its source as a run takes it, and options of its own.
 
     `name` is `None` where it is made of the source; `where` says for messages where it is listed.
@@ -59,7 +59,7 @@ class Found:
         return scheme.lower().startswith("rtsp") or _suffix(urlsplit(self.source).path) not in FILMS
 
 
-def find_films(sources: Iterable[str], *, tracks: bool = False) -> list[Found]:
+def find_films(sources: Iterable[str], *, tracks: bool = False) -> list[FilmSource]:
     """All films that some sources name, each once, in their order; track files are films if `tracks` says so.
 
     Sources are video files, folders of images or of films, globs of them in quotation marks, addresses,
@@ -74,7 +74,7 @@ def find_films(sources: Iterable[str], *, tracks: bool = False) -> list[Found]:
         if there is no such file or folder, or it cannot be read.
     """
     kinds = FILMS | TRACKS if tracks else FILMS
-    found: dict[str, Found] = {}
+    found: dict[str, FilmSource] = {}
     for source in sources:
         for each in _listed(Path(source)) if source.lower().endswith(LIST) else _named(source, kinds):
             if each.source not in found:
@@ -86,11 +86,11 @@ def find_films(sources: Iterable[str], *, tracks: bool = False) -> list[Found]:
     return list(found.values())
 
 
-def _named(source: str, kinds: frozenset[str]) -> Iterator[Found]:
+def _named(source: str, kinds: frozenset[str]) -> Iterator[FilmSource]:
     """The films that are meant by one that was typed."""
     path = Path(source)
     if "://" in source or (source.isascii() and source.isdigit() and not path.exists()):
-        yield Found(source)
+        yield FilmSource(source)
     elif path.exists() or not glob.has_magic(source):
         yield from _on_disk(path, kinds)
     else:
@@ -101,7 +101,7 @@ def _named(source: str, kinds: frozenset[str]) -> Iterator[Found]:
         if not matches:
             raise FileNotFoundError(f"{source}: matches nothing but results of rsmcm")
         if images_among(matches):
-            yield Found(os.path.abspath(source))
+            yield FilmSource(os.path.abspath(source))
         for match in in_natural_order(path for path in matches if _suffix(path) not in IMAGE_SUFFIXES):
             try:
                 yield from _on_disk(match, kinds)
@@ -110,7 +110,7 @@ def _named(source: str, kinds: frozenset[str]) -> Iterator[Found]:
                     raise
 
 
-def _on_disk(path: Path, kinds: frozenset[str]) -> Iterator[Found]:
+def _on_disk(path: Path, kinds: frozenset[str]) -> Iterator[FilmSource]:
     if path.is_dir():
         yield from _in_folder(path, kinds)
     elif not path.exists():
@@ -120,24 +120,24 @@ def _on_disk(path: Path, kinds: frozenset[str]) -> Iterator[Found]:
             f"{path}: got a picture, expected a film: name its folder, or a glob in quotation marks"
         )
     else:
-        yield Found(os.path.abspath(path))
+        yield FilmSource(os.path.abspath(path))
 
 
-def _in_folder(folder: Path, kinds: frozenset[str]) -> Iterator[Found]:
+def _in_folder(folder: Path, kinds: frozenset[str]) -> Iterator[FilmSource]:
     """A folder of images is a film; one of films holds files and folders of images."""
     inside = [path for path in folder.iterdir() if not path.name.startswith(".")]
     films = [path for path in inside if path.is_file() and _suffix(path) in kinds]
     if images_among(inside):
         if films:
             raise ValueError(f"{folder}: holds images and films ({films[0].name}): name those that are meant")
-        yield Found(os.path.abspath(folder))
+        yield FilmSource(os.path.abspath(folder))
         return
     films += [
         path for path in inside if path.is_dir() and not _holds(path, OF_RUN) and images_among(path.iterdir())
     ]
     if not films:
         raise FileNotFoundError(f"{folder}: the folder holds no images and no films")
-    yield from (Found(os.path.abspath(path)) for path in in_natural_order(films))
+    yield from (FilmSource(os.path.abspath(path)) for path in in_natural_order(films))
 
 
 def _is_result(path: Path) -> bool:
@@ -151,7 +151,7 @@ def _holds(folder: Path, names: Iterable[str]) -> bool:
     return all((folder / name).exists() for name in names)
 
 
-def _listed(path: Path) -> Iterator[Found]:
+def _listed(path: Path) -> Iterator[FilmSource]:
     """The cameras of a list, with the options at its top and their own."""
     settings = read_settings(path)
     cameras = settings.pop(CAMERA, None)
@@ -171,7 +171,7 @@ def _listed(path: Path) -> Iterator[Found]:
             if not isinstance(value, str | int | float | list):
                 raise ValueError(f"{where}: {key}: got {value!r}, expected the value of an option")
         local = os.path.abspath(source) if os.path.exists(source) else source
-        yield Found(local, name, options, where if name is None else f"{where} ({name})")
+        yield FilmSource(local, name, options, where if name is None else f"{where} ({name})")
 
 
 def _underscored(options: Typed) -> dict[str, Any]:
@@ -186,23 +186,25 @@ LONGEST = 80
 """Letters of a name."""
 
 
-def folder_names(films: Sequence[Found], known: Mapping[str, str], taken: Iterable[str] = ()) -> list[str]:
+def folder_names(
+    films: Sequence[FilmSource], earlier: Mapping[str, str], reserved: Iterable[str] = ()
+) -> list[str]:
     """Names of the folders of films, no two the same, also where a file system does not tell a from A.
 
     A film is named by the name in a list, or the last part of the source (`street` of `films/street.mp4`);
-    where several have that, by as many parts as tell them apart, else by a number. Names that are `known` of
-    earlier batches stay, those that are `taken` nobody gets. A list that gives one name to two cameras is a
-    ValueError.
+    where several have that, by as many parts as tell them apart, else by a number. Names of
+    `earlier` batches, by source, stay; those that are `reserved` are not given. A list that gives one name to
+    two cameras is a ValueError.
     """
     given = Counter(plain_name(film.name).casefold() for film in films if film.name is not None)
     for film in films:
         if film.name is not None and given[plain_name(film.name).casefold()] > 1:
             raise ValueError(f"{film.where}: name: got {film.name!r} twice, expected one for each camera")
-    names = [plain_name(film.name) if film.name is not None else known.get(film.source) for film in films]
+    names = [plain_name(film.name) if film.name is not None else earlier.get(film.source) for film in films]
     for number, film in enumerate(films):
         if film.name is None and given[(names[number] or "").casefold()]:
             names[number] = None
-    used = {name.casefold() for name in [*taken, *names] if name is not None}
+    used = {name.casefold() for name in [*reserved, *names] if name is not None}
     unnamed = [number for number, name in enumerate(names) if name is None]
     made = _telling_apart([_parts(films[number].source) for number in unnamed])
     for number, name in zip(unnamed, made, strict=True):

@@ -22,7 +22,7 @@ State = Literal["waiting", "complete", "interrupted", "lost", "failed"]
 
 
 @dataclass(frozen=True)
-class Told:
+class FilmStatus:
     """What became of a film: its state, what went wrong, figures of its summary, a small JPEG in base 64."""
 
     state: State
@@ -41,11 +41,11 @@ class Line:
 
     source: str
     folder: str
-    told: Told
+    status: FilmStatus
 
 
-OF_TOLD = ("state", "frames", "missing", "tracks", "seconds", "frames_per_second", "error")
-COLUMNS = ("source", "folder", *OF_TOLD)
+STATUS_FIELDS = ("state", "frames", "missing", "tracks", "seconds", "frames_per_second", "error")
+COLUMNS = ("source", "folder", *STATUS_FIELDS)
 NUMBERS = {"frames": int, "missing": int, "tracks": int, "seconds": float, "frames_per_second": float}
 
 MOST_BYTES = 1 << 28
@@ -87,8 +87,8 @@ class Summary:
         writer = csv.writer(rows, lineterminator="\n")
         writer.writerow(COLUMNS)
         for line in self.lines.values():
-            told = asdict(line.told)
-            writer.writerow([line.source, line.folder, *(_cell(told[name]) for name in OF_TOLD)])
+            status = asdict(line.status)
+            writer.writerow([line.source, line.folder, *(_cell(status[name]) for name in STATUS_FIELDS)])
         write_text(self._out / SUMMARY, rows.getvalue())
         write_index(self._out, list(self.lines.values()))
         took = time.monotonic() - began
@@ -131,14 +131,14 @@ def _line(row: Mapping[str, Any]) -> Line:
             values[name] = kind(values[name])
         except ValueError:
             values[name] = None
-    return Line(source, folder, Told(**{name: values[name] for name in OF_TOLD}))
+    return Line(source, folder, FilmStatus(**{name: values[name] for name in STATUS_FIELDS}))
 
 
 def write_index(out: Path, lines: Sequence[Line]) -> None:
     """Write the page over all films: how many are in which state, and each with its picture and its links."""
-    states = Counter[str](line.told.state for line in lines)
+    states = Counter[str](line.status.state for line in lines)
     counted = {state: str(count) for state, count in sorted(states.items())}
-    frames = sum(line.told.frames or 0 for line in lines)
+    frames = sum(line.status.frames or 0 for line in lines)
     parts: list[Part] = []
     if len(lines) > MOST_PICTURES:
         parts.append(paragraph(f"Pictures are shown of the first {MOST_PICTURES} films."))
@@ -149,21 +149,21 @@ def write_index(out: Path, lines: Sequence[Line]) -> None:
 
 
 def _entry(out: Path, line: Line, pictured: bool) -> dict[str, Any]:
-    told = line.told
+    status = line.status
     numbers = [
-        f"{told.frames} frames" if told.frames is not None else "",
-        f"{told.missing} missing" if told.missing else "",
-        f"{told.tracks} tracks" if told.tracks is not None else "",
-        f"{told.frames_per_second:.3g} a second" if told.frames_per_second is not None else "",
+        f"{status.frames} frames" if status.frames is not None else "",
+        f"{status.missing} missing" if status.missing else "",
+        f"{status.tracks} tracks" if status.tracks is not None else "",
+        f"{status.frames_per_second:.3g} a second" if status.frames_per_second is not None else "",
     ]
     files = {"film": "view.html", "video": "overlay.mp4", "tracks": "tracks.csv"}
     return {
         "name": line.folder,
         "source": line.source,
-        "state": told.state,
-        "error": told.error,
+        "state": status.state,
+        "error": status.error,
         "numbers": ", ".join(filter(None, numbers)),
-        "picture": told.thumbnail if pictured else "",
+        "picture": status.thumbnail if pictured else "",
         "links": {
             name: quote(f"{line.folder}/{file}")
             for name, file in files.items()

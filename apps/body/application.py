@@ -44,7 +44,7 @@ from ..view.overlay import Draw
 from ..view.page import Page
 from .job import LAG, BodyJob
 from .joint_files import read_joints
-from .page import PART_JOINTS, BodyRecord, body_page, drawing, drawn_of, with_final_names
+from .page import PART_JOINTS, BodyRecord, body_page, drawing, view_row_of, with_final_names
 
 _log = logging.getLogger(__name__)
 
@@ -236,7 +236,9 @@ class Body(Application[BodyJob]):
             "confusable": np.float64(belief.samples.evidence.confusable),
         }
         shown = ", ".join(name.replace("_", " ") for name, so in zip(PARTS, seen, strict=True) if so)
-        return Columns({**row, **measures}, drawn=partial(drawn_of, row), live={"seen": shown or "nothing"})
+        return Columns(
+            {**row, **measures}, view_row=partial(view_row_of, row), live={"seen": shown or "nothing"}
+        )
 
     def drawing(self) -> Draw:
         """Return what draws skeletons, from the front and from the side."""

@@ -203,7 +203,7 @@ DRAWN = (
 """Columns of `poses.npz` that are drawn."""
 
 
-def drawn_of(row: Mapping[str, Any]) -> Row:
+def view_row_of(row: Mapping[str, Any]) -> Row:
     """Return the columns that are drawn of a frame, from its row of `poses.npz`."""
     covariances = row["joints_3d_covariances"]
     upper = covariances[:, *np.triu_indices(3)]
@@ -227,17 +227,17 @@ def _whole(places: NDArray[Any]) -> NDArray[np.int16]:
 
 
 def with_final_names(film: Film, rows: Mapping[str, NDArray[Any]]) -> Film:
-    """Relabel the hands of a film with rows of `drawn_of`, as in `rows` of `poses.npz`."""
+    """Relabel the hands of a film with rows of `view_row_of`, as in `rows` of `poses.npz`."""
     columns = {name: values.copy() for name, values in film.columns.items()}
     for index, place in enumerate(np.searchsorted(rows["frames"], film.numbers)):
         if rows["relabelled"][place]:
-            for name, values in drawn_of({name: rows[name][place] for name in DRAWN}).items():
+            for name, values in view_row_of({name: rows[name][place] for name in DRAWN}).items():
                 columns[name].reshape(len(film.numbers), -1)[index] = values.reshape(-1)
     return replace(film, columns=columns)
 
 
 def drawing(arm: float) -> Draw:
-    """Return what draws rows of `drawn_of` on frames; `arm` px is the length of a stretched arm."""
+    """Return what draws rows of `view_row_of` on frames; `arm` px is the length of a stretched arm."""
     overlay = BodyOverlay(arm)
 
     def draw(image: Image, row: Row, number: int, time: float, *, missing: bool) -> Image:
@@ -247,7 +247,7 @@ def drawing(arm: float) -> Draw:
 
 
 def _tracked(row: Row) -> TrackedBody:
-    """Read a row of `drawn_of`."""
+    """Read a row of `view_row_of`."""
     joints = row["joints"].astype(np.float64)
     covariances = np.empty((len(joints), 3, 3))
     for k, (r, s) in enumerate(zip(*np.triu_indices(3), strict=True)):
@@ -268,7 +268,7 @@ def body_page(
 ) -> Page:
     """Return the page of a run of at least one frame.
 
-    The film has columns of `drawn_of`; `arm` is the length of a stretched one, px.
+    The film has columns of `view_row_of`; `arm` is the length of a stretched one, px.
     """
     layers, timeline = ({}, []) if film is None else over_the_film(film, arm)
     return record.page(

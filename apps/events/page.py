@@ -28,7 +28,7 @@ GOES = (Kind.LEFT, Kind.DISAPPEARED, Kind.REMAINED)
 
 
 @dataclass(frozen=True, eq=False)
-class Happened:
+class ZoneEvents:
     """What happened to zones in a film: all events of it, and times of its first and last frame, s."""
 
     zones: Zones
@@ -178,21 +178,21 @@ def run_events(run: Path, zones: Path) -> list[str]:
     with output_folder(run, "background", add=True) as folder:
         folder.add([EVENTS, PAGE])
         write_events(run / EVENTS, log.events)
-        happened = Happened(watched, list(map(rounded, log.events)), span)
+        zone_events = ZoneEvents(watched, list(map(rounded, log.events)), span)
         title = f"{Path(finished.source).name}: zones and lines"
-        write_page(run / PAGE, Page(title, sections=_sections(run, happened)))
-        write_json(run / SUMMARY, {**finished.summary, "events": happened.counts()})
-    return [*happened.in_words(), f"results: {run / EVENTS}, {run / PAGE}"]
+        write_page(run / PAGE, Page(title, sections=_sections(run, zone_events)))
+        write_json(run / SUMMARY, {**finished.summary, "events": zone_events.counts()})
+    return [*zone_events.in_words(), f"results: {run / EVENTS}, {run / PAGE}"]
 
 
-def _sections(run: Path, happened: Happened) -> list[Section]:
+def _sections(run: Path, zone_events: ZoneEvents) -> list[Section]:
     background = cv2.imread(str(run / BACKGROUND)) if (run / BACKGROUND).exists() else None
     if background is None:
-        return happened.sections()
+        return zone_events.sections()
     scale = max(1.0, LEAST / max(background.shape[:2]))
     drawn = np.asarray(
         cv2.resize(background, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), np.uint8
     )
-    draw_zones(drawn, happened.zones, scale)
+    draw_zones(drawn, zone_events.zones, scale)
     shown = picture(drawn, "Zones and lines on the background at the end.")
-    return [("", [shown]), *happened.sections()]
+    return [("", [shown]), *zone_events.sections()]

@@ -127,7 +127,7 @@ class Border:
     distance: float = math.nan
     met: Moment | None = None
 
-    def take_in(self, distance: float, deviation: float, before: Moment, now: Moment) -> bool:
+    def update(self, distance: float, deviation: float, before: Moment, now: Moment) -> bool:
         """Go on with a signed distance and its standard deviation, px; whether the side has changed.
 
         `met` is then where the way from before last met the border; `None` if it never did.
@@ -164,7 +164,7 @@ class Stillness:
     since: Moment | None = None
     until: Moment | None = None
 
-    def take_in(self, now: Moment, height: float) -> tuple[Moment, Moment] | None:
+    def update(self, now: Moment, height: float) -> tuple[Moment, Moment] | None:
         """Go on with a foot that is seen; a standing that has ended, from when until when."""
         window = self.window
         window.append((now, height))
@@ -205,7 +205,7 @@ class _Track:
         self._stillness = Stillness(zones.still_after)
         self._stands_in: list[str] = []
 
-    def take_in(self, now: Moment, height: float, seen: bool, inside: Sequence[float]) -> Iterator[Event]:
+    def update(self, now: Moment, height: float, seen: bool, inside: Sequence[float]) -> Iterator[Event]:
         """What happens on the way from where it was to where it is now, so far `inside` of each zone."""
         if seen:
             self.seen = now.time
@@ -213,7 +213,7 @@ class _Track:
         place, before, self.last = (now.x, now.y), self.last, now
         for k, (zone, border) in enumerate(zip(self._zones.zones, self._inside, strict=True)):
             side = border.side
-            if border.take_in(inside[k], deviation, before, now):
+            if border.update(inside[k], deviation, before, now):
                 when = border.met if side and border.met is not None else self.first
                 if border.side > 0:
                     self._entered[k] = when
@@ -223,7 +223,7 @@ class _Track:
                     yield Event(when, Kind.LEFT, zone.name, self.identity, duration)
         for line, border in zip(self._zones.lines, self._beside, strict=True):
             side = border.side
-            changed = border.take_in(line.distance(place), deviation, before, now)
+            changed = border.update(line.distance(place), deviation, before, now)
             met = border.met if changed and side else None
             if met is not None and line.is_beside((met.x, met.y)):
                 direction = line.left_to_right if border.side > 0 else line.right_to_left
@@ -233,7 +233,7 @@ class _Track:
 
     def _stands(self, now: Moment, height: float) -> Iterator[Event]:
         stood = self._stillness.since is not None
-        ended = self._stillness.take_in(now, height)
+        ended = self._stillness.update(now, height)
         if ended is not None:
             yield from self._stood(*ended)
         elif self._stillness.since is not None and not stood:
@@ -265,7 +265,7 @@ class Watch:
         self._zones = zones
         self._tracks: dict[int, _Track] = {}
 
-    def take_in(self, time: float, number: int, sightings: Iterable[Sighting]) -> list[Event]:
+    def update(self, time: float, number: int, sightings: Iterable[Sighting]) -> list[Event]:
         """Go on with who is in a frame; a frame with nobody may be left out."""
         found: list[Event] = []
         for track in self._by_age():
@@ -279,7 +279,7 @@ class Watch:
             now = Moment(time, number, x, y)
             if identity not in self._tracks:
                 self._tracks[identity] = _Track(identity, self._zones, now)
-            found += self._tracks[identity].take_in(now, height, seen, distances)
+            found += self._tracks[identity].update(now, height, seen, distances)
         return found
 
     def end(self, last: int) -> list[Event]:
@@ -322,7 +322,7 @@ class EventLog:
         for identity, *box, seen in rows:
             x, y, width, height = (round(value, 2) for value in box)  # as in `tracks.csv`
             sightings.append(Sighting(identity, x + width / 2, y + height, height, seen))
-        found = self._watch.take_in(round(time, 6), number, sightings)
+        found = self._watch.update(round(time, 6), number, sightings)
         self.events += found
         return found
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...inference import RecursiveBP
 from ...inference.engine.recursive_bp import RunState
 from ...models.core.frame import Frame
-from ..background.application import Found, build_model, found_in
+from ..background.application import FrameResult, build_model, read_frame_result
 from ..background.job import BackgroundJob, Camera, Engine
 from ..background.parameters import Parameters, read_parameters
 from ..evaluation.scoring import Scoring, scoring_of
@@ -59,11 +59,11 @@ class Model:
         self._engine = RecursiveBP(build_model(engine, parameters, camera))
         self._state = RunState()
 
-    def step(self, frame: Frame) -> Found:
+    def step(self, frame: Frame) -> FrameResult:
         """Process the next frame."""
         belief = self._engine.step(self._state, frame)
         self._state = belief.state
-        return found_in(belief, self._size)
+        return read_frame_result(belief, self._size)
 
     def background(self) -> Image:
         """Return the estimated background, `(height, width[, 3])` uint8."""
@@ -101,12 +101,12 @@ class Usual:
         self._tracker = KalmanHungarian()
         self._mask: Image = np.zeros((size[1], size[0]), np.uint8)
 
-    def step(self, frame: Frame) -> Found:
+    def step(self, frame: Frame) -> FrameResult:
         """Process the next frame; a missing one leaves the mask as it was."""
         if frame.image is not None:
             self._mask = self._clean_up.apply(self._subtractor.apply(frame.image))
         found = self._tracker.update(components(self._mask)[:, :4])
-        return Found(self._mask, [TrackedBox(int(i), (x, y, w, h)) for i, x, y, w, h in found.tolist()])
+        return FrameResult(self._mask, [TrackedBox(int(i), (x, y, w, h)) for i, x, y, w, h in found.tolist()])
 
 
 @dataclass
@@ -119,13 +119,13 @@ class Tally:
     share: float = 0.0  # of the picture that is foreground, summed over frames
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
-    def add(self, frame: Frame, region: Image | None) -> Found:
+    def add(self, frame: Frame, region: Image | None) -> FrameResult:
         """Run the method on a frame, and add its results."""
         started = perf_counter()
         found = self.method.step(frame)
         self.seconds += perf_counter() - started
         if region is not None:
-            found = Found(found.foreground & region, inside(region, found.tracks))
+            found = FrameResult(found.foreground & region, inside(region, found.tracks))
         self.share += float(np.count_nonzero(found.foreground)) / found.foreground.size
         if self.scoring is not None:
             self.scoring.add(frame.number, found.foreground)
@@ -177,7 +177,7 @@ class Gallery:
     stride: int = 1
     seen: int = 0
 
-    def add(self, number: int, image: Image, systems: Sequence[tuple[Model, Found]]) -> None:
+    def add(self, number: int, image: Image, systems: Sequence[tuple[Model, FrameResult]]) -> None:
         """Keep a frame and both systems' results, if it is one of those to keep.
 
         Whenever there are more, every second one goes and the distance doubles.

@@ -222,7 +222,7 @@ class Face(Application[FaceJob]):
         }
         return Columns(
             {**row, "error": np.float64(error)},
-            drawn=partial(self._drawing.view_row, row, error),
+            view_row=partial(self._drawing.view_row, row, error),
             live={"face": "lost" if state.lost else "tracked"},
         )
 

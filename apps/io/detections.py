@@ -40,7 +40,7 @@ EXPECTED_COCO = (
 Edges = tuple[float, float, float, float]
 """Left, top, right, bottom, px from 0."""
 
-Found = tuple[Row, int, Edges, float | None, str | None]
+FileBox = tuple[Row, int, Edges, float | None, str | None]
 """Where a box stands in the file, its frame, its edges, and perhaps score and class."""
 
 SHOWN_CLASSES = 10  # in a message
@@ -183,19 +183,19 @@ def read_mot(path: Path, _: Pictures) -> Detections:
     What follows the score is not read; a file without scores ends after the height.
     """
 
-    def found() -> Iterator[Found]:
+    def boxes() -> Iterator[FileBox]:
         for row, (frame, _, x, y, width, height, *others) in mot_rows(path):
             left, top = x - 1, y - 1
             edges = (left, top, left + width, top + height)
             yield row, int(frame), edges, others[0] if others else None, None
 
-    return _table(path, found())
+    return _table(path, boxes())
 
 
 def read_csv(path: Path, _: Pictures) -> Detections:
     """Read detections in CSV with a header that names the columns; frames count from 1, px from 0."""
 
-    def found() -> Iterator[Found]:
+    def boxes() -> Iterator[FileBox]:
         expected = "frame and either x, y, width, height or left, top, right, bottom"
         for row in csv_rows(path, COLUMNS, NEEDED, expected):
             values = row.values
@@ -206,7 +206,7 @@ def read_csv(path: Path, _: Pictures) -> Detections:
                 edges = (left, top, values["right"], values["bottom"])
             yield row, int(values["frame"]), edges, values.get("confidence"), values.get("class")
 
-    return _table(path, found())
+    return _table(path, boxes())
 
 
 def read_coco(path: Path, pictures: Pictures) -> Detections:
@@ -230,7 +230,7 @@ def read_coco(path: Path, pictures: Pictures) -> Detections:
     for row in json_rows(path, "category", content.get("categories", []), ("id", "name"), EXPECTED_COCO):
         categories[str(row.values["id"])] = str(row.values["name"])
 
-    def found() -> Iterator[Found]:
+    def boxes() -> Iterator[FileBox]:
         items = content.get("annotations", [])
         for row in json_rows(path, "annotation", items, ("image_id", "bbox"), EXPECTED_COCO):
             image = image_id(row, row.values["image_id"])
@@ -238,10 +238,10 @@ def read_coco(path: Path, pictures: Pictures) -> Detections:
                 raise row.wrong(f"image_id {image!r}", "one of the images listed")
             yield _of_coco(row, frames[image], categories)
 
-    return _table(path, found(), frozenset(frames.values()), categories.values())
+    return _table(path, boxes(), frozenset(frames.values()), categories.values())
 
 
-def _of_coco(row: Row, frame: int, categories: Mapping[str, str]) -> Found:
+def _of_coco(row: Row, frame: int, categories: Mapping[str, str]) -> FileBox:
     box, category = row.values["bbox"], row.values.get("category_id")
     try:
         left, top, width, height = map(float, box if isinstance(box, list) else ())
@@ -269,7 +269,7 @@ EXPECTED = "MOT's det.txt, CSV with a header, or COCO's JSON"
 
 
 def _table(
-    path: Path, found: Iterable[Found], looked: frozenset[int] | None = None, classes: Iterable[str] = ()
+    path: Path, boxes: Iterable[FileBox], looked: frozenset[int] | None = None, classes: Iterable[str] = ()
 ) -> Detections:
     """Gather boxes in any order, sorted by frame, in little memory.
 
@@ -280,7 +280,7 @@ def _table(
     xyxy, confidence = array("d"), array("d")
     names = {name: number for number, name in enumerate(dict.fromkeys(classes))}
     unit = ""
-    for row, number, edges, score, name in found:
+    for row, number, edges, score, name in boxes:
         left, top, right, bottom = edges
         if not (right > left and bottom > top):
             raise row.wrong(f"a box of {right - left:g} x {bottom - top:g} px", "a width and height above 0")
@@ -313,7 +313,7 @@ def _table(
     )
 
 
-def frames_looked_at(found: NDArray[np.int64]) -> range | frozenset[int]:
+def frames_looked_at(numbers: NDArray[np.int64]) -> range | frozenset[int]:
     """The frames on which a detector ran, given numbers `(n,)` of those in which it found something.
 
     A file of boxes does not say where the detector ran and found nothing. It is taken to have run on every
@@ -321,7 +321,7 @@ def frames_looked_at(found: NDArray[np.int64]) -> range | frozenset[int]:
     that does not meet all of them, it ran irregularly, and on those that are listed. So a frame is taken for
     empty only between frames in which something was found at the same regular distance.
     """
-    listed = np.unique(found)
+    listed = np.unique(numbers)
     if len(listed) < 2:
         return frozenset(listed.tolist())
     steps = np.diff(listed)
@@ -351,12 +351,12 @@ def with_boxes(frames: Iterable[Frame], detector: Callable[[Frame], Any], every:
     TypeError
         if the detector cannot be called, or what comes are no frames.
     """
-    return with_found(
-        frames, detector, every, lambda frame, found: replace(frame, boxes=GivenBoxes.of(found))
+    return attach_detections(
+        frames, detector, every, lambda frame, boxes: replace(frame, boxes=GivenBoxes.of(boxes))
     )
 
 
-def with_found(
+def attach_detections(
     frames: Iterable[Frame],
     detector: Callable[[Frame], Any],
     every: int,
@@ -375,12 +375,12 @@ def with_found(
                 raise TypeError(
                     f"frames: got {type(frame).__name__}, expected Frame, as open_source gives them"
                 )
-            found = None
+            detections = None
             if frame.image is not None:
-                found = detector(frame) if count % every == 0 else None
+                detections = detector(frame) if count % every == 0 else None
                 count += 1
             try:
-                with_it = frame if found is None else attach(frame, found)
+                with_it = frame if detections is None else attach(frame, detections)
             except ValueError as error:
                 raise ValueError(f"frame {frame.number}: {error}") from None
             yield with_it

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import COCO, KEYPOINTS, KNOWN, POINTS, SKELETONS, Frame, GivenKeypoints
 from ...models.core.short_repr import short_repr
-from .detections import check_not_live, last_frame, with_found
+from .detections import attach_detections, check_not_live, last_frame
 from .point_files import MAX_COORDINATE
 from .sources.open_source import Source
 from .tables import Column, Pictures, Row, csv_rows, digest, first_line, json_rows, read_json, rows_of_frame
@@ -308,8 +308,8 @@ def with_keypoints(
     Parameters and errors are those of `with_boxes`, but the detector returns what `GivenKeypoints.of` takes;
     `Keypoints` of a file are such a detector.
     """
-    return with_found(
-        frames, detector, every, lambda frame, found: replace(frame, keypoints=GivenKeypoints.of(found))
+    return attach_detections(
+        frames, detector, every, lambda frame, points: replace(frame, keypoints=GivenKeypoints.of(points))
     )
 
 

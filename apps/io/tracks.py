@@ -117,7 +117,7 @@ def table_lines(number: int, time: float, objects: Mapping[str, NDArray[Any]]) -
     rows = zip(*(objects[name].tolist() for name in OF_OBJECTS), strict=True) if objects else ()
     return [
         f"{number},{time:.6f},{identity},{x:.2f},{y:.2f},{width:.2f},{height:.2f},{confidence:.4f},"
-        f"{_known(vx)},{_known(vy)},{seen:d}"
+        f"{_optional(vx)},{_optional(vy)},{seen:d}"
         for identity, x, y, width, height, confidence, vx, vy, seen in rows
     ]
 
@@ -131,7 +131,7 @@ def mot_lines(number: int, _time: float, objects: Mapping[str, NDArray[Any]]) ->
     ]
 
 
-def _known(value: float) -> str:
+def _optional(value: float) -> str:
     return "" if math.isnan(value) else f"{value:.2f}"
 
 

@@ -73,18 +73,18 @@ class Columns:
         arrays `(n, ...)` by the name of their column, an entry an object in the frame.
     pictures
         `(height, width[, 3])` uint8 by their names, which are no rows: masks.
-    drawn
+    view_row
         makes what is drawn on the frame, on the page and by `Application.drawing`; called in a thread.
-    live, news
-        what the live page says, and what has happened.
+    live, events
+        facts for the live page, and events in this frame.
     """
 
     frame: Values = field(default_factory=dict)
     objects: Values = field(default_factory=dict)
     pictures: Mapping[str, Image] = field(default_factory=dict)
-    drawn: Callable[[], Row] = dict
+    view_row: Callable[[], Row] = dict
     live: Values = field(default_factory=dict)
-    news: Sequence[Any] = ()
+    events: Sequence[Any] = ()
 
 
 class File(AbstractContextManager[Any], Protocol):
@@ -317,7 +317,7 @@ class Application(ABC, Generic[F]):
         return FrameRecord(log).page(self.title(summary["source"]), summary, film, plots=plots)
 
     def drawing(self) -> Draw:
-        """What draws `Columns.drawn` on frames, for `--video` and `--live`."""
+        """What draws `Columns.view_row` on frames, for `--video` and `--live`."""
         return lambda image, *_, **__: image
 
     def state_dict(self) -> dict[str, Any]:
@@ -491,17 +491,19 @@ class _FilmRun:
         film = FilmWriter(job.out, rate, after)
         sinks = [
             *self._application.sinks(Output(job.out, rate, after, log)),
-            Sink(lambda frame, columns: film.add(frame, columns.drawn), film),
+            Sink(lambda frame, columns: film.add(frame, columns.view_row), film),
         ]
         video = job.video or segments_of(job.out / OVERLAY)  # a run that is resumed goes on with it
         if live is not None or video:
             path = job.out / OVERLAY if video else None
             show = None if live is None else live.show
             pictures = OverlayVideo(path, rate, self._application.drawing(), after, show)
-            sinks.append(Sink(lambda frame, columns: pictures.add(frame, columns.drawn), pictures))
+            sinks.append(Sink(lambda frame, columns: pictures.add(frame, columns.view_row), pictures))
         if live is not None:
-            take_in = live.take_in
-            sinks.append(Sink(lambda frame, columns: take_in(frame, columns.live, [*map(str, columns.news)])))
+            on_frame = live.on_frame
+            sinks.append(
+                Sink(lambda frame, columns: on_frame(frame, columns.live, [*map(str, columns.events)]))
+            )
         return sinks
 
     def _saved(self) -> SavedRun | None:

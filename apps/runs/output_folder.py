@@ -57,11 +57,11 @@ class OutputFolder:
         with naming(self.path), tempfile.TemporaryFile(dir=self.path):
             pass
         unfinished = {str(PurePosixPath(name).with_name(f"{UNFINISHED}*")) for name in [*earlier, *names]}
-        for path in self.found(sorted(unfinished)):
+        for path in self.existing(sorted(unfinished)):
             path.unlink()
         if not resume:
             # the state first: what is left by a kill in between is not gone on with
-            for path in sorted(self.found(earlier), key=lambda path: path.name != STATE):
+            for path in sorted(self.existing(earlier), key=lambda path: path.name != STATE):
                 path.unlink()
                 if path.parent != self.path:
                     with suppress(OSError):  # the user may keep something there
@@ -84,15 +84,15 @@ class OutputFolder:
         elif written != listed:
             self._write_manifest(written)
 
-    def _refuse_foreign(self, names: Sequence[str], known: Sequence[str]) -> None:
-        foreign = self.found(names) - self.found(known)
+    def _refuse_foreign(self, names: Sequence[str], own: Sequence[str]) -> None:
+        foreign = self.existing(names) - self.existing(own)
         if foreign:
             name = min(foreign).relative_to(self.path)
             raise FileExistsError(
                 f"{self.path}: holds {name}, which no run has written: move it, or choose another folder"
             )
 
-    def found(self, names: Sequence[str]) -> set[Path]:
+    def existing(self, names: Sequence[str]) -> set[Path]:
         """Files that are there under these names, patterns of `glob` among them."""
         return {path for name in names for path in self.path.glob(name) if not path.is_dir()}
 
@@ -137,7 +137,7 @@ def output_folder(
                 f"--resume: {path} holds results of rsmcm {application_of(path)}, expected rsmcm "
                 f"{application}"
             )
-        if resume and folder.found(_listed(path)) and not (path / STATE).exists():
+        if resume and folder.existing(_listed(path)) and not (path / STATE).exists():
             raise ValueError(f"--resume: {path / STATE} is not there, so start anew with --overwrite")
         write_json(
             path / HOLDER,

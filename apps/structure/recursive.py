@@ -63,7 +63,7 @@ class RecursiveRun(Application[StructureJob]):
         return Columns(
             {"camera": camera, "camera_covariance": covariance},
             {"id": seen.identities, "place": seen.positions, "colour": colours_at(frame, seen.positions)},
-            drawn=partial(_view_row, structure, seen.identities, seen.positions),
+            view_row=partial(_view_row, structure, seen.identities, seen.positions),
             live={"points": len(seen.identities), "of the shape": 0 if structure is None else len(structure)},
         )
 

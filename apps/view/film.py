@@ -70,19 +70,19 @@ class FilmWriter:
             self._video.close(finished=kind is None)
             join_segments(self._rows, _join, finished=kind is None)
 
-    def add(self, frame: Frame, drawn: Callable[[], Row]) -> None:
-        """Append a frame and what is drawn on it, made in a thread by `drawn`; it must not change any more.
+    def add(self, frame: Frame, view_row: Callable[[], Row]) -> None:
+        """Append a frame, which must not change any more; `view_row` is called in a thread.
 
         An OSError, if it cannot be written, may come with a later frame.
         """
-        self._worker.submit(self._add, frame, drawn)
+        self._worker.submit(self._add, frame, view_row)
 
     def checkpoint(self) -> None:
         """Return when everything is on disk and readable."""
         self._worker.wait()
         self._cut()
 
-    def _add(self, frame: Frame, drawn: Callable[[], Row]) -> None:
+    def _add(self, frame: Frame, view_row: Callable[[], Row]) -> None:
         if frame.image is not None:
             self._image = _small(frame.image)
             self._size = np.array([frame.image.shape[1::-1]], np.int32)
@@ -92,7 +92,7 @@ class FilmWriter:
         self._columns.setdefault("number", []).append(np.array([frame.number]))
         self._columns.setdefault("time", []).append(np.array([frame.time]))
         self._columns.setdefault("size", []).append(self._size)
-        for name, values in drawn().items():
+        for name, values in view_row().items():
             self._columns.setdefault(name, []).append(values)
         self._n_pictures, self._last = self._n_pictures + 1, frame.number
         if self._n_pictures == SEGMENT:

@@ -48,7 +48,7 @@ class Picture(NamedTuple):
 class Running:
     """A run as it is just now, whose results go to the folder `out`.
 
-    The run calls `begin`, `show`, `take_in`, `finish` and `end`, none of which waits for anybody; other
+    The run calls `begin`, `show`, `on_frame`, `finish` and `end`, none of which waits for anybody; other
     threads call the rest.
     """
 
@@ -70,14 +70,14 @@ class Running:
         self._encoded = Picture(0, b"")
         self._encoded_at = -INTERVAL
 
-    # --- told by the run ---
+    # --- called by the run ---
 
     def begin(self, title: str, n_frames: int | None, stream: Callable[[], Mapping[str, Any] | None]) -> None:
         """Say what runs: how many frames are expected, if that is known, and what becomes of the stream."""
         with self._changed:
             self._title, self._n_frames, self._stream = title, n_frames, stream
 
-    def take_in(self, frame: Frame, facts: Mapping[str, object], events: Sequence[str]) -> None:
+    def on_frame(self, frame: Frame, facts: Mapping[str, object], events: Sequence[str]) -> None:
         """A frame is done: what there is to say of it, and what has happened."""
         with self._changed:
             self._state = "running"
@@ -305,7 +305,7 @@ class _Handler(BaseHTTPRequestHandler):
         if not self.server.is_own(self.headers.get("Host", "")):
             self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
             return
-        answer = self._answers.get(self.path.partition("?")[0])
+        answer = self._responses.get(self.path.partition("?")[0])
         if answer is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
@@ -360,7 +360,7 @@ class _Handler(BaseHTTPRequestHandler):
             after = 0 if picture is None else picture.number
             picture = running.picture(after, AGAIN) or running.picture()
 
-    _answers: ClassVar[dict[str, Callable[["_Handler"], None]]] = {
+    _responses: ClassVar[dict[str, Callable[["_Handler"], None]]] = {
         "/": _page,
         "/stream.mjpg": _stream,
         "/snapshot.jpg": _snapshot,

@@ -301,9 +301,9 @@ def periods(all_numbers: Sequence[int], chosen: Sequence[int]) -> list[tuple[int
     return [(all_numbers[first], all_numbers[after - 1]) for first, after in edges.reshape(-1, 2).tolist()]
 
 
-def listed_periods(found: Sequence[tuple[int, int]]) -> str:
+def listed_periods(ranges: Sequence[tuple[int, int]]) -> str:
     """For instance "frames 5 to 7, 20"."""
-    return listed([f"{first} to {last}" if last > first else str(first) for first, last in found])
+    return listed([f"{first} to {last}" if last > first else str(first) for first, last in ranges])
 
 
 def notes_on_missing(numbers: Sequence[int]) -> list[str]:

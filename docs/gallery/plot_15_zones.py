@@ -35,7 +35,7 @@ for belief in RecursiveBP(model).run(scene):
         x, y, width, height = track.box
         seen.append(Sighting(track.identity, x + width / 2, y + height, height, track.seen))
     feet += [(belief.frame.time, one.x, one.y) for one in seen]
-    events += watch.take_in(belief.frame.time, belief.frame.number, seen)
+    events += watch.update(belief.frame.time, belief.frame.number, seen)
 events += watch.end(len(scene))
 for event in events:
     lasted = "" if event.duration is None else f", after {event.duration:.1f} s"

@@ -123,7 +123,7 @@ def zones(folder: Path) -> None:
     """Zones and lines, and somebody who walks through the picture."""
     watch = Watch(read_zones(_file(folder), SIZE))
     for number in range(1, 20):
-        watch.take_in(number / 5, number, [Sighting(1, 3.0 * number, 2.0 * number, 20.0, number % 3 > 0)])
+        watch.update(number / 5, number, [Sighting(1, 3.0 * number, 2.0 * number, 20.0, number % 3 > 0)])
     watch.end(19)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import av
 import numpy as np
 from numpy.typing import NDArray
-from rsmcm.apps.background.page import drawn_of
+from rsmcm.apps.background.page import view_row_of
 from rsmcm.apps.io.tracks import TrackedBox
 from rsmcm.apps.view.overlay import OverlayVideo, TracksOverlay
 from rsmcm.models.core.frame import Frame
@@ -53,7 +53,7 @@ def overlay_of(path: Path, resume_after: int = 0) -> OverlayVideo:
 def add(video: OverlayVideo, number: int) -> None:
     """Append a frame with its mask and boxes."""
     tracks = [TrackedBox(each.identity, each.box, each.confidence) for each in boxes(number)]
-    video.add(frame(number), lambda: drawn_of(mask(number), tracks))
+    video.add(frame(number), lambda: view_row_of(mask(number), tracks))
 
 
 def write_overlay(path: Path, first: int, last: int, every: int, resume_after: int = 0) -> None:

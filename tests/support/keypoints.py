@@ -28,7 +28,7 @@ def points_of(joints: Array, body: UpperBody) -> Array:
     return np.concatenate([joints, wrists], axis=1)
 
 
-def found_in(
+def read_frame_result(
     scene: SignerScene,
     *,
     noise: float = 0.08,

@@ -55,7 +55,7 @@ def truth(scene: Scene, film: Path) -> list[Event]:
     for index in range(len(scene)):
         boxes = [(each.identity, *each.box) for each in scene.boxes(index) if each.kind == "pedestrian"]
         people = [Sighting(who, x + w / 2, y + h, h, True) for who, x, y, w, h in boxes]
-        found += watch.take_in(index * scene.dt, index + 1, people)
+        found += watch.update(index * scene.dt, index + 1, people)
     return found + watch.end(len(scene))
 
 

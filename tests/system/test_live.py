@@ -139,7 +139,7 @@ def check_events(scene: Scene, out: Path, zones: Path) -> None:
     for index in range(len(scene)):
         boxes = [(each.identity, *each.box) for each in scene.boxes(index) if each.kind == "pedestrian"]
         people = [Sighting(who, x + w / 2, y + h, h, True) for who, x, y, w, h in boxes]
-        expected += watch.take_in(index * scene.dt, index + 1, people)
+        expected += watch.update(index * scene.dt, index + 1, people)
     found = read_events(out / "events.csv")
     assert {event.zone for event in found} == {"middle"}
     counts = json.loads((out / "summary.json").read_text())["events"]["middle"]

@@ -1,7 +1,7 @@
 """Mask and background must not confirm each other: a person who stays, with a soft shadow and reflections."""
 
 import numpy as np
-from rsmcm.apps.background.application import build_model, found_in
+from rsmcm.apps.background.application import build_model, read_frame_result
 from rsmcm.apps.background.job import Engine
 from rsmcm.inference import RecursiveBP
 
@@ -18,7 +18,7 @@ def shares(engine: Engine) -> list[tuple[float, float]]:
     for k, (belief, mask) in enumerate(
         zip(RecursiveBP(build_model(engine)).run(scene), scene.masks, strict=True)
     ):
-        foreground, person = found_in(belief, (160, 120)).foreground > 0, mask > 0
+        foreground, person = read_frame_result(belief, (160, 120)).foreground > 0, mask > 0
         found[k], false[k], true[k] = (foreground & person).sum(), (foreground & ~person).sum(), person.sum()
     return [
         (float(found[w].sum() / true[w].sum()), float(false[w].sum() / true[w].sum())) for w in (EARLY, LATE)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from ....inference import MultiChain, RecursiveBP, RunState
 from ....models import Frame, PixelLabels
 from ....models.numerics.threads import set_threads
-from ...background.application import build_model, found_in
+from ...background.application import build_model, read_frame_result
 from ...background.parameters import build_chain
 from ...io.files import PLAYABLE, SegmentedVideo
 from ...io.sources.open_source import open_source
@@ -91,7 +91,7 @@ def in_steps(model: MultiChain) -> Callable[[Frame], object]:
         belief = engine.step(state, frame)
         state = belief.state
         height, width = image_of(frame).shape[:2]
-        return found_in(belief, (width, height))
+        return read_frame_result(belief, (width, height))
 
     return step
 

@@ -159,11 +159,11 @@ def test_killed_in_the_middle(scene: Path, tmp_path: Path) -> None:
         "import sys, time\n"
         "from rsmcm.apps import command_line\n"
         "from rsmcm.apps.background import application\n"
-        "before = application.found_in\n"
-        "def found_in(*arguments):\n"
+        "before = application.read_frame_result\n"
+        "def read_frame_result(*arguments):\n"
         "    time.sleep(0.05)\n"
         "    return before(*arguments)\n"
-        "application.found_in = found_in\n"
+        "application.read_frame_result = read_frame_result\n"
         "command_line.main(sys.argv[1:])\n"
     )
     arguments = ["background", str(scene / "input"), "--out", str(tmp_path / "out"), "--every", "5"]

@@ -44,14 +44,14 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def seen(monkeypatch: pytest.MonkeyPatch) -> dict[int, int | None]:
     """How many boxes the frames have that the model takes in, by number."""
     counts: dict[int, int | None] = {}
-    original = application.found_in
+    original = application.read_frame_result
 
-    def found_in(belief: Belief, *arguments: object) -> application.Found:
+    def read_frame_result(belief: Belief, *arguments: object) -> application.FrameResult:
         boxes = belief.frame.boxes
         counts[belief.frame.number] = None if boxes is None else len(boxes)
         return original(belief, *arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(application, "found_in", found_in)
+    monkeypatch.setattr(application, "read_frame_result", read_frame_result)
     return counts
 
 
@@ -117,7 +117,7 @@ def test_a_comparison_has_them_too(
 ) -> None:
     from rsmcm.apps.experiments import compare
 
-    monkeypatch.setattr(compare, "found_in", application.found_in)
+    monkeypatch.setattr(compare, "read_frame_result", application.read_frame_result)
     run_compare(job_of(scene, tmp_path))
     assert seen == dict.fromkeys(range(1, N_FRAMES + 1), 1)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.background.application import Found, build_model, found_in
+from rsmcm.apps.background.application import FrameResult, build_model, read_frame_result
 from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.background.moving_camera import MOVES, CameraWatch
 from rsmcm.apps.experiments import compare
@@ -28,7 +28,7 @@ def noticed(frames: Iterable[Frame]) -> str | None:
     for belief in RecursiveBP(build_model()).run(frames):
         assert belief.frame.image is not None
         size = belief.frame.image.shape[1::-1]
-        said = watch.take_in(belief, found_in(belief, size).foreground)
+        said = watch.on_frame(belief, read_frame_result(belief, size).foreground)
         if said is not None:
             return said
     return None
@@ -111,11 +111,11 @@ def test_a_comparison_follows_it_too(
 ) -> None:
     followed = []
 
-    def seen(belief: Belief, size: tuple[int, int]) -> Found:
+    def seen(belief: Belief, size: tuple[int, int]) -> FrameResult:
         followed.append(belief["pixels"].view is not None)
-        return found_in(belief, size)
+        return read_frame_result(belief, size)
 
-    monkeypatch.setattr(compare, "found_in", seen)
+    monkeypatch.setattr(compare, "read_frame_result", seen)
     run_compare(BackgroundJob(str(shaking[1]), out=tmp_path, camera="moving", stop=2))
     assert len(followed) == 2 * (len(PRIORS) + len(compare.CHAINS))
     assert all(followed)

@@ -13,10 +13,10 @@ from rsmcm.apps.background.page import (
     TrackHistory,
     background_page,
     draw_paths,
-    drawn_of,
     over_the_film,
+    view_row_of,
 )
-from rsmcm.apps.events.page import Happened
+from rsmcm.apps.events.page import ZoneEvents
 from rsmcm.apps.events.watch import Event, Kind, Moment
 from rsmcm.apps.io.tracks import TrackedBox
 from rsmcm.apps.io.zones import Zones
@@ -49,7 +49,7 @@ def test_outlines_are_those_of_the_foreground() -> None:
     cv2.ellipse(mask, (40, 50), (20, 30), 20, 0, 360, 255, -1)  # type: ignore[call-overload]
     cv2.circle(mask, (40, 50), 8, 0, -1)  # type: ignore[call-overload]
     cv2.rectangle(mask, (90, 10), (120, 80), 255, -1)  # type: ignore[call-overload]
-    drawn = drawn_of(mask, [])
+    drawn = view_row_of(mask, [])
     assert len(drawn["corners"]) == 3, "two things, one with a hole"
     again = np.zeros(SIZE, np.uint8)
     polygons = np.split(drawn["outline"].astype(np.int32), np.cumsum(drawn["corners"])[:-1])
@@ -60,7 +60,7 @@ def test_outlines_are_those_of_the_foreground() -> None:
 
 
 def test_nothing_is_drawn_where_nothing_is() -> None:
-    drawn = drawn_of(np.zeros(SIZE, np.uint8), [])
+    drawn = view_row_of(np.zeros(SIZE, np.uint8), [])
     assert not any(map(len, drawn.values()))
     assert drawn["box"].shape == (0, 4)
     assert drawn["outline"].shape == (0, 2)
@@ -72,7 +72,7 @@ def test_nothing_is_drawn_where_nothing_is() -> None:
 def test_rows_tell_when_each_was_seen(life: list[list[bool | None]]) -> None:
     """By frame and identity: not there, seen, or predicted."""
     rows = [
-        drawn_of(
+        view_row_of(
             np.zeros(SIZE, np.uint8),
             [TrackedBox(k + 1, (k, 2, 3, 4), seen=seen) for k, seen in enumerate(frame) if seen is not None],
         )
@@ -92,16 +92,16 @@ def test_rows_tell_when_each_was_seen(life: list[list[bool | None]]) -> None:
 
 def test_events_are_in_the_order_of_their_times() -> None:
     """In which they are not known: that somebody has gone shows later than what others do meanwhile."""
-    rows = [drawn_of(np.zeros(SIZE, np.uint8), [TrackedBox(1, (1, 2, 3, 4))]) for _ in range(6)]
+    rows = [view_row_of(np.zeros(SIZE, np.uint8), [TrackedBox(1, (1, 2, 3, 4))]) for _ in range(6)]
     moments = [Moment((frame - 1) / 10, frame, 0, 0) for frame in (5, 2, 4, 9)]
     events = [Event(moment, Kind.STANDS, "", 1) for moment in moments]
-    layers, _ = over_the_film(film_of(rows), Happened(Zones(), events, (0.0, 0.5)))
+    layers, _ = over_the_film(film_of(rows), ZoneEvents(Zones(), events, (0.0, 0.5)))
     assert [event["frame"] for event in layers["events"]] == [2, 4, 5], "the film has no frame 9"
 
 
 def test_boxes_of_a_detector_are_drawn() -> None:
     given = GivenBoxes(np.array([[10.0, 20, 30, 60]]), np.array([0.9]))
-    drawn = drawn_of(np.zeros(SIZE, np.uint8), [], given)
+    drawn = view_row_of(np.zeros(SIZE, np.uint8), [], given)
     assert drawn["given"].tolist() == [[10, 20, 20, 40]], "x, y, width, height"
 
 

@@ -29,7 +29,7 @@ def beliefs() -> list[Belief]:
 def recorded(beliefs: list[Belief]) -> ScoreRecord:
     predictions = Predictions(build_model())
     for belief in beliefs:
-        predictions.take_in(belief)
+        predictions.on_frame(belief)
     (record,) = predictions.records()
     assert isinstance(record, ScoreRecord)
     return record
@@ -50,7 +50,7 @@ def test_no_score_has_heard_of_the_frame_that_it_is_of(beliefs: list[Belief]) ->
     engine, changed = RecursiveBP(build_model()), []
     for image in (belief.frame.image, 255 - belief.frame.image):
         scores = PixelScores(build_model())
-        scores.take_in(before, engine.step(before, Frame(image, belief.frame.time, 61)))
+        scores.on_frame(before, engine.step(before, Frame(image, belief.frame.time, 61)))
         (record,) = scores.record()
         assert isinstance(record, ScoreRecord)
         changed.append(record.scores[0])
@@ -72,12 +72,12 @@ def test_a_detector_observes_what_blobs_and_ground_predict() -> None:
     predictions, whole = (Predictions(build_model()) for _ in range(2))
     last = RunState()
     for index, belief in enumerate(RecursiveBP(build_model()).run(with_detector(SCENE, 2))):
-        whole.take_in(belief)
+        whole.on_frame(belief)
         if index == 40:  # as when a run is resumed
             saved = json.loads(json.dumps(predictions.saved()))
             predictions = Predictions(build_model())
             predictions.restore(saved, last)
-        predictions.take_in(belief)
+        predictions.on_frame(belief)
         last = belief.state
     boxes, pixels = predictions.records()
     assert isinstance(boxes, PairRecord)

@@ -13,8 +13,8 @@ from filelock import FileLock
 from rsmcm.apps.batch import application
 from rsmcm.apps.batch.application import run_batch, workers_for
 from rsmcm.apps.batch.job import Batch, options_of
-from rsmcm.apps.batch.sources import Found
-from rsmcm.apps.batch.summary import Told
+from rsmcm.apps.batch.sources import FilmSource
+from rsmcm.apps.batch.summary import FilmStatus
 from rsmcm.apps.command_line import main
 from rsmcm.models.numerics.threads import set_threads, thread_count
 
@@ -155,12 +155,12 @@ def test_threads_and_jobs() -> None:
     try:
         set_threads(8)
         for jobs in range(1, cores + 2):
-            workers = workers_for([Found("film.mp4")], Batch(out=Path("out"), jobs=jobs))
+            workers = workers_for([FilmSource("film.mp4")], Batch(out=Path("out"), jobs=jobs))
             assert workers.jobs == jobs
             assert workers.threads == 1 or workers.jobs * workers.threads <= cores
     finally:
         set_threads(before)
-    cameras = [Found(str(number)) for number in range(cores + 3)]
+    cameras = [FilmSource(str(number)) for number in range(cores + 3)]
     assert workers_for(cameras, Batch(out=Path("out"))).jobs == cores + 3
 
 
@@ -243,7 +243,7 @@ def test_control_c(tmp_path: Path) -> None:
     assert int(rows(out)["film000"]["frames"]) > 5
 
 
-def dies(_: str, job: object) -> Told:
+def dies(_: str, job: object) -> FilmStatus:
     """In place of `run_film`: the process of one film is killed, as the system does where memory ends."""
     folder = job.out  # type: ignore[attr-defined]
     folder.mkdir(parents=True, exist_ok=True)
@@ -251,7 +251,7 @@ def dies(_: str, job: object) -> Told:
     if folder.name == "film001":
         (folder / ".running.json").touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return Told("complete")
+    return FilmStatus("complete")
 
 
 def test_whoever_takes_his_process_along_stops_nobody(
@@ -259,9 +259,9 @@ def test_whoever_takes_his_process_along_stops_nobody(
 ) -> None:
     monkeypatch.setattr(application, "run_film", dies)
     ended = run_batch("background", [str(films)], Batch(out=tmp_path, jobs=2), options_of("background")())
-    states = {line.folder: line.told.state for line in ended.lines}
+    states = {line.folder: line.status.state for line in ended.lines}
     assert states == {"film000": "complete", "film001": "failed", "film002": "complete"}
-    assert ended.lines[1].told.error == "its process was ended by the system, twice"
+    assert ended.lines[1].status.error == "its process was ended by the system, twice"
     assert (tmp_path / "film001" / "begun").read_text() == "xx"
 
 

@@ -9,7 +9,7 @@ import pytest
 from rsmcm.apps.batch import application
 from rsmcm.apps.batch.application import run_batch
 from rsmcm.apps.batch.job import Batch, options_of
-from rsmcm.apps.batch.summary import Told
+from rsmcm.apps.batch.summary import FilmStatus
 from rsmcm.apps.command_line import main
 
 from ...support.cluster import cluster
@@ -58,11 +58,11 @@ def test_one_worker_is_killed(tmp_path: Path) -> None:
         assert results(out / film.name) == results(alone)
 
 
-def dies(_: str, job: object) -> Told:
+def dies(_: str, job: object) -> FilmStatus:
     """In place of `run_film`: one film takes its worker along, wherever it comes."""
     if job.out.name == "film001":  # type: ignore[attr-defined]
         os.kill(os.getpid(), signal.SIGKILL)
-    return Told("complete")
+    return FilmStatus("complete")
 
 
 def test_a_film_that_kills_workers_stops_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,6 +75,6 @@ def test_a_film_that_kills_workers_stops_nobody(tmp_path: Path, monkeypatch: pyt
             Batch(out=tmp_path / "out", dask=there.address),
             options_of("background")(),
         )
-    states = {line.folder: line.told.state for line in ended.lines}
+    states = {line.folder: line.status.state for line in ended.lines}
     assert states == {**dict.fromkeys(["film000", "film002", "film003"], "complete"), "film001": "failed"}
-    assert "KilledWorker" in ended.lines[1].told.error
+    assert "KilledWorker" in ended.lines[1].status.error

@@ -5,11 +5,11 @@ import re
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.apps.batch.sources import LONGEST, Found, folder_names
+from rsmcm.apps.batch.sources import LONGEST, FilmSource, folder_names
 
 
 def names(*sources: str, known: dict[str, str] | None = None) -> list[str]:
-    return folder_names([Found(source) for source in sources], known or {})
+    return folder_names([FilmSource(source) for source in sources], known or {})
 
 
 def test_as_many_parts_as_tell_them_apart() -> None:
@@ -24,14 +24,14 @@ def test_as_many_parts_as_tell_them_apart() -> None:
 
 def test_names_that_were_given_stay() -> None:
     assert names("/b/cam.mp4", "/a/cam.mp4", known={"/a/cam.mp4": "cam"}) == ["cam-2", "cam"]
-    listed = [Found("0", "Cam", where="list"), Found("/a/cam.mp4")]
+    listed = [FilmSource("0", "Cam", where="list"), FilmSource("/a/cam.mp4")]
     assert folder_names(listed, {"/a/cam.mp4": "cam"}) == ["Cam", "cam-2"]
-    assert folder_names([Found("/summary.csv.mp4")], {}, ["summary.csv"]) == ["summary.csv-2"]
+    assert folder_names([FilmSource("/summary.csv.mp4")], {}, ["summary.csv"]) == ["summary.csv-2"]
 
 
 def test_one_name_for_two_cameras_is_refused() -> None:
     with pytest.raises(ValueError, match="list: name: got 'gate' twice"):
-        folder_names([Found("0", "gate", where="list"), Found("1", "Gate", where="other")], {})
+        folder_names([FilmSource("0", "gate", where="list"), FilmSource("1", "Gate", where="other")], {})
 
 
 @given(st.lists(st.text(min_size=1, max_size=120), unique=True, max_size=12))

@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.batch.sources import Found, find_films
+from rsmcm.apps.batch.sources import FilmSource, find_films
 
 
 def images(folder: Path, count: int = 2) -> Path:
@@ -22,7 +22,7 @@ def films(folder: Path, *names: str) -> list[Path]:
     return [folder / name for name in names]
 
 
-def sources(found: list[Found]) -> list[str]:
+def sources(found: list[FilmSource]) -> list[str]:
     return [each.source for each in found]
 
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.apps.batch.summary import Line, Summary, Told
+from rsmcm.apps.batch.summary import FilmStatus, Line, Summary
 
 texts = st.text(st.characters(codec="utf-8", exclude_characters="\0\r\n"), max_size=20)
 tolds = st.builds(
-    Told,
+    FilmStatus,
     state=st.sampled_from(["waiting", "complete", "failed"]),
     error=texts,
     frames=st.none() | st.integers(0, 10**6),
@@ -20,11 +20,11 @@ tolds = st.builds(
 
 @given(st.dictionaries(st.text(st.characters(codec="utf-8", exclude_characters="\0\r\n"), min_size=1), tolds))
 def test_what_is_written_is_read_back(
-    tmp_path_factory: pytest.TempPathFactory, told: dict[str, Told]
+    tmp_path_factory: pytest.TempPathFactory, status: dict[str, FilmStatus]
 ) -> None:
     out = tmp_path_factory.mktemp("out")
     summary = Summary(out)
-    lines = {source: Line(source, f"film-{n}", each) for n, (source, each) in enumerate(told.items())}
+    lines = {source: Line(source, f"film-{n}", each) for n, (source, each) in enumerate(status.items())}
     summary.lines.update(lines)
     summary.write()
     assert Summary(out).lines == lines
@@ -35,7 +35,7 @@ def test_names_are_escaped(tmp_path: Path) -> None:
     folder = tmp_path / "a b&c"  # which no batch has named
     folder.mkdir()
     (folder / "view.html").touch()
-    summary.tell(Line("<script>x</script>", folder.name, Told("failed", "<b> & 'c'")))
+    summary.tell(Line("<script>x</script>", folder.name, FilmStatus("failed", "<b> & 'c'")))
     page = (tmp_path / "index.html").read_text()
     assert "<script" not in page
     assert "&lt;b&gt; &amp; &#39;c&#39;" in page
@@ -45,7 +45,7 @@ def test_names_are_escaped(tmp_path: Path) -> None:
 
 def test_numbers_of_a_summary(tmp_path: Path) -> None:
     summary = Summary(tmp_path)
-    summary.tell(Line("film.mp4", "film", Told("complete", "", 400, 2, 3, 12.3456789, 32.4)))
+    summary.tell(Line("film.mp4", "film", FilmStatus("complete", "", 400, 2, 3, 12.3456789, 32.4)))
     with (tmp_path / "summary.csv").open(newline="") as file:
         (row,) = csv.DictReader(file)
     assert row["seconds"] == "12.3457"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.body.page import PER_PX, SAMPLES, drawn_of, over_the_film, with_final_names
+from rsmcm.apps.body.page import PER_PX, SAMPLES, over_the_film, view_row_of, with_final_names
 from rsmcm.apps.scenes import signer
 from rsmcm.apps.view.film import Film, read_film
 from rsmcm.apps.view.page import Page
@@ -63,7 +63,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, joints: NDArray[np.float64]
     write_pages(
         path,
         signer(N_FRAMES, size=SIZE),
-        lambda index: drawn_of(made[index]),
+        lambda index: view_row_of(made[index]),
         page_of,
     )
     return path
@@ -101,7 +101,7 @@ def test_hands_have_the_names_of_the_end(folder: Path, joints: NDArray[np.float6
     columns |= {"frames": film.numbers, "relabelled": np.arange(N_FRAMES) == 4}
     changed = with_final_names(film, columns)
     for name, before in film.columns.items():
-        after, expected = changed.columns[name], drawn_of(others[4])[name]
+        after, expected = changed.columns[name], view_row_of(others[4])[name]
         per_frame = len(before) // N_FRAMES
         kept = np.delete(np.arange(len(before)), np.arange(4 * per_frame, 5 * per_frame))
         np.testing.assert_array_equal(after[kept], before[kept])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from markupsafe import escape
 from rsmcm.apps.events import Event, Kind, Line, Moment, Zone, Zones
-from rsmcm.apps.events.page import MOST_ROWS, Happened
+from rsmcm.apps.events.page import MOST_ROWS, ZoneEvents
 from rsmcm.apps.view.page import Plot
 
 SQUARE = np.array([[10.0, 10], [90, 10], [90, 90], [10, 90]])
@@ -35,7 +35,7 @@ EVENTS = [
 
 
 def test_counts() -> None:
-    counts = Happened(ZONES, EVENTS, (0.0, 10.0)).counts()
+    counts = ZoneEvents(ZONES, EVENTS, (0.0, 10.0)).counts()
     nothing = dict.fromkeys(("entered", "appeared", "left", "disappeared", "remained", "stands"), 0)
     assert counts == {
         "<hall>": {
@@ -45,10 +45,10 @@ def test_counts() -> None:
         "empty": nothing,
         "gate": {"in": 2, "out": 1},
     }  # fmt: skip
-    assert Happened(ZONES, EVENTS, (0.0, 10.0)).in_words()[2] == "gate: in 2, out 1"
+    assert ZoneEvents(ZONES, EVENTS, (0.0, 10.0)).in_words()[2] == "gate: in 2, out 1"
 
 
-def parts(happened: Happened) -> tuple[list[Plot], str]:
+def parts(happened: ZoneEvents) -> tuple[list[Plot], str]:
     """Plots, and everything else as text."""
     ((title, found),) = happened.sections()
     assert title == "Zones and lines"
@@ -57,7 +57,7 @@ def parts(happened: Happened) -> tuple[list[Plot], str]:
 
 
 def test_section() -> None:
-    plots, text = parts(Happened(ZONES, EVENTS, (0.0, 10.0)))
+    plots, text = parts(ZoneEvents(ZONES, EVENTS, (0.0, 10.0)))
     assert "<hall>" not in text, "names are escaped"
     for expected in ("&lt;hall&gt;", "stood still", "stayed", ">7<"):
         assert expected in text, expected
@@ -75,8 +75,8 @@ def test_section() -> None:
 
 def test_a_section_of_many_and_of_no_events() -> None:
     many = [event(float(time), Kind.LEFT, time, 1.0 + time) for time in range(3 * MOST_ROWS)]
-    assert f"The {MOST_ROWS} longest of {3 * MOST_ROWS}." in parts(Happened(ZONES, many, (0.0, 1e3)))[1]
-    assert "Nobody stayed" in parts(Happened(ZONES, [], (0.0, 0.0)))[1]
+    assert f"The {MOST_ROWS} longest of {3 * MOST_ROWS}." in parts(ZoneEvents(ZONES, many, (0.0, 1e3)))[1]
+    assert "Nobody stayed" in parts(ZoneEvents(ZONES, [], (0.0, 0.0)))[1]
 
 
 @pytest.mark.parametrize("name", ["$x^$", "5 $", "_a_b", "通り", "</script><b>"])
@@ -84,8 +84,11 @@ def test_any_name_is_shown_as_it_is(name: str) -> None:
     zones = Zones(
         (Zone(name, SQUARE, (100, 100)),), (Line(f"{name}2", (0.0, 0.0), (9.0, 9.0), f"{name} in", "out"),)
     )
-    assert [words.split(":")[0] for words in Happened(zones, [], (0.0, 1.0)).in_words()] == [name, f"{name}2"]
-    plots, text = parts(Happened(zones, EVENTS, (0.0, 10.0)))
+    assert [words.split(":")[0] for words in ZoneEvents(zones, [], (0.0, 1.0)).in_words()] == [
+        name,
+        f"{name}2",
+    ]
+    plots, text = parts(ZoneEvents(zones, EVENTS, (0.0, 10.0)))
     assert [plot.name for plot in plots] == [f"in {name}", f"across {name}2, so far"]
     assert plots[1].lines[0].label == f"{name} in"
     assert f"<td>{escape(name)}</td>" in text

@@ -56,7 +56,7 @@ def events(
     watch, found = Watch(watched or zones(scale)), []
     for index, (x, y) in enumerate(scale * path):
         if there is None or there[index]:
-            found += watch.take_in(index / rate, index + 1, [Sighting(1, x, y, HEIGHT * scale, True)])
+            found += watch.update(index / rate, index + 1, [Sighting(1, x, y, HEIGHT * scale, True)])
     return found + watch.end(len(path))
 
 
@@ -220,9 +220,9 @@ def test_a_place_that_is_only_predicted_is_less_sure() -> None:
     found = []
     for number in range(1, 58):
         x, seen = 60.0 + number, number <= 10
-        found += watch.take_in(number / 25, number, [Sighting(1, x, 220.0, HEIGHT, seen)])
+        found += watch.update(number / 25, number, [Sighting(1, x, 220.0, HEIGHT, seen)])
     assert not found, "17 px beyond, after two seconds"
-    found = watch.take_in(58 / 25, 58, [Sighting(1, 120.0, 220.0, HEIGHT, True)])
+    found = watch.update(58 / 25, 58, [Sighting(1, 120.0, 220.0, HEIGHT, True)])
     assert kinds(found) == [("entered", "strip")]
 
 
@@ -245,7 +245,7 @@ def test_slower_than_a_tenth_of_a_height_a_second_is_standing(speed: float, stan
 def test_memory_does_not_grow_with_those_who_are_gone() -> None:
     watch = Watch(zones())
     for number in range(1, 2000):
-        watch.take_in(number / 5, number, [Sighting(number, 150.0, 120.0, HEIGHT, True)])
+        watch.update(number / 5, number, [Sighting(number, 150.0, 120.0, HEIGHT, True)])
         assert len(watch._tracks) <= 17
 
 

@@ -78,7 +78,7 @@ def written(folder: Path, text: str, name: str = "found") -> Path:
     return path
 
 
-def found_in(detections: Detections, numbers: range) -> list[tuple[int, list[float], float]]:
+def read_frame_result(detections: Detections, numbers: range) -> list[tuple[int, list[float], float]]:
     found = []
     for number in numbers:
         boxes = detections.at(number)
@@ -102,7 +102,7 @@ def test_every_form_says_the_same(
         for frame, (x, y, w, h), score, _ in sorted(rows, key=lambda row: row[0])
     ]
     assert len(detections) == len(rows)
-    assert found_in(detections, range(1, 31)) == expected
+    assert read_frame_result(detections, range(1, 31)) == expected
 
 
 @pytest.mark.parametrize("form", [sizes, edges, data_set])
@@ -112,7 +112,7 @@ def test_classes_are_kept_by_name(form: Callable[[list[Row]], str], tmp_path: Pa
     path = written(tmp_path, form([(1, box, 0.5, "person"), (2, box, 0.7, "car"), (2, box, 0.9, "person")]))
     cars = read_detections(path, ["car"])
     assert cars.at(1) is not None
-    assert found_in(cars, range(1, 4)) == [(2, [1, 2, 4, 6], 0.7)]
+    assert read_frame_result(cars, range(1, 4)) == [(2, [1, 2, 4, 6], 0.7)]
     (boxes,) = [read_detections(path).at(2)]
     assert boxes is not None
     assert boxes.classes is not None
@@ -123,7 +123,7 @@ def test_classes_are_kept_by_name(form: Callable[[list[Row]], str], tmp_path: Pa
 
 def test_classes_of_results_are_numbers(tmp_path: Path) -> None:
     path = written(tmp_path, results([(1, (1, 2, 3, 4), 0.5, "person"), (1, (1, 2, 3, 4), 0.6, "car")]))
-    assert found_in(read_detections(path, ["1"]), range(2)) == [(1, [1, 2, 4, 6], 0.6)]
+    assert read_frame_result(read_detections(path, ["1"]), range(2)) == [(1, [1, 2, 4, 6], 0.6)]
     with pytest.raises(ValueError, match=r"got 'person', but .* has 0, 1"):
         read_detections(path, ["person"])
 

@@ -61,7 +61,7 @@ def going_on(
                 return
             picture = np.roll(noise, number, axis=1)
             began = time.perf_counter()
-            running.take_in(Frame(picture, number / 25, number), {"tracks": 1}, ())
+            running.on_frame(Frame(picture, number / 25, number), {"tracks": 1}, ())
             running.show(picture)
             costs.append(time.perf_counter() - began)
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.background.page import drawn_of
+from rsmcm.apps.background.page import view_row_of
 from rsmcm.apps.io.tracks import TrackedBox
 from rsmcm.apps.view.overlay import (
     DOT,
@@ -41,7 +41,7 @@ def test_masks_boxes_and_trails() -> None:
     for number, x in ((1, 60.0), (2, 90.0)):
         track = TrackedBox(4, (x, 50.0, 30.0, 40.0))
         given = GivenBoxes(np.array([[130.0, 20, 150, 40]]), np.ones(1))
-        picture = overlay(image, drawn_of(foreground, [track], given), number, number / 10, missing=False)
+        picture = overlay(image, view_row_of(foreground, [track], given), number, number / 10, missing=False)
     colour = identity_colour(4)
     np.testing.assert_array_equal(image, before)
     assert picture.shape == (120, 160, 3)
@@ -51,7 +51,7 @@ def test_masks_boxes_and_trails() -> None:
     assert tuple(picture[70, 90].tolist()) == colour
     assert picture[30, 130].min() > 180, "of the detector"
     assert picture[110, 10].tolist() == [100, 100, 100]
-    far = drawn_of(np.zeros_like(foreground), [TrackedBox(1, (-500.0, -90.0, 9000.0, 3.0))])
+    far = view_row_of(np.zeros_like(foreground), [TrackedBox(1, (-500.0, -90.0, 9000.0, 3.0))])
     overlay(image, far, 3, 0.3, missing=True)  # is no reason to fail
 
 
@@ -59,7 +59,7 @@ def test_trails_are_those_of_two_seconds() -> None:
     nothing, overlay, shown = np.zeros((120, 160), np.uint8), TracksOverlay(), []
     for number in range(1, 5):
         box = (20.0 * number, 20.0, 10.0, 40.0)
-        row = drawn_of(nothing, [TrackedBox(4, box)])
+        row = view_row_of(nothing, [TrackedBox(4, box)])
         picture = overlay(blank(), row, number, float(number), missing=False)
         there = (picture[60] == identity_colour(4)).all(axis=1)
         shown.append(np.flatnonzero(there).min())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.background.page import drawn_of
+from rsmcm.apps.background.page import view_row_of
 from rsmcm.apps.events import Line, Zone, Zones
 from rsmcm.apps.view.overlay import ZONES as COLOUR
 from rsmcm.apps.view.overlay import TracksOverlay, draw_zones
@@ -48,7 +48,7 @@ def test_names_stay_in_the_picture_and_overlays_have_them() -> None:
     zones = Zones((Zone("a long name", corner, SIZE),), ())
     assert amber(zones)[215:, 200:290].any(), "of the name, left of the zone"
     image = np.full((240, 320, 3), 90, np.uint8)
-    nothing = drawn_of(np.zeros((240, 320), np.uint8), [])
+    nothing = view_row_of(np.zeros((240, 320), np.uint8), [])
     drawn = TracksOverlay(zones)(image, nothing, 1, 0.0, missing=False)
     assert like_amber(drawn)[215:, 200:290].any()
     assert (image == 90).all()

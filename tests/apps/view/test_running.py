@@ -105,7 +105,7 @@ def test_what_is_said_of_a_run(running: Running) -> None:
     for number in range(1, 31):
         time.sleep(0.002)
         frame = Frame(None if number == 30 else grey(0), number / 25, number)
-        running.take_in(frame, {"tracks": number}, [f"event {number}"])
+        running.on_frame(frame, {"tracks": number}, [f"event {number}"])
     said = running.status()
     assert said["state"] == "running"
     assert (said["frame"], said["frames"], said["time"], said["missing"]) == (30, 50, 1.2, True)
@@ -134,7 +134,7 @@ def test_memory_is_bounded_however_long_it_runs(running: Running) -> None:
 
     def go_on() -> None:
         for number in range(2000):
-            running.take_in(Frame(None, number / 25, number + 1), {"tracks": 1}, ["something"])
+            running.on_frame(Frame(None, number / 25, number + 1), {"tracks": 1}, ["something"])
             running.show(grey(0, (64, 48)))
 
     go_on()

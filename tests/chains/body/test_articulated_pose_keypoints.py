@@ -15,7 +15,7 @@ from rsmcm.models import BodyParts, Frame
 from rsmcm.models.body.upper_body import JOINTS
 from rsmcm.models.core.gaussian_message import squared_distances
 
-from ...support.keypoints import found_in
+from ...support.keypoints import read_frame_result
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def followed(seed: int, n_frames: int = 32, **detector: float | tuple[float, flo
     parts = replace(BodyParts.learned(images, scene.detector), head_height=body.head_height)
     model = MultiChain().connect(FleshTracker(body), parts)
     model.connect(ArticulatedPose(body, 250, start=scene.poses.take([0])), parts)
-    given = list(found_in(scene, **detector)) if detector else []  # type: ignore[arg-type]
+    given = list(read_frame_result(scene, **detector)) if detector else []  # type: ignore[arg-type]
     known = with_keypoints(frames, lambda frame: given[frame.number - 1]) if given else frames
     flat, deep, nees = [], [], []
     for tracked, truth in zip(RecursiveBP(model).run(known), scene.joints, strict=True):

@@ -13,7 +13,7 @@ from rsmcm.chains.body.start import MOST_FRAMES, follow_person
 from rsmcm.models import GivenKeypoints
 
 from ...conftest import Command, summary_of
-from ...support.keypoints import found_in, write_csv
+from ...support.keypoints import read_frame_result, write_csv
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ def scene() -> SignerScene:
 @pytest.fixture(scope="module")
 def found(scene: SignerScene) -> list[GivenKeypoints]:
     """What is found in the scene, and a smaller person beside."""
-    own = list(found_in(scene, exchanged=0.0, missed=0.05))
+    own = list(read_frame_result(scene, exchanged=0.0, missed=0.05))
     small = [0.4 * given.positions + (180, 40) for given in own]
     return [
         GivenKeypoints(np.concatenate([other, given.positions]), np.concatenate([given.scores] * 2))
