@@ -10,6 +10,7 @@ from .engine.protocols import (
     LazyFrames,
     Message,
     Port,
+    SettlingMessage,
     Smoothed,
     Trajectory,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "RecordedPredictions",
     "RecursiveBP",
     "RunState",
+    "SettlingMessage",
     "Smoothed",
     "Solution",
     "Trajectory",

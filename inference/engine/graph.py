@@ -229,35 +229,25 @@ class MultiChain:
                         f"expected a {port.kind.__name__} too, which it needs"
                     )
 
-    def check(self) -> None:
-        """Raise a `ValueError` if chains and features of a time slice form a loop that no cut edge opens."""
-        try:
-            loop = nx.find_cycle(self._dependencies())
-        except nx.NetworkXNoCycle:
-            return
-        # Each message of the cycle is read at its feature by the sender of the next; the walk may pass a
-        # node several times, and between two visits it is a simple loop.
-        walk: list[str] = []
-        for (_, feature), (reader, _) in loop * 2:
-            for name in (feature, reader):
-                if name in walk:
-                    names = " - ".join([*walk[walk.index(name) :], name])
-                    raise ValueError(
-                        f"model: chains and features form the loop {names}, expected none; "
-                        "merge the feature nodes of the loop into one"
-                    )
-                walk.append(name)
+    @property
+    def has_loops(self) -> bool:
+        """Whether messages depend on each other in a circle, so that they are sent in sweeps.
 
-    def schedule(self) -> list[Step]:
-        """Every message to a feature once, in an order that makes sum-product exact.
-
-        What the order leaves open is settled by what chains want to find at each feature (`Cavity`): first
-        those speak that want nothing, then the image (whose likelihood is worked out where these, and what
-        the others predict without it, have mass), then the chains that want the image, at last those that
-        want to hear the others, by their names.
+        Chains and features that form a loop do, unless a cut edge (`feedback=False`) opens it.
         """
-        self.check()
+        return not nx.is_directed_acyclic_graph(self._dependencies())
+
+    def schedule(self) -> list[tuple[Step, ...]]:
+        """Return every message to a feature once, in an order that makes sum-product exact on forests.
+
+        Messages that depend on each other are a group of several, all others are a group of one. What the
+        order leaves open is settled by what chains want to find at each feature (`Cavity`): first those speak
+        that want nothing, then the image (whose likelihood is worked out where these, and what the others
+        predict without it, have mass), then the chains that want the image, at last those that want to hear
+        the others, by their names.
+        """
         needs = self._dependencies()
+        has_loops = not nx.is_directed_acyclic_graph(needs)
         for feature in self.features:
             senders = self.senders[feature]
             early = [(name, feature) for name in senders if self.cavities[name, feature] == Cavity.NOTHING]
@@ -269,7 +259,19 @@ class MultiChain:
             for first, then in wanted:
                 if not nx.has_path(needs, then, first):
                     needs.add_edge(first, then)
-        return list(nx.lexicographical_topological_sort(needs))
+
+        def speaks(step: Step) -> tuple[Cavity, Step]:
+            return self.cavities.get(step, Cavity.NOTHING), step
+
+        groups = nx.condensation(needs)
+        steps = {group: tuple(sorted(groups.nodes[group]["members"], key=speaks)) for group in groups}
+
+        def turn(group: int) -> tuple[bool, tuple[Step, ...]]:
+            # beside a loop, the image is searched when as much as possible is known of where to look
+            sender, feature = steps[group][0]
+            return has_loops and sender == IMAGE and self.features[feature].searches, steps[group]
+
+        return [steps[group] for group in nx.lexicographical_topological_sort(groups, key=turn)]
 
     def draw(self, path: str | Path) -> None:
         """Draw the graph to an SVG or PNG file (by its suffix)."""

@@ -35,6 +35,25 @@ class Message(Protocol):
     def __mul__(self, other: Self, /) -> Self: ...
 
 
+class SettlingMessage(Message, Protocol):
+    """What a message can offer beside, for models with loops; each of these is optional.
+
+    `normalised` is needed where the scale holds what a chain's other features say: it would grow with every
+    sweep. Without powers it is not damped; without `distance` it has settled when the log mass of the belief
+    at its feature changes no more.
+    """
+
+    def normalised(self) -> Self:
+        """Return the same function, scaled to integrate to 1."""
+        ...
+
+    def distance(self, other: Self, /) -> float:
+        """Return how far the function is from another one, whatever their scales: 0 if they are the same."""
+        ...
+
+    def __pow__(self, exponent: float, /) -> Self: ...
+
+
 class Named(Protocol):
     """A chain or a feature node, as far as a model tells it by its name."""
 

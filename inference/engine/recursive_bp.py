@@ -5,191 +5,31 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import inf
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints, overload
+from typing import Annotated, Any, TypeVar, get_type_hints, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import Bound, Count, NotNegative, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.numerics.threads import side_by_side
 from . import checkpoint
-from .graph import IMAGE, MultiChain, Step, as_frame, require_later, require_model
+from .graph import IMAGE, MultiChain, as_frame, require_later, require_model
 from .protocols import (
     BatchIncoming,
-    Cavity,
     Chain,
     FeatureNode,
-    Incoming,
-    Message,
     MessageType,
     Named,
     PerFrame,
-    Results,
     name_of,
     require,
 )
+from .time_slice import Sweeps, TimeSlice
 
 State = TypeVar("State")
-
-
-@dataclass(eq=False)
-class Sent:
-    """A message, worked out from the factors `incoming` by feature when it is first multiplied."""
-
-    sender: str
-    feature: str
-    incoming: Mapping[str, "Factors"]
-    message: Any = None
-
-
-Factors = tuple[Sent, ...]
-
-
-class TimeSlice:
-    """Messages of one frame, and their products.
-
-    The same factors always give the same product object, so that messages may keep what they work out. No
-    message refers to the slice, so that large arrays go with it.
-    """
-
-    def __init__(self, model: MultiChain, predictions: Mapping[str, Any], frame: Frame) -> None:
-        self.model = model
-        self.predictions = predictions
-        self.frame = frame
-        self._results: Results = {}
-        self._sent: dict[Step, Sent] = {}
-        self._products: dict[tuple[str, Factors], Any] = {}
-
-    def send(self, sender: str, feature: str) -> None:
-        """Send a message that follows from what has been sent by now."""
-        if sender == IMAGE:
-            if self.frame.missing:
-                return
-            incoming = {feature: self._ahead(feature) if self.model.features[feature].searches else ()}
-        else:
-            incoming = {name: self._factors(name, sender) for name in self.model.features_of[sender]}
-            wanted = self.model.cavities[sender, feature]
-            if wanted != Cavity.OTHERS:
-                image = self._sent.get((IMAGE, feature))
-                incoming[feature] = () if image is None or wanted == Cavity.NOTHING else (image,)
-        self._sent[sender, feature] = Sent(sender, feature, incoming)
-
-    def incoming(self, chain: str) -> Incoming:
-        """All that reaches the chain by now except for its own messages, worked out."""
-        factors = {name: self._factors(name, chain) for name in self.model.features_of[chain]}
-        for feature, those in factors.items():
-            self._multiply(feature, those)
-        return _Incoming(self, factors)
-
-    def sent(self, sender: str, feature: str) -> Any:
-        """The message of a chain, or of the image, to the feature; a `KeyError` if there is none."""
-        if (sender, feature) not in self._sent:
-            raise KeyError(f"{sender!r} says nothing to {feature!r}")
-        return self._message(self._sent[sender, feature])
-
-    def product(self, feature: str) -> Any:
-        """Product of all that the feature has been sent by now."""
-        return self._multiply(feature, self._factors(feature))
-
-    def log_evidence(self) -> float:
-        """Log p(image | past), by the chain rule: that of each feature given those before it."""
-        return float(
-            sum(
-                self._log_evidence_at(feature, features[:number])
-                for features in self.model.components()
-                for number, feature in enumerate(features)
-            )
-        )
-
-    def _log_evidence_at(self, feature: str, seen: Sequence[str]) -> float:
-        """Log probability of what the image shows of a feature, given what it shows of those `seen`."""
-        if (IMAGE, feature) not in self._sent:
-            return 0.0
-        predicted = tuple(self._given(name, feature, seen) for name in self.model.senders[feature])
-        log_mass = self._multiply(feature, (self._sent[IMAGE, feature], *predicted)).log_mass
-        return float(log_mass - self._multiply(feature, predicted).log_mass) if log_mass > -inf else -inf
-
-    def _given(self, chain: str, feature: str, seen: Sequence[str]) -> Sent:
-        """What the chain would send if the image showed no feature of its component but those `seen`.
-
-        What it found in its own cavity, and what it reads through cut edges, stays as it is.
-        """
-        sent = self._sent[chain, feature]
-        incoming = dict(sent.incoming)
-        for other in incoming:
-            senders = self.model.senders[other]
-            if other != feature and chain in senders:
-                image = [self._sent[IMAGE, other]] if other in seen else []
-                others = [self._given(name, other, seen) for name in senders if name != chain]
-                incoming[other] = (*image, *others)
-        return sent if incoming == sent.incoming else Sent(chain, feature, incoming)
-
-    def _ahead(self, feature: str) -> Factors:
-        """Where the image is to be searched: what was said by now, and what others predict without it."""
-        predicted = [
-            Sent(name, feature, {other: self._factors(other, name) for other in self.model.features_of[name]})
-            for name in self.model.senders[feature]
-            if (name, feature) not in self._sent
-        ]
-        return (*self._factors(feature), *predicted)
-
-    def _factors(self, feature: str, without: str | None = None) -> Factors:
-        """What the feature has been sent by now, but for one chain's message."""
-        steps = [(name, feature) for name in (IMAGE, *self.model.senders[feature]) if name != without]
-        return tuple(self._sent[step] for step in steps if step in self._sent)
-
-    def _multiply(self, feature: str, factors: Factors) -> Any:
-        if len(factors) == 1:
-            return self._message(factors[0])
-        key = feature, factors
-        if key not in self._products:
-            if factors:
-                product = self._multiply(feature, factors[:-1]) * self._message(factors[-1])
-            else:
-                product = self.model.features[feature].uniform()
-            # chains that are updated side by side may ask for the same product
-            return self._products.setdefault(key, product)
-        return self._products[key]
-
-    def _message(self, sent: Sent) -> Any:
-        """The message that was sent."""
-        if sent.message is None:
-            node = self.model.features[sent.feature]
-            if sent.sender == IMAGE:
-                prior = self._multiply(sent.feature, sent.incoming[sent.feature])
-                message = node.evidence(self.frame, prior)
-            else:
-                chain, state = self.model.chains[sent.sender], self.predictions[sent.sender]
-                message = chain.message(state, node, _Incoming(self, sent.incoming))
-            if not isinstance(message, self.model.message_kinds[sent.feature]):
-                raise self.model.wrong_message(sent.sender, sent.feature, message)
-            sent.message = message
-        return sent.message
-
-
-class _Incoming(Incoming):
-    """Products of factors at a chain's feature nodes, each worked out when it is asked for."""
-
-    def __init__(self, time_slice: TimeSlice, factors: Mapping[str, Factors]) -> None:
-        self._slice, self._factors = time_slice, factors
-        self._nodes = tuple(time_slice.model.features[name] for name in factors)
-        self._results = time_slice._results
-
-    def _message_at(self, node: Named) -> Message:
-        product: Message = self._slice._multiply(node.name, self._factors[node.name])
-        return product
-
-    def _others_at(self, node: Named) -> Message:
-        return self._part(node, lambda sent: sent.sender != IMAGE)
-
-    def _evidence_at(self, node: Named) -> Message:
-        return self._part(node, lambda sent: sent.sender == IMAGE)
-
-    def _part(self, node: Named, belongs: Callable[[Sent], bool]) -> Message:
-        factors = tuple(sent for sent in self._factors[node.name] if belongs(sent))
-        product: Message = self._slice._multiply(node.name, factors)
-        return product
+BELOW_1 = Bound(lambda value: 0 <= value < 1, "0 to less than 1")
 
 
 @short_repr
@@ -261,7 +101,8 @@ class Belief:
     def __repr__(self) -> str:
         missing = ", missing" if self.frame.missing else ""
         names = "nothing yet" if self._slice is None else self._slice.model.names
-        return f"Belief(frame {self.frame.number} at {self.frame.time:.6g} s{missing}: {names})"
+        settled = "" if self.converged else f", not settled after {self.sweeps} sweeps"
+        return f"Belief(frame {self.frame.number} at {self.frame.time:.6g} s{missing}{settled}: {names})"
 
     def _repr_png_(self) -> bytes | None:
         """The frame with what is believed of its features, for notebooks."""
@@ -277,6 +118,16 @@ class Belief:
         """Posterior states of the chains by name."""
         return self.state.states
 
+    @property
+    def converged(self) -> bool:
+        """Whether the messages of all loops have settled; true without loops."""
+        return self._slice is None or self._slice.converged
+
+    @property
+    def sweeps(self) -> int:
+        """How often the messages of a loop were sent, the most of all loops; 1 without loops."""
+        return 1 if self._slice is None else self._slice.sweeps
+
     @cached_property
     def log_evidence(self) -> float:
         """log p(I_t | I_1..t-1), worked out when asked for; 0 before the first image.
@@ -285,7 +136,8 @@ class Belief:
         less that without it: models can be compared, whatever the scale of their messages. Features that
         share a chain follow each other (their evidence is given that of those before); a component that
         reads another one through a cut edge is conditioned on it. What is not exact is what chains
-        approximate.
+        approximate. Of a component with a loop it is Bethe's approximation: the messages settle once more,
+        without the image, when it is asked for.
         """
         return 0.0 if self._slice is None else self._slice.log_evidence()
 
@@ -324,28 +176,47 @@ class RecursiveBP:
     """Recursive belief propagation (Algorithm 1): predict, exchange messages, update, frame by frame.
 
     The marginals of the chains after a frame are the priors of the next; within a frame sum-product runs on
-    the tree of chains and features, one message each way on every edge.
+    the graph of chains and features. On a forest every message is sent once, which is exact as far as the
+    messages are. Messages of a loop (`MultiChain.has_loops`) are sent in sweeps until they settle: loopy
+    belief propagation, whose marginals are approximate. See `Belief.converged`, and `SettlingMessage` for
+    what messages can offer.
 
     Parameters
     ----------
     model
         as it is now: later connections need a new engine.
+    damping
+        share, by powers, of a loop's old message in the new one, 0 to less than 1. More of it settles slower,
+        and where sweeps would go back and forth. Messages without powers are not damped.
+    most_sweeps
+        greatest number of sweeps in a frame.
+    tolerance
+        of the messages' distances from those of the sweep before: when no message of the loop is further, it
+        has settled.
 
     Raises
     ------
     ValueError
-        if the model has no chain or has a loop.
+        if the model has no chain, or a parameter is out of range.
     TypeError
         if one of the chains cannot filter.
     """
 
-    def __init__(self, model: MultiChain) -> None:
+    @checked
+    def __init__(
+        self,
+        model: MultiChain,
+        damping: Annotated[float, BELOW_1] = 0.0,
+        most_sweeps: Count = 50,
+        tolerance: NotNegative = 1e-6,
+    ) -> None:
         require_model(model)
         for name, chain in model.chains.items():
             require(f"chain {name!r}", chain, Chain)
         model.check_complete()
         self.model = model.copy()
         self._schedule = self.model.schedule()
+        self._sweeps = Sweeps(damping, most_sweeps, tolerance)
 
     def __repr__(self) -> str:
         return f"RecursiveBP({self.model})"
@@ -390,9 +261,8 @@ class RecursiveBP:
             _require_states("predict", state.states, predictions)
         else:
             raise ValueError(f"state: got chains {', '.join(state.states)}, expected {', '.join(chains)}")
-        time_slice = TimeSlice(self.model, predictions, frame)
-        for sender, feature in self._schedule:
-            time_slice.send(sender, feature)
+        time_slice = TimeSlice(self.model, predictions, frame, self._schedule, self._sweeps)
+        time_slice.exchange()
         incoming = {name: time_slice.incoming(name) for name in chains}
         updated = side_by_side(
             [partial(chain.update, predictions[name], incoming[name]) for name, chain in chains.items()]

@@ -33,6 +33,19 @@ class CategoricalMessage:
     def __mul__(self, other: "CategoricalMessage") -> "CategoricalMessage":
         return CategoricalMessage(self.log_weights + other.log_weights)
 
+    def __pow__(self, exponent: float) -> "CategoricalMessage":
+        return CategoricalMessage(self.log_weights * exponent)
+
+    def normalised(self) -> "CategoricalMessage":
+        """Return the message with weights that sum to 1, or itself if all values are impossible."""
+        log_mass = self.log_mass
+        return self if log_mass == -np.inf else CategoricalMessage(self.log_weights - log_mass)
+
+    def distance(self, other: "CategoricalMessage") -> float:
+        """Return the greatest difference of normalised weights."""
+        one, two = (np.exp(each.normalised().log_weights) for each in (self, other))
+        return float(np.abs(one - two).max())
+
 
 @short_repr
 @dataclass(frozen=True)

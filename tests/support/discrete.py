@@ -58,8 +58,9 @@ class CavityChain(DiscreteChain):
     ports = (Port(Categorical, Cavity.OTHERS, many=True),)
 
 
-def random_table(random: np.random.Generator, *shape: int) -> Table:
-    table = random.random(shape) + 0.01
+def random_table(random: np.random.Generator, *shape: int, power: float = 1.0) -> Table:
+    """Rows of random probabilities; the larger `power`, the nearer to certain."""
+    table = random.random(shape) ** power + 0.01
     return table / table.sum(axis=-1, keepdims=True)
 
 
@@ -68,7 +69,10 @@ def image(*values: int) -> NDArray[np.uint8]:
 
 
 def random_model(
-    random: np.random.Generator, links: Sequence[tuple[str, str]], kinds: Mapping[str, type] | None = None
+    random: np.random.Generator,
+    links: Sequence[tuple[str, str]],
+    kinds: Mapping[str, type] | None = None,
+    power: float = 1.0,
 ) -> MultiChain:
     """Random chains and features of sizes 2 to 4; pixel k of a frame is what feature k shows (0 to 4)."""
     chain_names = sorted({chain for chain, _ in links})
@@ -76,7 +80,7 @@ def random_model(
     features = {}
     for position, name in enumerate(feature_names):
         size = int(random.integers(2, 5))
-        emission = random_table(random, size, 5)
+        emission = random_table(random, size, 5, power=power)
 
         def log_likelihood(frame: Frame, emission: Table = emission, position: int = position) -> Table:
             assert frame.image is not None
@@ -86,7 +90,9 @@ def random_model(
     chains = {}
     for name in chain_names:
         n_states = int(random.integers(2, 5))
-        tables = {f: random_table(random, n_states, features[f].size) for c, f in links if c == name}
+        tables = {
+            f: random_table(random, n_states, features[f].size, power=power) for c, f in links if c == name
+        }
         kind = (kinds or {}).get(name, DiscreteChain)
         prior, transition = random_table(random, n_states), random_table(random, n_states, n_states)
         chains[name] = kind(name, prior, transition, tables)

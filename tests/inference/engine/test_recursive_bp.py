@@ -433,7 +433,7 @@ def test_what_was_said_in_a_frame_can_be_asked_for() -> None:
         said = belief.message("a", f) * belief.message(model.chains["b"], f) * belief.evidence(f)
         np.testing.assert_allclose(said.probabilities(), belief[f].probabilities(), rtol=0, atol=EXACT)
     np.testing.assert_array_equal(beliefs[2].evidence(f).log_weights, f.uniform().log_weights)
-    with pytest.raises(KeyError, match="'b' says nothing to 'g'"):
+    with pytest.raises(KeyError, match="'b' sends nothing to 'g'"):
         beliefs[0].message("b", g)
     with pytest.raises(KeyError, match="before the first frame"):
         RecursiveBP(model).step(RunState(), Frame(None, 0.0, 1)).message("a", f)
@@ -462,8 +462,6 @@ def test_states_of_other_chains_are_refused() -> None:
 def test_a_model_is_checked_before_the_first_frame() -> None:
     with pytest.raises(ValueError, match="no chain"):
         RecursiveBP(MultiChain())
-    with pytest.raises(ValueError, match="loop"):
-        RecursiveBP(random_model(rng(), [("a", "f"), ("b", "f"), ("b", "g"), ("a", "g")]))
 
 
 def test_impossible_values_and_wrong_likelihoods_are_named() -> None:
