@@ -12,6 +12,8 @@ from rsmcm.models import Frame
 from ..fuzz.networks import bright_cells
 from ..support.pages import ROOT, Reader
 
+pytestmark = pytest.mark.slow
+
 N_FRAMES = 32
 SIDE = 24
 

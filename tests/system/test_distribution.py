@@ -1,4 +1,4 @@
-"""What is handed over: source distribution, wheel, an installed command; version, checks, citation."""
+"""Source distribution, wheel, and the installed command; the targets of make."""
 
 import os
 import re
@@ -7,20 +7,16 @@ import subprocess
 import sys
 import sysconfig
 import tarfile
-import tomllib
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-import yaml
 from rsmcm.apps.demo import write_scene
 from rsmcm.apps.scenes import sleeping_man
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("models", "inference", "chains", "apps")
-PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "_build", "generated", "*.nb[ic]")
 MOST_SECONDS = 900
 
@@ -69,6 +65,7 @@ def _clean() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 
 
+@pytest.mark.slow
 def test_wheel_holds_the_four_packages_and_nothing_generic(source: Path, built: Path) -> None:
     (wheel,) = built.glob("*.whl")
     names = [name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name]
@@ -76,6 +73,7 @@ def test_wheel_holds_the_four_packages_and_nothing_generic(source: Path, built: 
     assert set(names) == {f"rsmcm/{path.as_posix()}" for path in ours}
 
 
+@pytest.mark.slow
 def test_source_distribution_holds_what_is_needed_to_work_on_it(source: Path, built: Path) -> None:
     (archive,) = built.glob("*.tar.gz")
     with tarfile.open(archive) as file:
@@ -88,14 +86,7 @@ def test_source_distribution_holds_what_is_needed_to_work_on_it(source: Path, bu
     assert wanted - names <= {".gitignore"}
 
 
-def test_the_installed_command_tells_its_version(environment: Path) -> None:
-    asked = subprocess.run(
-        [_program(environment, "rsmcm"), "--version"],
-        check=True, env=_clean(), cwd=environment, capture_output=True, text=True, timeout=MOST_SECONDS,
-    )  # fmt: skip
-    assert asked.stdout.strip() == PROJECT["version"]
-
-
+@pytest.mark.slow
 def test_what_is_installed_is_what_runs(environment: Path) -> None:
     asked = subprocess.run(
         [_program(environment, "python"), "-c", "import rsmcm.apps; print(rsmcm.apps.__file__)"],
@@ -104,6 +95,7 @@ def test_what_is_installed_is_what_runs(environment: Path) -> None:
     assert environment.resolve() in Path(asked.stdout.strip()).resolve().parents
 
 
+@pytest.mark.slow
 def test_the_installed_command_tracks(environment: Path, tmp_path: Path) -> None:
     write_scene(sleeping_man(6, size=(64, 48), enter=0), tmp_path / "scene")
     run = [
@@ -113,41 +105,6 @@ def test_the_installed_command_tracks(environment: Path, tmp_path: Path) -> None
     subprocess.run(run, check=True, env=_clean(), cwd=tmp_path, timeout=MOST_SECONDS)
     assert len(list((tmp_path / "found" / "foreground").iterdir())) == 6
     assert (tmp_path / "found" / "view.html").stat().st_size > 0
-
-
-def test_the_version_is_said_once() -> None:
-    """Everything else asks the installed package; what tells of the past may name it."""
-    version = re.compile(rf"\b{re.escape(PROJECT['version'])}\b")
-    others = {"pyproject.toml", "CHANGELOG.md", "constraints.txt"}
-    paths = [path for path in ROOT.iterdir() if path.is_file() and path.name not in others]
-    paths += [path for name in (*PACKAGES, "docs") for path in (ROOT / name).rglob("*.py")]
-    assert [path for path in paths if version.search(path.read_text(errors="replace"))] == []
-
-
-def test_changelog_tells_of_this_version() -> None:
-    text = (ROOT / "CHANGELOG.md").read_text()
-    headings = re.findall(r"^## \[(.+?)\]", text, re.MULTILINE)
-    assert headings[0] == "Unreleased"
-    assert PROJECT["version"] in headings or f"will be {PROJECT['version']}" in text
-
-
-def test_citation() -> None:
-    """Complete for version 1.2 of the format, and of the licence of the package."""
-    content = yaml.safe_load((ROOT / "CITATION.cff").read_text())
-    assert {"cff-version", "message", "title", "authors"} <= set(content)
-    assert content["license"] == PROJECT["license"]
-    assert len(content["references"]) == 2
-    pages = " ".join(path.read_text() for path in (ROOT / "README.md", *(ROOT / "docs").glob("*.md"))).lower()
-    pages = re.sub(r"\s+", " ", pages)
-    for each in content["references"]:
-        assert {"type", "title", "authors", "year", "journal"} <= set(each)
-        assert each["title"].lower() in pages
-
-
-def test_a_commit_is_checked_by_make_check() -> None:
-    content = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())
-    hooks = [(where["repo"], hook["entry"]) for where in content["repos"] for hook in where["hooks"]]
-    assert hooks == [("local", "make check")]
 
 
 def test_help_of_make_tells_every_target() -> None:

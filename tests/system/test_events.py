@@ -15,6 +15,8 @@ from rsmcm.apps.demo import write_scene
 from rsmcm.apps.events import Event, Kind, Sighting, Watch, read_events, read_zones
 from rsmcm.apps.scenes import Scene, sleeping_man
 
+pytestmark = pytest.mark.slow
+
 SIZE = (200, 150)
 ZONES = """
 [[zone]]

@@ -9,7 +9,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.background.parameters import read_parameters
 from scipy.io import savemat
 
 from ..conftest import Command
@@ -125,12 +124,6 @@ def test_parameters(
     assert f"{path}" in message
     assert words in message
     assert not (tmp_path / "out").exists()
-
-
-def test_a_byte_order_mark_is_none_of_the_parameters(tmp_path: Path) -> None:
-    path = tmp_path / "a.toml"
-    path.write_text("\ufeff[background]\nprior = 0.9\n", encoding="utf-8")
-    assert read_parameters(path) == {"background": {"prior": 0.9}}
 
 
 def test_true_boxes_in_the_far_future(film: Path, tmp_path: Path) -> None:

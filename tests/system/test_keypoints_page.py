@@ -18,6 +18,8 @@ from ..fuzz.networks import steady_person
 from ..support.keypoints import points_of
 from ..support.pages import ROOT, Reader
 
+pytestmark = pytest.mark.slow
+
 N_FRAMES = 8
 SIZE = (480, 270)
 

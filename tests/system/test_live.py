@@ -96,6 +96,7 @@ def says(page: Any, text: str) -> None:
     shown(page, f"document.getElementById('state').textContent.startsWith({text!r})")
 
 
+@pytest.mark.slow
 def test_a_camera_with_zones_in_the_browser(scene: Scene, browser: Browser, tmp_path: Path) -> None:
     """The page of a real stream, from its first frame to its end; events come while it goes on."""
     out, zones = tmp_path / "out", tmp_path / "zones.toml"
@@ -151,6 +152,7 @@ def check_events(scene: Scene, out: Path, zones: Path) -> None:
     assert stay == pytest.approx(true, abs=0.6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "film"), [("face", face_of_a_film), ("body", body)])
 def test_face_and_body(name: str, film: Any, browser: Browser, tmp_path: Path) -> None:
     """Their pictures are wider than the film; readable on a phone, and Ctrl-C ends both."""

@@ -47,21 +47,6 @@ def test_the_docstring_of_a_chain_tells_of_its_parameters(name: str) -> None:
     assert {field.name for field in fields(kind) if field.init} - {"name"} <= set(told)
 
 
-def test_parameters_have_their_defaults() -> None:
-    rows = extension("parameters").rows(rsmcm.chains.BlobTracker)
-    found = {names: defaults for names, defaults, _ in rows}
-    assert found["`max_coast_time`, `max_hidden_time`"] == "`0.6`, `3.0`"
-
-
-def test_formulas_are_mathml(caplog: pytest.LogCaptureFixture) -> None:
-    shown = extension("mathml")._mathml(nodes.math("", r"\log \hat v_{t|t-1} < 1"), False)
-    assert shown.startswith("<math")
-    assert "\\" not in shown
-    assert "munder" not in shown  # the subscript stands beside
-    wrong = extension("mathml")._mathml(nodes.math("", r"\nosuchcommand{<x>}"), False)
-    assert wrong == r"<code>\nosuchcommand{&lt;x&gt;}</code>"
-
-
 def test_parameters_that_pages_name_are_there() -> None:
     """`[blobs] max_coast_time` and the like, on the page of symptoms."""
     from rsmcm.apps.background.parameters import SECTIONS

@@ -7,12 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rsmcm.apps.evaluation.masks import PixelScore, joined
-from rsmcm.apps.evaluation.text_tables import in_columns
 from rsmcm.apps.experiments import masks as experiment
 from rsmcm.apps.experiments import run_experiment
 from rsmcm.apps.experiments.baselines import SETTINGS, CleanUp, opencv_subtractor
 from rsmcm.apps.experiments.compare import COLUMNS, Gallery, Model, ModelSubtractor, Usual
-from rsmcm.apps.experiments.experiment import mosaic
 from rsmcm.apps.experiments.record import Expectation
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame
@@ -29,16 +27,6 @@ def test_claims_say_whether_they_hold() -> None:
     assert Expectation("x", float("nan"), "<=", 1).verdict == "short"
 
 
-def test_tables_as_text() -> None:
-    text = in_columns(("name", "value"), [("a", 1.23456), ("long name", 22)])
-    assert text.splitlines() == [
-        "name       value",
-        "---------  -----",
-        "a           1.23",
-        "long name     22",
-    ]
-
-
 @given(st.integers(1, 300))
 def test_gallery_shows_evenly_spaced_moments(n_frames: int) -> None:
     gallery = Gallery()
@@ -50,14 +38,6 @@ def test_gallery_shows_evenly_spaced_moments(n_frames: int) -> None:
     assert numbers == sorted(set(numbers))
     assert len(gallery.moments) <= 2 * COLUMNS
     assert numbers[-1] > n_frames / 2 or n_frames < 2
-
-
-def test_mosaic_shows_every_picture() -> None:
-    grey = np.full((30, 40), 77, np.uint8)
-    colour = np.full((30, 40, 3), (10, 200, 30), np.uint8)
-    sheet = mosaic([("one", [grey, grey]), ("two", [colour, colour])], ("a", "b"), 40)
-    assert np.count_nonzero((sheet == 77).all(axis=2)) >= 2 * 30 * 40
-    assert np.count_nonzero((sheet == (10, 200, 30)).all(axis=2)) >= 2 * 30 * 40
 
 
 def test_a_model_as_subtractor_gives_the_same_masks() -> None:
@@ -89,13 +69,6 @@ def test_scores_of_a_scene_name_all_methods() -> None:
     both = joined([first, second])
     assert len(both.counts) == 16
     assert joined([]).total() == PixelScore().total()
-
-
-def test_sleeping_man_figures() -> None:
-    first, seventh = experiment.figures(sleeping_man(61, size=SIZE))
-    assert [first.name, seventh.name] == ["fig-1.png", "fig-7.png"]
-    assert first.image.shape == seventh.image.shape
-    assert first.image.shape[1] > 2 * 160
 
 
 def test_nothing_is_found_before_the_first_image() -> None:

@@ -1,4 +1,4 @@
-"""All applications: what is interrupted or killed goes on to the same results; what was learned is kept."""
+"""An interrupted or killed run is resumed with the same results; `--from` uses what another one learned."""
 
 import itertools
 import json
@@ -8,11 +8,11 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -30,6 +30,7 @@ from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import BodyParts, UpperBody
 from rsmcm.models.body.upper_body import JOINTS
 
+T = TypeVar("T")
 N_FRAMES = 24
 SIZE = (200, 160)
 HEAD = JOINTS.index("head")
@@ -39,19 +40,12 @@ UNEQUAL = {"film.mp4", "view.html", "state.npz"}
 TIMES = {"seconds", "frames_per_second", "frames_per_second_of_engine"}
 
 
+OTHERS = [pytest.param(name, marks=pytest.mark.slow) for name in ("structure", "face", "body")]
+
+
 @dataclass(frozen=True)
 class Application:
-    """One of the four, on a small film.
-
-    Parameters
-    ----------
-    name
-        of the command.
-    source
-        of its frames.
-    options
-        of its command line.
-    """
+    """A command on a small film, with its options."""
 
     name: str
     source: Path
@@ -83,40 +77,56 @@ def head_of(scene: SignerScene) -> str:
     return f"{x - width / 2:.0f},{y - height / 2:.0f},{width:.0f},{height:.0f}"
 
 
+EVERY = ("--every", "4")
+
+
+def make(name: str, folder: Path) -> Application:
+    """Write the source of an application."""
+    if name == "background":
+        images = (frame.image for frame in sleeping_man(N_FRAMES, size=SIZE) if frame.image is not None)
+        return Application(name, write_film(folder / "street", images), EVERY)
+    if name == "structure":
+        np.savez(
+            folder / "tracks.npz", tracks=100 * cylinder(p_loose=0.1, p_drift=0.1, seed=1).tracks() + 200
+        )
+        return Application(name, folder / "tracks.npz", ())
+    if name == "face":
+        talking = face(N_FRAMES, 3, SIZE)
+        np.save(folder / "landmarks.npy", talking.vertices)
+        options = ("--landmarks", str(folder / "landmarks.npy"), "--experts", "4", *EVERY)
+        return Application(name, write_film(folder / "face", talking.images()), options)
+    scene = signing()
+    options = ("--head", head_of(scene), "--samples", "100", *EVERY)
+    return Application(name, write_film(folder / "body", scene.images()), options)
+
+
+class OnDemand(dict[str, T]):
+    """A dictionary whose values are made when they are first used."""
+
+    def __init__(self, make: Callable[[str], T]) -> None:
+        self._make = make
+
+    def __missing__(self, name: str) -> T:
+        self[name] = self._make(name)
+        return self[name]
+
+
 @pytest.fixture(scope="module")
 def applications(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Application]:
     folder = tmp_path_factory.mktemp("films")
-    street = sleeping_man(N_FRAMES, size=SIZE)
-    talking = face(N_FRAMES, 3, SIZE)
-    signer_scene = signing()
-    np.save(folder / "landmarks.npy", talking.vertices)
-    np.savez(folder / "tracks.npz", tracks=100 * cylinder(p_loose=0.1, p_drift=0.1, seed=1).tracks() + 200)
-    street_images = (frame.image for frame in street if frame.image is not None)
-    every = ("--every", "4")
-    made = [
-        Application("background", write_film(folder / "street", street_images), every),
-        Application("structure", folder / "tracks.npz", ()),
-        Application(
-            "face",
-            write_film(folder / "face", talking.images()),
-            ("--landmarks", str(folder / "landmarks.npy"), "--experts", "4", *every),
-        ),
-        Application(
-            "body",
-            write_film(folder / "body", signer_scene.images()),
-            ("--head", head_of(signer_scene), "--samples", "100", *every),
-        ),
-    ]
-    return {application.name: application for application in made}
+    return OnDemand(lambda name: make(name, folder))
 
 
 @pytest.fixture(scope="module")
 def whole(applications: dict[str, Application], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Results of runs that nothing interrupts."""
+    """Results of uninterrupted runs."""
     folder = tmp_path_factory.mktemp("whole")
-    for name, application in applications.items():
-        assert application.run(folder / name) == 0
-    return {name: folder / name for name in applications}
+
+    def run(name: str) -> Path:
+        assert applications[name].run(folder / name) == 0
+        return folder / name
+
+    return OnDemand(run)
 
 
 def files_of(out: Path) -> dict[str, Path]:
@@ -168,10 +178,14 @@ def signals_after(
 @pytest.mark.parametrize(
     ("name", "after"),
     [
-        ("background", 9), ("structure", 1), ("structure", 2), ("face", 1), ("face", 10), ("face", 24),
-        ("body", 26), ("body", 32), ("body", 45), ("body", 47),
+        ("background", 9),
+        *(
+            pytest.param(name, after, marks=pytest.mark.slow)
+            for name, moments in (("structure", (1, 2)), ("face", (1, 10, 24)), ("body", (26, 32, 45, 47)))
+            for after in moments
+        ),
     ],
-)  # fmt: skip
+)
 def test_interrupted_and_resumed(
     name: str,
     after: int,
@@ -196,18 +210,18 @@ def test_interrupted_and_resumed(
     assert_same(out, whole[name])
 
 
-@pytest.mark.parametrize(("name", "after"), [("background", 9), ("structure", 1), ("face", 9), ("body", 32)])
+@pytest.mark.parametrize("name", ["background", *OTHERS])
 def test_two_signals(
     name: str,
-    after: int,
     applications: dict[str, Application],
     whole: dict[str, Path],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    """The second one ends the run at once, and the line says how it goes on."""
+    """The second one ends the run at once, and the message says how to resume it."""
     application, out = applications[name], tmp_path / "out"
+    after = {"structure": 1, "body": 32}.get(name, 9)
     with signals_after(after, [signal.SIGINT, signal.SIGINT], monkeypatch):
         assert application.run(out) == 128 + signal.SIGINT
     *_, line = capfd.readouterr().err.splitlines()  # after progress, where the machine is slow
@@ -217,7 +231,7 @@ def test_two_signals(
     assert application.run(out, "--overwrite") == 0
 
 
-@pytest.mark.parametrize("name", ["background", "structure", "face", "body"])
+@pytest.mark.parametrize("name", ["background", *OTHERS])
 def test_a_finished_run_is_resumed_by_doing_nothing(
     name: str, applications: dict[str, Application], whole: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -230,6 +244,7 @@ def test_a_finished_run_is_resumed_by_doing_nothing(
     assert {path: path.stat().st_mtime_ns for path in before} == before
 
 
+@pytest.mark.slow
 def test_other_runs_are_not_resumed(
     applications: dict[str, Application],
     whole: dict[str, Path],
@@ -337,6 +352,7 @@ def test_background_and_identities_from_another_film(
     np.testing.assert_array_equal(rows["box"], expected["box"])
 
 
+@pytest.mark.slow
 def test_a_face_from_another_film(
     applications: dict[str, Application], whole: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -346,6 +362,7 @@ def test_a_face_from_another_film(
         np.testing.assert_allclose(found["vertices_2d"], expected["vertices_2d"][N_FRAMES // 2 :], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_body_from_another_film(applications: dict[str, Application], tmp_path: Path) -> None:
     """No head is given; the track goes on where the first half ended."""
     _, second = learned(applications["body"], tmp_path, "--samples", "100")
@@ -356,6 +373,7 @@ def test_a_body_from_another_film(applications: dict[str, Application], tmp_path
     assert np.median(errors) < 0.2 * scene.body.head_height
 
 
+@pytest.mark.slow
 def test_what_cannot_be_learned_from(
     applications: dict[str, Application],
     whole: dict[str, Path],
@@ -382,7 +400,8 @@ def test_what_cannot_be_learned_from(
     assert "is of frames that are 200x160 colour, but" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("hours", [0.01, 1.0, 1000.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("hours", [0.01, 1000.0])
 def test_a_camera_that_was_switched_off(hours: float) -> None:
     """However long nobody looked, an unchanged scene is still background, and a body is still found."""
     street = list(sleeping_man(40, size=SIZE))

@@ -8,6 +8,8 @@ import pytest
 from ..support.films import write_film
 from ..support.pages import ROOT, Reader
 
+pytestmark = pytest.mark.slow
+
 PAGE = ROOT / "docs" / "scale.md"
 
 

@@ -1,11 +1,14 @@
 """Mask and background must not confirm each other: a person who stays, with a soft shadow and reflections."""
 
 import numpy as np
+import pytest
 from rsmcm.apps.background.application import build_model, read_frame_result
 from rsmcm.apps.background.job import Engine
 from rsmcm.inference import RecursiveBP
 
 from ..support.room import standing_in_a_room
+
+pytestmark = pytest.mark.slow
 
 EARLY, LATE = slice(150, 250), slice(460, 560)
 """Frames in which he has just come, and has stood for a quarter of a minute."""

@@ -1,17 +1,14 @@
 """Streams that stall, drop and come back: nothing is made up, nothing is lost, and all of it is said."""
 
 import http.server
-import itertools
 import os
 import signal
-import socket
 import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import av
@@ -28,7 +25,6 @@ from rsmcm.apps.io.sources.live_reader import FILLED_SECONDS, LiveReader
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.io.sources.reader import Selection
 from rsmcm.apps.io.tracks import read_tracks
-from rsmcm.apps.runs import loop
 from rsmcm.apps.scenes import face, sleeping_man
 from rsmcm.inference import RecursiveBP
 from rsmcm.models.core.frame import Frame
@@ -70,6 +66,7 @@ def read(address: str, reconnect: float | None = None, most: int | None = None) 
 # --- gaps ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["mjpeg", "mpegts", "matroska"])
 def test_stream_that_drops_and_comes_back(form: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sources, "DECODE_AHEAD", 1000)  # on a busy machine frames would be dropped
@@ -106,6 +103,7 @@ def test_stream_that_drops_and_comes_back(form: Any, monkeypatch: pytest.MonkeyP
         assert gap["reason"] == "it broke off"
 
 
+@pytest.mark.slow
 def test_silence_is_noticed_and_another_connection_made(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(video_reader, "NETWORK_TIMEOUT", 0.5)
     server = StreamServer(counted(200), [Connection(10, "stall"), Connection(None, "stall"), Connection(99)])
@@ -123,6 +121,7 @@ def test_silence_is_noticed_and_another_connection_made(monkeypatch: pytest.Monk
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reconnect", [None, 0.5])
 def test_stream_that_does_not_come_back(reconnect: float | None) -> None:
     server = StreamServer(counted(60), [Connection(15)])
@@ -133,22 +132,6 @@ def test_stream_that_does_not_come_back(reconnect: float | None) -> None:
     assert source.lost == "it broke off"
     assert source.stream == {"lost": "it broke off", "gaps": [], "dropped_frames": 0}
     assert server.n_requests == 1 if reconnect is None else server.n_requests > 1
-
-
-def test_server_that_sends_headers_only_is_given_up() -> None:
-    server = StreamServer(counted(60), [Connection(15), *[Connection(0)] * 1000])
-    with serving(server.answer) as address:
-        source, frames = read(address, reconnect=0.5)
-    assert len(frames) == 15
-    assert source.lost is not None
-
-
-def test_pictures_of_another_size_after_a_gap_are_refused() -> None:
-    images = [*counted(5), *[np.zeros((SIZE[1], 2 * SIZE[0], 3), np.uint8)] * 60]
-    server = StreamServer(images, [Connection(4), Connection(20)])
-    message = r"frame \d+ is 128x48 colour, expected 64x48 colour"
-    with serving(server.answer) as address, pytest.raises(ValueError, match=message):
-        read(address, reconnect=30)
 
 
 # --- the clock of live sources, without waiting -------------------------------------------------------------
@@ -252,6 +235,7 @@ def test_numbers_are_in_step_with_time_whatever_happens(
     assert [(frame.number, frame.time) for frame in chosen] == [(f.number, f.time) for f in expected]
 
 
+@pytest.mark.slow
 def test_camera_that_goes_away_and_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
     opened = []
 
@@ -290,6 +274,7 @@ def test_camera_that_goes_away_and_comes_back(monkeypatch: pytest.MonkeyPatch) -
 # --- servers that say nothing -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("connection", [Connection(None, "stall"), Connection(0, "stall")])
 def test_silent_server_is_named(connection: Connection, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(video_reader, "NETWORK_TIMEOUT", 0.5)
@@ -299,21 +284,7 @@ def test_silent_server_is_named(connection: Connection, monkeypatch: pytest.Monk
         open_source(address)
 
 
-def test_silent_rtsp_server_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(video_reader, "NETWORK_TIMEOUT", 0.5)
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        address = f"rtsp://127.0.0.1:{listening.getsockname()[1]}/a"
-        with pytest.raises(OSError, match=rf"^{address}: cannot be opened \(nothing came for 0\.5 s\)$"):
-            open_source(address)
-
-
-def test_stream_that_is_lost_where_it_was_to_stop_is_whole() -> None:
-    server = StreamServer(counted(60), [Connection(15)])
-    with serving(server.answer) as address, open_source(address, stop=15) as source:
-        assert len(list(source)) == 15
-    assert source.lost is None
-
-
+@pytest.mark.slow
 def test_ctrl_c_while_a_server_is_silent(tmp_path: Path) -> None:
     server = StreamServer(counted(1), [Connection(None, "stall")])
     hung_up = threading.Event()
@@ -393,6 +364,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_file_is_asked_for_the_rest_and_nothing_is_missing(film: Path) -> None:
     _, expected = read(str(film))
     server = FileServer(film.read_bytes(), n_answers=10)
@@ -405,6 +377,7 @@ def test_file_is_asked_for_the_rest_and_nothing_is_missing(film: Path) -> None:
         np.testing.assert_array_equal(frame.image, other.image)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reconnect", [None, 0.5])
 def test_file_whose_rest_does_not_come_is_lost(film: Path, reconnect: float | None) -> None:
     with serving(FileServer(film.read_bytes(), n_answers=1).answer) as address:
@@ -434,9 +407,8 @@ def run(name: str, capfd: pytest.CaptureFixture[str], *arguments: object) -> tup
     return code, said, [line for line in errors.splitlines() if line.startswith("rsmcm: ")]  # no progress
 
 
-@pytest.mark.parametrize(
-    ("form", "limit"), [("mjpeg", 0.5), pytest.param("mpegts", 2.0, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("form", "limit"), [("mjpeg", 0.5), ("mpegts", 2.0)])
 def test_who_is_tracked_stays_the_same_over_three_drops_and_a_stall(
     form: Any, limit: float, street: list[Image], tmp_path: Path, capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -468,46 +440,7 @@ def test_who_is_tracked_stays_the_same_over_three_drops_and_a_stall(
     assert tracks["frame"][-1] == summary["last_frame"] > back
 
 
-def test_a_camera_that_is_started_anew_knows_who_is_there(
-    street: list[Image], tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What is between two live runs is told by the clock, and identities go on over a short while.
-
-    Here it tells a second from reading to reading, however busy the machine is.
-    """
-    ticks = itertools.count(1_000_000_000)
-    clock = SimpleNamespace(time=lambda: next(ticks), perf_counter=time.perf_counter)
-    monkeypatch.setattr(loop, "time", clock)
-    standing = [*street[:30], *[street[-1]] * 30]  # the last one stays
-    server = StreamServer(standing, [Connection(60), Connection(100)])
-    first, second = tmp_path / "first", tmp_path / "second"
-    with serving(server.answer) as address:
-        assert run("background", capfd, address, "--out", first, "--masks", "none")[0] == 1
-        options = ["--from", first / "state.npz", "--stop", 20, "--masks", "none"]
-        code, _, errors = run("background", capfd, address, "--out", second, *options)
-    assert (code, errors) == (0, [])
-    tracks, again = (read_tracks(out / "tracks.txt") for out in (first, second))
-    assert not list(first.glob("*.part*")), "nobody can resume it"
-    (person,) = set(tracks["id"][tracks["frame"] > 45])
-    assert set(again["id"]) == {person}
-    assert set(again["frame"]) == set(range(1, 21)), "from the first frame on"
-
-
-@pytest.mark.parametrize("reconnect", [[], ["--reconnect", "0.5"]])
-def test_stream_that_is_lost_for_good_leaves_results_and_exit_code_1(
-    reconnect: list[str], street: list[Image], tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
-    with serving(StreamServer(street, [Connection(30)]).answer) as address:
-        code, _, errors = run("background", capfd, address, "--out", out, *reconnect)
-    assert (code, errors) == (1, [f"rsmcm: {address}: lost for good: it broke off"])
-    summary = summary_of(out)
-    assert summary["ended_early"]
-    assert summary["frames"] + summary["stream"]["dropped_frames"] == summary["last_frame"] == 30
-    assert len(list((out / "foreground").iterdir())) == summary["frames"]
-    assert {"tracks.txt", "film.mp4", "view.html", "background.png"} <= {path.name for path in out.iterdir()}
-
-
+@pytest.mark.slow
 def test_file_behind_an_address_that_is_lost_is_resumed(
     film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -524,6 +457,7 @@ def test_file_behind_an_address_that_is_lost_is_resumed(
     assert summary_of(out)["stream"] == {"lost": None, "gaps": [], "dropped_frames": 0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options"),
     [

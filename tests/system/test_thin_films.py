@@ -6,10 +6,10 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
-from rsmcm.apps.experiments.experiment import TALLEST, fitting, mosaic
-from rsmcm.apps.view.overlay import LONGEST_SIDE, enlargement
 
 from ..conftest import Command, names, summary_of
+
+pytestmark = pytest.mark.slow
 
 SIZES = [(2, 4000), (4000, 2)]
 
@@ -41,16 +41,3 @@ def test_body(film: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert Command("body")(film, "--out", out, "--head", "0,0,2,2", "--samples", 20) == 0
     assert {"view.html", "film.mp4", "summary.json"} <= names(out)
-
-
-@pytest.mark.parametrize(("width", "height"), [*SIZES, (640, 480), (480, 640), (1, 1)])
-def test_pictures_keep_their_form_and_fit(width: int, height: int) -> None:
-    image = np.zeros((height, width, 3), np.uint8)
-    across, down = fitting(image.shape, 240)
-    assert across <= 240
-    assert down <= TALLEST * 240
-    assert abs(across - down * width / height) <= max(1, width / height)
-    assert mosaic([("a", [image, image])], ["b", "c"]).shape[0] <= TALLEST * 240 + 60
-    enlarged = enlargement(image, 360)
-    assert enlarged == 1 or enlarged * max(width, height) <= LONGEST_SIDE
-    assert enlarged * height >= 360 or (enlarged + 1) * max(width, height) > LONGEST_SIDE
