@@ -52,7 +52,7 @@ LAYOUTS = (
 )
 
 
-def read_points(path: str | Path, *, half: bool = False) -> NDArray[np.float64]:
+def read_points(path: str | Path, *, allow_single: bool = False) -> NDArray[np.float64]:
     """Read points over time.
 
     Parameters
@@ -96,7 +96,7 @@ def read_points(path: str | Path, *, half: bool = False) -> NDArray[np.float64]:
             raise _wrong(path, key, array, EXPECTED)
         points = _as_floats(array)
         points = points.reshape(-1, *points.shape[-2:])
-    check_points(str(path), points, allow_single=half)
+    check_points(str(path), points, allow_single=allow_single)
     return points
 
 
@@ -206,9 +206,9 @@ def _wrong(path: Path, key: str, array: NDArray[Any], expected: str) -> ValueErr
 
 
 def read_track_file(
-    path: Path, selection: Selection, *, half: bool = False
+    path: Path, selection: Selection, *, allow_single: bool = False
 ) -> tuple[NDArray[np.float64], range]:
-    """Read the selected frames of a file of tracks, `path` and `half` as for `read_points`.
+    """Read the selected frames of a file of tracks, `path` and `allow_single` as for `read_points`.
 
     Returns
     -------
@@ -220,7 +220,7 @@ def read_track_file(
     ValueError
         naming what came and what was expected, if it is no such file, or the selection lies beyond its end.
     """
-    tracks = read_points(path, allow_single=half)
+    tracks = read_points(path, allow_single=allow_single)
     numbers = selection.numbers(len(tracks))
     if not numbers:
         raise ValueError(f"start: got {selection.start}, but {path} has only {len(tracks)} frames")

@@ -264,7 +264,9 @@ def read_film(job: StructureJob) -> Film:
 
 
 def _tracks(job: StructureJob) -> Film:
-    tracks, numbers = read_track_file(Path(job.source), Selection(job.start, job.stop, job.step), half=True)
+    tracks, numbers = read_track_file(
+        Path(job.source), Selection(job.start, job.stop, job.step), allow_single=True
+    )
     known = ~np.isnan(tracks)
     seen, whole = np.asarray(known.any(axis=2)), np.asarray(known.all(axis=2))
     notes = []
