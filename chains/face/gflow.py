@@ -334,10 +334,12 @@ class GFlow(PickledByFields):
         """Update experts and textures with the picture."""
         return incoming.once(self._process, state, incoming[PixelLabels], incoming.get(PointTracks))
 
+    @checked
     def mean_pose(self, state: GFlowState) -> Poses:
         """Return the experts' weighted mean pose."""
         return state.poses.mean(state.weights)
 
+    @checked
     def vertices(self, state: GFlowState) -> tuple[Array, Array]:
         """Return mean `(n_vertices, 3)` px and covariance `(n_vertices, 3, 3)` px^2 of vertices, with depth.
 
@@ -353,6 +355,7 @@ class GFlow(PickledByFields):
         )
         return mean, between + np.einsum("nvap,nvbp->vab", weighted.reshape(rows.shape), rows)
 
+    @checked
     def points(self, state: GFlowState, points: SurfacePoints) -> Array:
         """Return positions `(n, 2)` px of points of the surface in the mean pose."""
         projected: Array = points.project(self.model, self.mean_pose(state))[0]

@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.checks import Count, checked
 from .morphable_model import MorphableModel
 
 Array = NDArray[np.float64]
@@ -86,7 +87,8 @@ SHIELD_IN_PLANE, SHIELD_RADIUS_IN_PLANE = np.array([0.93, 1.21]), 0.14  # beyond
 EXPRESSIONS = ("jaw opens", "smile", "brows rise", "pucker", "mouth aside")
 
 
-def face_model(fineness: int = 1, *, shields: bool = False) -> MorphableModel:
+@checked
+def face_model(fineness: Count = 1, *, shields: bool = False) -> MorphableModel:
     """Return the built-in model: 102 vertices, 180 triangles, a typical shape and five expressions.
 
     Its origin is the centroid of the typical shape.
@@ -106,8 +108,7 @@ def face_model(fineness: int = 1, *, shields: bool = False) -> MorphableModel:
     ValueError
         if `fineness` is below 1.
     """
-    if fineness < 1:
-        raise ValueError(f"fineness: got {fineness}, expected 1 or more")
+
     plane, (origin, scale) = face_plane(fineness, shields=shields), _frame()
     typical = _typical(plane) - origin
     bases = np.concatenate([typical[None], _expressions(plane)]) / scale

@@ -109,6 +109,7 @@ class HaarFaces:
         # cascades cannot be copied
         return type(self), (self.height, self.min_neighbors, self.upright, self.file)
 
+    @checked
     def __call__(self, frame: Frame) -> Array:
         """Return boxes `(k, 4)` px: x, y, width, height, the largest first."""
         if frame.image is None:
@@ -160,6 +161,7 @@ class YuNetFaces:
     def __reduce__(self) -> tuple[type[Self], tuple[Path]]:
         return type(self), (self.path,)  # networks cannot be copied
 
+    @checked
     def __call__(self, frame: Frame) -> Array:
         """Return boxes `(k, 4)` px: x, y, width, height, the surest first.
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_files import read_arrays
+from ..core.checks import checked
 from ..files import MOST_NUMBERS, MOST_SETTINGS, read_text, write_atomically
 from .morphable_model import MorphableModel, rms_radius
 
@@ -34,6 +35,7 @@ _MOST_CORNERS = 1000  # of a polygon
 IBUG = 68  # landmarks in the list that `SURREY_LANDMARKS` refers to
 
 
+@checked
 def read_model(path: str | Path) -> MorphableModel:
     """Read a morphable model; the suffix of the file is its format.
 
@@ -67,6 +69,7 @@ def read_model(path: str | Path) -> MorphableModel:
     return readers[file.suffix.lower()](file)
 
 
+@checked
 def write_model(model: MorphableModel, path: str | Path) -> None:
     """Write a model as `.npz`, whole or not at all; `read_model` returns the same model.
 
@@ -92,6 +95,7 @@ def write_model(model: MorphableModel, path: str | Path) -> None:
         np.savez_compressed(file, **fields)
 
 
+@checked
 def read_correspondences(path: str | Path) -> NDArray[np.int64]:
     """Read which landmarks of a landmark file are which of a model.
 

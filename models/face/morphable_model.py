@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.checks import Array as Shape
+from ..core.checks import Count, checked
 from ..core.short_repr import PickledByFields, Rows, short_repr
 from ..numerics.rotations import cross_matrices, exponential, logarithm, nearest_rotation
 
@@ -38,6 +40,16 @@ class Poses(Rows):
     translations: Array
     morphs: Array
 
+    def __post_init__(self) -> None:
+        shapes = [getattr(each, "shape", None) for each in self.arrays]  # quick: poses are made in loops
+        n = shapes[0][0] if shapes[0] else -1
+        morphs = shapes[2] or ()
+        if shapes[:2] != [(n, 3, 3), (n, 2)] or len(morphs) != 2 or morphs[0] != n:
+            raise ValueError(
+                f"rotations, translations, morphs: got shapes {shapes}, expected arrays (n, 3, 3), (n, 2) and "
+                "(n, n_bases)"
+            )
+
     def __len__(self) -> int:
         return len(self.rotations)
 
@@ -63,7 +75,13 @@ class Poses(Rows):
         return self.morphs[:, 0]
 
     @classmethod
-    def upright(cls, translations: Array, sizes: Array, n_bases: int) -> Self:
+    @checked
+    def upright(
+        cls,
+        translations: Annotated[Array, Shape("n", 2, finite=False)],
+        sizes: Annotated[Array, Shape("n", finite=False)],
+        n_bases: Count,
+    ) -> Self:
         """Return upright, undeformed poses at `translations` `(n, 2)` px, of `sizes` `(n,)` px."""
         n = len(translations)
         morphs = np.zeros((n, n_bases))
@@ -285,6 +303,10 @@ class MorphableModel(PickledByFields):
 
     def turned(self, poses: Poses) -> Array:
         """Return r h_i c, `(n, n_vertices, 3)` px in the camera's axes, from the object's origin."""
+        if not isinstance(poses, Poses):
+            raise TypeError(f"poses: got a {type(poses).__name__}, expected Poses")
+        if poses.morphs.shape[1] != self.n_bases:
+            raise ValueError(f"poses: got {poses.morphs.shape[1]} morphs each, expected {self.n_bases}")
         shapes = (poses.morphs @ self._flat_bases).reshape(len(poses), self.n_vertices, 3)
         return shapes @ np.swapaxes(poses.rotations, -1, -2)
 

@@ -57,6 +57,14 @@ WRONG: dict[Callable[..., Any], list[tuple[str, Any]]] = {
         ("tracks", np.zeros((3, 4))), ("tracks", np.full((3, 4, 2), np.inf)), ("tracks", [1, 2]),
         ("rate", 0.0), ("numbers", range(2)),
     ],
+    lambda **wrong: Poses(
+        **{"rotations": np.eye(3)[None], "translations": np.zeros((1, 2)), "morphs": np.ones((1, 6)), **wrong}
+    ): [("rotations", np.eye(3)), ("rotations", [[1.0]])],
+    lambda **wrong: Poses.upright(
+        **{"translations": np.zeros((2, 2)), "sizes": np.ones(2), "n_bases": 6, **wrong}
+    ): [("translations", "here"), ("sizes", np.ones(3)), ("n_bases", 0)],
+    MODEL.project: [("poses", None), ("poses", poses(n_bases=2))],
+    face_model: [("fineness", 0), ("fineness", "2")],
     noise_of_tracks: [("frames", 3), ("frames", [1]), ("frames", [])],
 }  # fmt: skip
 

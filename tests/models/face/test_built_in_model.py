@@ -80,9 +80,3 @@ def test_left_mirrors_right() -> None:
     # "atol": 1e-15 from sums in another order
     np.testing.assert_allclose(model.bases[even][:, left], model.bases[even][:, right] * mirror, atol=1e-15)
     assert (model.bases[0, right, 0] > 0).all()
-
-
-@pytest.mark.parametrize("fineness", [0, -1])
-def test_fineness_must_be_positive(fineness: int) -> None:
-    with pytest.raises(ValueError, match=f"fineness: got {fineness}, expected 1 or more"):
-        face_model(fineness)
