@@ -41,9 +41,8 @@ class Poses(Rows):
     morphs: Array
 
     def __post_init__(self) -> None:
-        shapes = [getattr(each, "shape", None) for each in self.arrays]  # quick: poses are made in loops
-        n = shapes[0][0] if shapes[0] else -1
-        morphs = shapes[2] or ()
+        shapes = [getattr(each, "shape", ()) for each in self.arrays]  # quick: poses are made in loops
+        n, morphs = (shapes[0] or (-1,))[0], shapes[2]
         if shapes[:2] != [(n, 3, 3), (n, 2)] or len(morphs) != 2 or morphs[0] != n:
             raise ValueError(
                 f"rotations, translations, morphs: got shapes {shapes}, expected arrays (n, 3, 3), (n, 2) and "
