@@ -45,7 +45,7 @@ class Poses(Rows):
         n, morphs = (shapes[0] or (-1,))[0], shapes[2]
         if shapes[:2] != [(n, 3, 3), (n, 2)] or len(morphs) != 2 or morphs[0] != n:
             raise ValueError(
-                f"rotations, translations, morphs: got shapes {shapes}, expected arrays (n, 3, 3), (n, 2) and "
+                f"rotations, translations, morphs: got shapes {shapes}, expected arrays (n, 3, 3), (n, 2), "
                 "(n, n_bases)"
             )
 
