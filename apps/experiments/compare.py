@@ -87,9 +87,8 @@ class ModelSubtractor:
         return self._model.step(Frame(image, self._count / self._rate, self._count)).foreground
 
 
-class Usual:
-    """Usual pipeline: a subtractor, a clean-up of its mask, Kalman filters and the Hungarian method on the
-    boxes.
+class BaselineTracker:
+    """Usual pipeline: a subtractor, a clean-up of its mask, Kalman filters and assignment by overlap.
 
     `size` is `(width, height)` px of the pictures.
     """
@@ -113,7 +112,7 @@ class Usual:
 class Tally:
     """Results of one method, frame by frame."""
 
-    method: Model | Usual
+    method: Model | BaselineTracker
     scoring: Scoring | None
     seconds: float = 0.0
     share: float = 0.0  # of the picture that is foreground, summed over frames
@@ -220,7 +219,7 @@ FIGURE_ROWS = (
 
 def methods_of_figure_8(
     size: tuple[int, int], parameters: Parameters, camera: Camera = "fixed"
-) -> list[Model | Usual]:
+) -> list[Model | BaselineTracker]:
     """Return the background alone at several P(B), feed-forward, RSMCM, and OpenCV's subtractors.
 
     The latter know neither parameters nor a camera that moves. `size` is `(width, height)` px.
@@ -233,8 +232,8 @@ def methods_of_figure_8(
     return [
         *(Model(name, engine, size, given, camera) for name, engine, given in alone),
         *(Model(name, engine, size, parameters, camera) for name, engine in CHAINS),
-        Usual("MOG2, 5x5 median", opencv_subtractor("MOG2", 500, 16), clean_up, size),
-        Usual("KNN, 5x5 median", opencv_subtractor("KNN", 500, 400), clean_up, size),
+        BaselineTracker("MOG2, 5x5 median", opencv_subtractor("MOG2", 500, 16), clean_up, size),
+        BaselineTracker("KNN, 5x5 median", opencv_subtractor("KNN", 500, 400), clean_up, size),
     ]
 
 

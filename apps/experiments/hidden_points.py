@@ -37,7 +37,7 @@ SEEDS = range(10)  # of bars, each of its own size, way and texture
 
 
 @dataclass(frozen=True, eq=False)
-class Refound:
+class RecoveredPoints:
     """Results of a run with a bar, of the points behind it; all `(n,)`."""
 
     # whether the point was found within `SOON` frames, where it is and under its number; of those that the
@@ -63,7 +63,7 @@ def hidden_points() -> Findings:
     return Findings("Points behind a bar", [], over_seeds(expectations_of, refound))
 
 
-def expectations_of(refound: Mapping[str, Sequence[Refound]]) -> list[Expectation]:
+def expectations_of(refound: Mapping[str, Sequence[RecoveredPoints]]) -> list[Expectation]:
     """Return shares over the points of all bars."""
     expectations = []
     for name, runs in refound.items():
@@ -83,7 +83,7 @@ def expectations_of(refound: Mapping[str, Sequence[Refound]]) -> list[Expectatio
 
 def behind_a_bar(
     frames: Sequence[Frame], truth: Mapping[str, Numbers], _: None, seed: int
-) -> dict[str, Refound]:
+) -> dict[str, RecoveredPoints]:
     """Run both models on the film with a bar, and compare them with their runs without it."""
     covered, hidden = with_bar(frames, seed)
     return {
@@ -137,7 +137,7 @@ def tracked(frames: Sequence[Frame], feedback: bool) -> Numbers:
     return places
 
 
-def compared(places: Numbers, truth: Numbers, hidden: Mask) -> Refound:
+def compared(places: Numbers, truth: Numbers, hidden: Mask) -> RecoveredPoints:
     """Compare what was found behind a bar with where points are without it.
 
     Until the bar comes both runs are the same, and so are the numbers of points. A point is hidden where its
@@ -165,4 +165,4 @@ def compared(places: Numbers, truth: Numbers, hidden: Mask) -> Refound:
         right = off < RIGHT
         again.append(bool(np.any(right)))
         wrong.append(float((seen[soon] & ~right).mean()))
-    return Refound(np.array(again, np.bool_), np.array(wrong), np.array(false))
+    return RecoveredPoints(np.array(again, np.bool_), np.array(wrong), np.array(false))

@@ -251,7 +251,7 @@ Component = tuple[int, NDArray[np.float64]]  # a frame's number and its componen
 
 
 @dataclass(frozen=True)
-class Tried:
+class ScoredBaseline:
     """Subtractor, clean-up and a tracker's parameters, and the scores of their tracks."""
 
     row: Row[Component]
@@ -270,7 +270,7 @@ class Tried:
         return f"{self.method}, {_described(self.row.setting, self.clean_up)}; {_in_words(self.parameters)}"
 
 
-def best_usual(tried: Sequence[Tried]) -> dict[str, Tried]:
+def best_usual(tried: Sequence[ScoredBaseline]) -> dict[str, ScoredBaseline]:
     """Return by name those with the best IDF1 of MOG2 and KNN, and with the best MOTA."""
     best = {
         name: max((each for each in tried if each.method == name), key=lambda each: each.scores.idf1)
@@ -280,7 +280,7 @@ def best_usual(tried: Sequence[Tried]) -> dict[str, Tried]:
     return best if most_accurate in best.values() else {**best, BEST_MOTA: most_accurate}
 
 
-def _tracks_of_usual(film: AnnotatedFilm, settings: Sequence[Setting]) -> list[Tried]:
+def _tracks_of_usual(film: AnnotatedFilm, settings: Sequence[Setting]) -> list[ScoredBaseline]:
     """Track measures of subtractors with Kalman filters and assignment behind them, on the film as it is."""
 
     def detect(number: int, mask: Image) -> Component:
@@ -303,7 +303,7 @@ def _tracks_of_usual(film: AnnotatedFilm, settings: Sequence[Setting]) -> list[T
 
 def _tried(
     truth: BoxTruth, rows: Sequence[Row[Component]], areas: Sequence[int], parameters: Sequence[Parameters]
-) -> list[Tried]:
+) -> list[ScoredBaseline]:
     combined = list(product(rows, areas, parameters))
     made = []
     with Progress("usual tracks", len(truth.frames) * len(combined)) as progress:
@@ -315,7 +315,7 @@ def _tried(
                 tracks += [(number, *track) for track in tracker.update(boxes).tolist()]
                 progress.update()
             scores = evaluate_tracks(_table(tracks), truth)
-            made.append(Tried(row, replace(row.clean_up, min_area=area), chosen, scores))
+            made.append(ScoredBaseline(row, replace(row.clean_up, min_area=area), chosen, scores))
     return made
 
 

@@ -75,7 +75,7 @@ class Cell:
 
 
 @dataclass(frozen=True, eq=False)
-class Recovered:
+class CylinderReconstruction:
     """Reconstruction of a sequence by a method, in radii."""
 
     positions: Numbers
@@ -95,7 +95,7 @@ def cells() -> list[Cell]:
     ]
 
 
-def recover(truth: Cylinder) -> dict[str, Recovered]:
+def recover(truth: Cylinder) -> dict[str, CylinderReconstruction]:
     """Run all methods on a sequence; the oracle is given which tracks belong together."""
     tracks = truth.tracks()
     oracle = factorise(PX * truth.observed, coherence=True)
@@ -104,19 +104,19 @@ def recover(truth: Cylinder) -> dict[str, Recovered]:
         SINGLE_COHERENT: _factor_analysis(tracks, coherent=True),
         DUAL: _dual_chain(tracks, "none"),
         DUAL_COHERENT: _dual_chain(tracks, "second-order"),
-        ORACLE: Recovered(predicted(oracle)[0] / PX, oracle.shape, truth.point_of_track),
+        ORACLE: CylinderReconstruction(predicted(oracle)[0] / PX, oracle.shape, truth.point_of_track),
     }
 
 
-def _factor_analysis(tracks: Numbers, coherent: bool) -> Recovered:
+def _factor_analysis(tracks: Numbers, coherent: bool) -> CylinderReconstruction:
     """Every track a point of its own, EM from the mean-filled matrix, as published."""
     found = factorise(PX * tracks, coherence=coherent, start="svd", polish=False, iterations=EM_ITERATIONS)
-    return Recovered(predicted(found)[0] / PX, found.shape, np.arange(tracks.shape[1]))
+    return CylinderReconstruction(predicted(found)[0] / PX, found.shape, np.arange(tracks.shape[1]))
 
 
-def _dual_chain(tracks: Numbers, coherence: Coherence) -> Recovered:
+def _dual_chain(tracks: Numbers, coherence: Coherence) -> CylinderReconstruction:
     found = reconstruct(PX * tracks, coherence=coherence, camera="affine")
-    return Recovered(found.positions / PX, found.shape, found.point_of_track)
+    return CylinderReconstruction(found.positions / PX, found.shape, found.point_of_track)
 
 
 def scores(cell: Cell, seed: int) -> dict[str, StructureScores]:
@@ -232,7 +232,7 @@ def draw_panels(everything: Mapping[Cell, Measured], canvas: Figure) -> None:
     axes[0, 0].legend(fontsize=8)
 
 
-def draw_shapes(shapes: Mapping[str, Recovered], truth: Cylinder, canvas: Figure) -> None:
+def draw_shapes(shapes: Mapping[str, CylinderReconstruction], truth: Cylinder, canvas: Figure) -> None:
     """Draw Fig. 9: every method's shape from above and from the front."""
     axes = canvas.subplots(2, len(METHODS), sharex=True, sharey="row")
     for column, (name, found) in zip(axes.T, shapes.items(), strict=True):
@@ -246,7 +246,7 @@ def draw_shapes(shapes: Mapping[str, Recovered], truth: Cylinder, canvas: Figure
         column[1].set_xlabel("x")
 
 
-def aligned(recovered: Recovered, truth: Cylinder) -> Numbers:
+def aligned(recovered: CylinderReconstruction, truth: Cylinder) -> Numbers:
     """Return the shape `(n_points, 3)` after the affine map that brings it closest to the truth."""
     taken = recovered.point_of_track != REJECTED
     best = affine_alignment(

@@ -10,7 +10,7 @@ from rsmcm.apps.evaluation.masks import PixelScore, joined
 from rsmcm.apps.experiments import masks as experiment
 from rsmcm.apps.experiments import run_experiment
 from rsmcm.apps.experiments.baselines import SETTINGS, CleanUp, opencv_subtractor
-from rsmcm.apps.experiments.compare import COLUMNS, Gallery, Model, ModelSubtractor, Usual
+from rsmcm.apps.experiments.compare import COLUMNS, BaselineTracker, Gallery, Model, ModelSubtractor
 from rsmcm.apps.experiments.record import Expectation
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame
@@ -51,7 +51,7 @@ def test_a_model_as_subtractor_gives_the_same_masks() -> None:
 
 
 def test_the_usual_pipeline_survives_missing_frames() -> None:
-    usual = Usual("MOG2", opencv_subtractor("MOG2", 100, 16), CleanUp(), SIZE)
+    usual = BaselineTracker("MOG2", opencv_subtractor("MOG2", 100, 16), CleanUp(), SIZE)
     scene = sleeping_man(30, size=SIZE, enter=0)
     masks = [
         usual.step(Frame(None, frame.time, frame.number) if frame.number in (1, 20) else frame).foreground
