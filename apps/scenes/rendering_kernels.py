@@ -8,7 +8,7 @@ from ...models.numerics.compiled import compiled
 _f4 = np.float32
 Pixels = NDArray[np.float32]
 
-MAX_COORDINATE = 1e30  # depth of a sample that nothing covers
+EMPTY_DEPTH = 1e30  # depth of a sample that nothing covers
 
 
 @compiled
@@ -69,7 +69,7 @@ def average_samples(
 
     `covered`, `(height, width)`, receives the share of each pixel that is drawn.
     """
-    drawn, share = depth < _f4(MAX_COORDINATE), _f4(1 / across**2)
+    drawn, share = depth < _f4(EMPTY_DEPTH), _f4(1 / across**2)
     places = [np.s_[i::across, j::across] for i in range(across) for j in range(across)]
     height, width = depth.shape[0] // across, depth.shape[1] // across
     total, part = np.zeros((2, height, width), np.float32)

@@ -28,7 +28,7 @@ from ...models.face.morphable_model import MorphableModel, Poses
 from ...models.numerics.rotations import exponential
 from .generated_film import GeneratedFilm
 from .random_fields import inside, mottle, wander
-from .rendering_kernels import MAX_COORDINATE, average_samples, draw_mesh
+from .rendering_kernels import EMPTY_DEPTH, average_samples, draw_mesh
 
 Numbers = NDArray[np.float64]
 Pixels = NDArray[np.float32]
@@ -311,7 +311,7 @@ class FaceScene(GeneratedFilm):
         right, bottom = np.clip(highest, 0, self.size)
         if right > left and bottom > top:
             shape = ((bottom - top) * SAMPLES, (right - left) * SAMPLES)
-            grey, depth = np.zeros(shape, np.float32), np.full(shape, MAX_COORDINATE, np.float32)
+            grey, depth = np.zeros(shape, np.float32), np.full(shape, EMPTY_DEPTH, np.float32)
             # sample k of a pixel lies at (k - (SAMPLES - 1) / 2) / SAMPLES from its centre
             samples = places.copy()
             samples[:, :2] = (places[:, :2] - (left, top) + 0.5) * SAMPLES - 0.5

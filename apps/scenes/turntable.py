@@ -9,7 +9,7 @@ from ...models.core.checks import Count, CountFrom0, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from .random_fields import mottle
-from .rendering_kernels import MAX_COORDINATE, average_samples, draw_mesh
+from .rendering_kernels import EMPTY_DEPTH, average_samples, draw_mesh
 
 Numbers = NDArray[np.float64]
 
@@ -105,7 +105,7 @@ def turntable(
         )
         shade = AMBIENT + (1 - AMBIENT) * np.maximum(normals @ rotation.T @ light, 0) / np.linalg.norm(light)
         shown = np.zeros((height * SAMPLES, width * SAMPLES), np.float32)
-        depth = np.full(shown.shape, MAX_COORDINATE, np.float32)
+        depth = np.full(shown.shape, EMPTY_DEPTH, np.float32)
         draw_mesh(shown[..., None], depth, places, np.column_stack([texel, shade]), triangles, texture)
         picture, covered = np.zeros((2, height, width), np.float32)
         average_samples(picture, covered, shown, depth, SAMPLES, 0, 0)

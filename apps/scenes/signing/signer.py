@@ -17,7 +17,7 @@ from ....models.core.checks import Count, CountFrom0, NotNegative, between, chec
 from ....models.core.frame import Frame
 from ..generated_film import GeneratedFilm
 from ..random_fields import wander
-from ..rendering_kernels import MAX_COORDINATE, draw_mesh
+from ..rendering_kernels import EMPTY_DEPTH, draw_mesh
 from .faults import MISSING, Distractor, ListedFaces, bursts, face_boxes, false_skin
 from .motion import signing
 from .paint import Palette, paint_background, paint_cloth, paint_head, paint_skin
@@ -56,7 +56,7 @@ class Appearance:
     def draw(self, solids: Iterable[tuple[Solid, str]]) -> Pixels:
         """`(height, width, 3)` grey levels under full light: solids of materials in front of the room."""
         colours = self._room.copy()
-        depths = np.full(colours.shape[:2], MAX_COORDINATE, np.float32)
+        depths = np.full(colours.shape[:2], EMPTY_DEPTH, np.float32)
         for solid, material in solids:
             density = self._head_density if material == "head" else 1.0
             # sample k of a pixel lies at (k - (SAMPLES - 1) / 2) / SAMPLES from its centre

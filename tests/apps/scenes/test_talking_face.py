@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.apps.scenes import FaceScene, face
 from rsmcm.apps.scenes.random_fields import mottle
-from rsmcm.apps.scenes.rendering_kernels import FARTHEST, draw_mesh
+from rsmcm.apps.scenes.rendering_kernels import EMPTY_DEPTH, draw_mesh
 from rsmcm.apps.scenes.talking_face import FINENESS, SKIN, TEXELS, skin_texels
 from rsmcm.models.face.built_in_model import face_model, face_plane
 
@@ -83,7 +83,7 @@ def test_visibility_agrees_with_the_drawn_depths(shields: bool) -> None:
         places = mesh.positions(scene.poses[index])[0].copy()
         places[:, :2] = (places[:, :2] - places[:, :2].min(axis=0)) * 12 + 3
         columns, rows = np.ceil(places[:, :2].max(axis=0)).astype(int) + 3
-        depth = np.full((rows, columns), FARTHEST, np.float32)
+        depth = np.full((rows, columns), EMPTY_DEPTH, np.float32)
         blank = np.zeros((2, 2, 1), np.float32)
         draw_mesh(depth[..., None].copy(), depth, places, np.zeros_like(places), mesh.triangles, blank)
         front = np.rint(places[: scene.model.n_vertices, :2]).astype(int)
@@ -110,11 +110,11 @@ def test_the_nearer_triangle_wins_whatever_the_order(seed: int) -> None:
     texture = np.ones((2, 2, 1), np.float32)
     pictures = []
     for order in (np.arange(10), generator.permutation(10)):
-        grey, depth = np.zeros((30, 30), np.float32), np.full((30, 30), FARTHEST, np.float32)
+        grey, depth = np.zeros((30, 30), np.float32), np.full((30, 30), EMPTY_DEPTH, np.float32)
         draw_mesh(grey[..., None], depth, places, attributes, triangles[order], texture)
         pictures.append(grey)
         for row, column in generator.integers(0, 30, (40, 2)):
-            nearest, light = FARTHEST, 0.0
+            nearest, light = EMPTY_DEPTH, 0.0
             for a, b, c in triangles:  # the plain way: solve for barycentric coordinates
                 matrix = np.vstack([places[[a, b, c], :2].T, np.ones(3)])
                 shares = np.linalg.solve(matrix, [column, row, 1])
