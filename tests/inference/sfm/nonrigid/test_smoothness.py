@@ -70,6 +70,7 @@ def test_a_steady_turn_has_no_second_differences() -> None:
     assert np.abs(em.second_differences(steady[[0, 1, 3, 4]])).max() > 0.05
 
 
+@pytest.mark.slow
 def test_turns_of_noisy_tracks_are_smoother_and_shapes_hardly_worse() -> None:
     """Of 20 people, the error in 3-D was .90 to 1.12 of that without, .97 in the mean, and .055 about it."""
     truth = stick_figure(120, seed=10)

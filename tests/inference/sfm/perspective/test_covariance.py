@@ -67,6 +67,7 @@ def test_covariances_are_those_of_the_dense_information(focal_known: bool) -> No
     np.testing.assert_allclose(of_places[:, 0, 1], ratio.mean() * np.diag(wanted[:n, n:]), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_focal_lengths_scatter_as_is_stated() -> None:
     """Over films that differ in their noise only, the deviation is honest to its sampling error."""
     base = table_top(2, n_points=60, n_frames=12, missing=0.3)

@@ -26,22 +26,6 @@ def test_grows_to_the_whole_film(film: PerspectiveFilm) -> None:
     assert np.median(np.abs(turns - wanted)) < 0.2
 
 
-def test_a_given_focal_length_is_kept() -> None:
-    film = table_top(1)
-    found = grown(about_principal(film), film.cameras.focal, focal_known=True)
-    assert found is not None
-    assert found[0].focal == pytest.approx(film.cameras.focal)
-
-
-def test_the_same_twice() -> None:
-    film = table_top(2, outliers=0.05)
-    one, other = (grown(about_principal(film), 300.0, focal_known=False) for _ in range(2))
-    assert one is not None
-    assert other is not None
-    np.testing.assert_array_equal(one[0].rotations, other[0].rotations)
-    np.testing.assert_array_equal(one[1], other[1])
-
-
 def test_without_parallax_nothing_grows() -> None:
     """A camera that only turns: rays to a point are parallel."""
     film = table_top(3, noise=0.05)

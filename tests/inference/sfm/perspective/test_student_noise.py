@@ -26,13 +26,6 @@ def test_finds_the_noise_that_errors_were_drawn_from(freedom: float) -> None:
     assert found.freedom == pytest.approx(freedom, rel=0.15)
 
 
-def test_normal_errors_are_nearly_normal() -> None:
-    errors = np.random.default_rng(0).normal(0, 0.3, (5000, 2))
-    found = StudentNoise.of_errors(np.sum(errors**2, axis=1), np.ones(5000))
-    assert found.freedom > 30
-    assert found.variance == pytest.approx(0.09, rel=0.1)
-
-
 @pytest.mark.parametrize("freedom", [4.0, 50.0])
 def test_precision_is_that_of_the_likeliest_place(freedom: float) -> None:
     """Variance of M-estimates of a place from 40 errors each, over 400 samples."""
