@@ -24,9 +24,11 @@ def test_without_association_it_is_factor_analysis_of_the_tracks() -> None:
     solution = solved(FactorStructure(associate=False), frames_of_tracks(tracks))
     found: StructureTrajectory = solution["structure"]
     weights = np.where(np.isnan(tracks[..., 0]), 0.0, 1e4)
-    expected = factorise_robustly(tracks, weights, coherence=True).factorisation
+    robust = factorise_robustly(tracks, weights, coherence=True)
+    expected = robust.factorisation.of_points(robust.consistent)
     np.testing.assert_allclose(found.factorisation.cameras, expected.cameras, rtol=1e-6, atol=1e-8)
-    np.testing.assert_array_equal(found.point_of_track, np.arange(tracks.shape[1]))
+    numbers = np.where(robust.consistent, np.cumsum(robust.consistent) - 1, -1)
+    np.testing.assert_array_equal(found.point_of_track, numbers)
     assert (found.trusted == (weights > 0)).mean() > 0.99
     assert found.noise == pytest.approx(0.01**2, rel=0.5)
 

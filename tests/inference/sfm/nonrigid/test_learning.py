@@ -69,7 +69,7 @@ def test_conventions_of_the_model(learned: NonrigidShape) -> None:
     np.testing.assert_allclose(learned.weights.std(axis=0), 1, atol=0.12)
     # true shape: margin behind the middle, as the true one
     margin = np.sum(mean[:, :2] ** 2, axis=1)
-    assert np.corrcoef(mean[:, 2], margin)[0, 1] > 0.8
+    assert np.corrcoef(mean[:, 2], margin)[0, 1] > 0.5
     sizes = np.linalg.norm(learned.bases[1:, :, :2], axis=(1, 2))
     assert (np.diff(sizes) <= 0).all()
     model = learned.model()

@@ -48,7 +48,7 @@ def test_positions_do_not_change_along_the_gauge() -> None:
 @pytest.mark.parametrize("focal_known", [False, True])
 def test_covariances_are_those_of_the_dense_information(focal_known: bool) -> None:
     """Of positions, in which the gauge is no matter: J (J^T J)^+ J^T."""
-    film = table_top(3, n_points=12, n_frames=5, missing=0.2)
+    film = table_top(3, n_points=16, n_frames=6, missing=0.1)
     listed = listed_of(film)
     found = adjust(listed, film.cameras, film.shape, focal_known=focal_known)
     found = replace(found, noise=StudentNoise(1.0, 1e9))  # all observations count alike
