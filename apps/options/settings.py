@@ -34,6 +34,11 @@ RENAMED = {
     "BlobTracker.confirmed_time": "confirmation_time",
     "BlobTracker.ghost_evidence": "ghost_threshold",
     "BlobTracker.parting_time": "split_time",
+    "GroundPlane.spread": "height_std",
+    "GroundPlane.foot_spread": "foot_std",
+    "GroundPlane.first_speed": "initial_velocity_std",
+    "GroundPlane.patience": "max_coast_time",
+    "DetectorRates.found": "detection_probability",
 }
 """Present names of renamed parameters (`Class.old`) and of renamed options (`old`)."""
 

@@ -423,7 +423,7 @@ def together(runs: list[Followed], name: str) -> Numbers:
 
 def test_predictions_are_sharp_and_consistent(followed: list[Followed]) -> None:
     """Four runs, 35 frames each, noise of 1 px. All points of a run share cameras and shape, so runs are what
-    is independent: means of normalised errors are 0.85 and differ from run to run by 0.12, their mean by 0.06.
+    is independent: means of normalised errors, 0.85, differ from run to run by 0.12, their mean by 0.06.
     Allowed are five of these.
     """
     assert np.sqrt(np.median(together(followed, "given_others"))) < 0.55
