@@ -99,10 +99,6 @@ def test_one_component_over_everything_finds_nobody() -> None:
     assert error_classes(picture((0, 0, 300, 200)), truth_of([PERSON])) == expected
 
 
-def test_empty_truth_makes_everything_a_ghost() -> None:
-    assert error_classes(picture((10, 10, 20, 20), (50, 50, 20, 20)), truth_of([])) == ErrorClasses(ghosts=2)
-
-
 def test_error_classes_of_masks() -> None:
     labels = picture((10, 10, 20, 20), (100, 100, 20, 20), (3, 190, 4, 4))
     labels[150:160, 200:220] = UNKNOWN

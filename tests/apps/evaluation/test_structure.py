@@ -26,20 +26,6 @@ def test_errors_have_their_size() -> None:
     assert scores.shape_error == pytest.approx(0.02 * np.sqrt(3), rel=0.05)
 
 
-def test_every_track_a_point() -> None:
-    truth = cylinder(seed=3)
-    n_tracks = len(truth.point_of_track)
-    scores = score_structure(
-        truth.positions[:, truth.point_of_track],
-        truth.shape[truth.point_of_track],
-        np.arange(n_tracks),
-        truth,
-    )
-    assert (scores.n_points, scores.n_spurious, scores.n_missing) == (n_tracks, n_tracks - 40, 0)
-    assert scores.purity == 1
-    assert scores.reprojection_error == 0
-
-
 def test_points_that_were_mixed_up_missed_and_made_up() -> None:
     truth = cylinder(n_points=6, p_loose=0.2, seed=4)
     points = truth.point_of_track.copy()

@@ -165,18 +165,6 @@ def test_theorem_2_is_sufficient_but_not_necessary() -> None:
     assert (helps & ~errors.theorem_holds).sum() > 2000
 
 
-def test_correlation_that_can_be_borne_in_one_dimension() -> None:
-    """At most log 2, for equal errors when the observation says nothing; eq. (17) asks for 1/2."""
-    ratio, noise = np.meshgrid(np.geomspace(0.01, 100, 81), np.geomspace(1e-3, 1e6, 60))
-    one = np.ones_like(ratio)
-    errors = PredictionErrors(*(part[..., None, None] for part in (one, ratio, 1e-3 * one, 0 * one, noise)))
-    most = errors.bearable * errors.correlation
-    assert most.max() == pytest.approx(np.log(2), abs=1e-4)
-    equal = most[:, 40]
-    assert equal.min() == pytest.approx(0.5, abs=1e-3)
-    assert (np.diff(equal) > 0).all()  # the less is observed, the more correlation can be borne
-
-
 @given(SEEDS, st.integers(1, 3))
 @settings(max_examples=20)
 def test_identical_chains_never_help_and_independent_ones_always_do(seed: int, d: int) -> None:
@@ -330,14 +318,6 @@ def test_verdicts_and_their_reasons() -> None:
     opposed = judged(-0.5)
     assert opposed.verdict == "helps"
     assert "combining pays at any rate" in opposed.reason
-
-
-def test_errors_that_vanish_in_the_noise_give_no_verdict() -> None:
-    """Both chains are right to a thousandth of the observation's noise: nothing can be said of them."""
-    errors = without_process(1e-6 * np.eye(2), 1e-6 * np.eye(2), np.zeros((2, 2)), 1.0)
-    found = compare_predictions(*recorded(errors, np.random.default_rng(5)))
-    assert np.isfinite([found.gain.low, found.gain.high]).all()
-    assert found.verdict == "not sure"
 
 
 def test_wrong_arrays() -> None:

@@ -92,11 +92,6 @@ def test_mis_tracks_and_exchanges_count_for_the_later_answers() -> None:
     assert [each.verdict for each in (recovered, off, scenes)] == ["short"] * 3
 
 
-def test_seconds_of_stretches() -> None:
-    bursts = np.where(np.arange(N_FRAMES) % 4 == 0, 0.2, 0.0)
-    assert body.seconds([replace(trial(5.0), seconds=bursts)]) == pytest.approx(0.05)
-
-
 def test_samples_of_a_time_lie_on_a_line() -> None:
     few, many = counts = (2000, 10_000)
     assert body.samples_in(0.030, counts, (0.030, 0.070)) == few

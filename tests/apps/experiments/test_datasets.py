@@ -38,12 +38,6 @@ def test_named_folder_wins_over_the_one_beside(tmp_path: Path, monkeypatch: pyte
     assert datasets.data_folder("pets2009-s2l1") == named
 
 
-def test_folder_without_the_files_is_passed_over(tmp_path: Path) -> None:
-    (pets(tmp_path / "shared" / "data") / "gt.txt").unlink()
-    cached = pets(tmp_path / "cache" / "rsmcm")
-    assert datasets.data_folder("pets2009-s2l1") == cached
-
-
 def test_without_network_one_line_says_what_to_put_where() -> None:
     for name, (files, address) in datasets.SEQUENCES.items():
         with pytest.raises(FileNotFoundError) as caught:

@@ -35,12 +35,6 @@ def test_lost_at_the_end_or_for_more_than_a_second() -> None:
     assert evaluation([1.0] * 20 + [30.0] * 26 + [1.0] * 20).lost
 
 
-def test_the_first_frame_was_given_and_does_not_count() -> None:
-    one = evaluation([100.0, 1.0, 3.0])
-    assert one.error == pytest.approx(2.0)
-    assert one.error_3d == pytest.approx(4.0)
-
-
 def test_depth_offset_is_no_error_and_shift_is() -> None:
     model = face_model(1)
     pose = Poses.upright(np.array([[50.0, 60.0]]), np.array([30.0]), model.n_bases)

@@ -37,17 +37,6 @@ def test_claims_hold_where_they_should() -> None:
     assert sum(verdict == "short" for verdict in poor.values()) == 4
 
 
-def test_worst_cell_decides() -> None:
-    everything = made_up()
-    cell = Cell(0.12, 0.3, 0.5)
-    everything[cell][DUAL_COHERENT] = [replace(GOOD, reprojection_error=0.0066, purity=0.9)] * 4
-    expectations = {expectation.what: expectation for expectation in experiment.expectations_of(everything)}
-    assert expectations[f"{DUAL_COHERENT}: error over the oracle, P(regain) = 0.5"].measured == pytest.approx(
-        1.65
-    )
-    assert expectations[f"{DUAL_COHERENT}: share of pure points"].measured == pytest.approx(0.9)
-
-
 def test_the_methods_on_one_sequence() -> None:
     """What is wanted of medians over 20 sequences holds on this one, with some room."""
     scores = experiment.scores(Cell(0.06, 0.1, 0.5), seed=0)

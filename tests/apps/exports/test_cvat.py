@@ -5,11 +5,7 @@ from pathlib import Path
 
 import motmetrics
 import numpy as np
-import pytest
 from rsmcm.apps.exports import read_tracks_table, to_cvat
-from rsmcm.apps.io import BoxTruth, read_ground_truth
-
-from ...conftest import Command, summary_of
 
 
 def test_the_zip_is_as_cvat_has_it(background: Path, tmp_path: Path) -> None:
@@ -29,21 +25,3 @@ def test_the_zip_is_as_cvat_has_it(background: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(read[["X", "Y", "Width", "Height"]] + [1, 1, 0, 0], boxes, atol=1e-9)
     np.testing.assert_array_equal(read["Visibility"], table["seen"])
     assert set(read["ClassId"]) == set(read["Confidence"]) == {1}
-
-
-def test_it_is_ground_truth_in_which_the_run_is_perfect(
-    background: Path, street: Path, tmp_path: Path
-) -> None:
-    path, again = tmp_path / "tracks.zip", tmp_path / "again.zip"
-    to_cvat(background, path)
-    to_cvat(background, again)
-    assert path.read_bytes() == again.read_bytes()
-    truth, table = read_ground_truth(path), read_tracks_table(background)
-    assert isinstance(truth, BoxTruth)
-    np.testing.assert_array_equal(truth.box[:, 0], table["x"])
-    np.testing.assert_array_equal(truth.identity, table["id"])
-    options = ("--start", 3, "--step", 2, "--ground-truth", path, "--out", tmp_path / "out")
-    assert Command("background")(street, *options) == 0
-    scores = summary_of(tmp_path / "out")["metrics"]["tracks"]
-    assert scores["mota"] == pytest.approx(1)
-    assert scores["idf1"] == pytest.approx(1)

@@ -53,18 +53,6 @@ def test_a_file_that_is_there_is_kept_unless_it_may_be_replaced(
     assert json.loads(out.read_text())["images"]
 
 
-def test_after_an_error_the_file_is_as_before(
-    background: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    run, out = tmp_path / "run", tmp_path / "a.json"
-    run.mkdir()
-    for name in ("manifest.json", "summary.json"):
-        (run / name).write_bytes((background / name).read_bytes())
-    (run / "tracks.csv").write_bytes((background / "tracks.csv").read_bytes() + b"x\n")
-    assert "got 'x'" in EXPORT.complaint(capfd, run, "--to", "coco", "--out", out)
-    assert names(tmp_path) == {"run"}
-
-
 def test_a_package_that_is_missing_is_named(
     background: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,12 +1,11 @@
 """Objects and points as supervision takes and draws them."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 import supervision
-from rsmcm.apps.exports import FinishedRun, to_key_points, to_supervision
+from rsmcm.apps.exports import to_key_points, to_supervision
 from rsmcm.apps.exports.coco import object_masks
 from rsmcm.apps.io.tracks import TrackedBox
 from rsmcm.apps.scenes import sleeping_man
@@ -36,28 +35,6 @@ def test_a_belief_becomes_detections() -> None:
     assert found.data["seen"].tolist() == [track.seen for track in tracks]
     moving = found[np.hypot(*found.data["velocity"].T) > 1]
     assert len(moving.data["covariance"]) == len(moving)
-
-
-def test_supervision_draws_and_counts_the_frames_of_a_run(background: Path) -> None:
-    run = FinishedRun.of(background)
-    width, height = run.size
-    zone = supervision.PolygonZone(np.array([[0, 0], [width, 0], [width, height], [0, height]]))
-    annotators = (
-        supervision.BoxAnnotator(),
-        supervision.MaskAnnotator(),
-        supervision.LabelAnnotator(),
-        supervision.TraceAnnotator(),
-    )
-    counted = 0
-    for frame in run.frames():
-        found = to_supervision(frame.tracks, frame.foreground)
-        picture = np.zeros((height, width, 3), np.uint8)
-        for annotator in annotators:
-            picture = annotator.annotate(picture, found)
-        assert picture.any() == bool(frame.tracks)
-        counted += int(zone.trigger(found).sum())
-        assert np.isnan(found.data["covariance"]).all()
-    assert counted > 20
 
 
 def test_no_object_is_no_detection() -> None:

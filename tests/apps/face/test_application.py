@@ -229,14 +229,6 @@ def test_the_first_frames_are_black(images: list[NDArray[np.uint8]], scene: Any,
     assert any("no landmarks of frame 3" in note for note in summary_of(out)["notes"])
 
 
-def test_nothing_to_see(tmp_path: Path, start: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    folder = write_pictures(tmp_path / "film", [np.zeros((160, 200), np.uint8)] * 3)
-    for arguments in (("--landmarks", start), ()):
-        message = complaint(capfd, folder, "--out", tmp_path / "out", *arguments)
-        assert "holds no frame in which anything is to be seen" in message
-    assert not (tmp_path / "out").exists()
-
-
 def elsewhere(images: list[NDArray[np.uint8]], scene: Any) -> list[NDArray[np.uint8]]:
     """The pictures without the face: all that it covers is even."""
     room = []

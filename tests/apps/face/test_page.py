@@ -15,7 +15,7 @@ from rsmcm.apps.view.film import Film, read_film
 from rsmcm.apps.view.page import SEEN, Page
 from rsmcm.models.face.surface import SurfaceTexels
 
-from ...support.browser import PHONE, Browser, landmarks, overflow
+from ...support.browser import Browser
 from ...support.records import log_of
 from ...support.view_page import Turned, ViewPage, shown_page, write_pages
 
@@ -216,13 +216,3 @@ def test_the_texture_lies_where_it_was(shown: ViewPage) -> None:
     assert len(greys) > 80
     assert greys[-len(greys) // 4 :].mean() - greys[: len(greys) // 4].mean() > 60
     assert np.corrcoef(np.arange(len(greys)), greys)[0, 1] > 0.6, "but for the light on its facets"
-
-
-@pytest.mark.parametrize("dark", [False, True])
-def test_on_a_phone(browser: Browser, folder: Path, dark: bool) -> None:
-    with browser.page(folder / "view.html", PHONE, dark=dark) as page:
-        page.locator("#row-0 .label").click()
-        assert overflow(page) <= 0
-        count, headings = landmarks(page)
-        assert count == 1
-        assert {"Head", "Texture at the end"} <= set(headings)

@@ -208,12 +208,3 @@ def test_fast_is_faster_and_both_stay_in_the_picture() -> None:
 
 
 # Frames
-
-
-def test_frames_are_the_same_in_any_order_and_length() -> None:
-    scene, again, longer = face(6, 5, change=5), face(6, 5, change=5), face(50, 5, change=5)
-    forward = list(scene.images())
-    for index in (4, 0, 5, 2):
-        np.testing.assert_array_equal(again.image(index), forward[index])
-        np.testing.assert_array_equal(longer.image(index), forward[index])
-    assert (face(6, 6, change=5).image(0) != forward[0]).mean() > 0.5

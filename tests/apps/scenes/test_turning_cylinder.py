@@ -72,13 +72,6 @@ def test_drift_has_its_length_and_lasts_its_time(many: Cylinder) -> None:
         assert (run[now & ~then] % DRIFT_FRAMES == 0).all()
 
 
-def test_noise_has_its_deviation(many: Cylinder) -> None:
-    errors = (many.observed - many.positions)[many.visible & ~many.drifting]
-    # the deviation of n values is known to 1 / sqrt(2 n)
-    assert errors.std() == pytest.approx(0.01, rel=5 / np.sqrt(2 * errors.size))
-    assert abs(errors.mean()) < 5 * 0.01 / np.sqrt(errors.size)
-
-
 @settings(max_examples=30, deadline=None)
 @given(
     st.integers(1, 12),

@@ -1,6 +1,5 @@
 """`rsmcm structure`, as a user runs it: on track files, on films, and with what can be wrong about them."""
 
-import json
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -109,21 +108,6 @@ def test_error_in_the_summary_is_that_of_the_tracks(finished: Path, tracks: NDAr
     assert summary_of(finished)["reprojection_rmse_px_per_point"] == pytest.approx(measured, rel=0.05)
 
 
-def test_cameras_and_shape_project_to_the_positions(finished: Path) -> None:
-    head, body = (finished / "structure.ply").read_bytes().split(b"end_header\n", 1)
-    n_properties = head.count(b"\nproperty")
-    assert n_properties == 8
-    kinds = [("xyz", "<f4", 3), ("bgr", "u1", 3), ("deviation", "<f4"), ("count", "<i4")]
-    points = np.frombuffer(body, np.dtype(kinds))["xyz"].astype(float)
-    cameras = json.loads((finished / "cameras.json").read_text())["frames"]
-    with np.load(finished / "tracks.npz") as content:
-        positions = content["position"]
-    for camera, expected in zip(cameras, positions, strict=True):
-        matrix = np.array(camera["matrix"])
-        np.testing.assert_allclose(points @ matrix[:, :3].T + matrix[:, 3], expected, atol=0.5)
-        np.testing.assert_allclose(np.linalg.norm(np.array(camera["rotation"]), axis=1), 1)
-
-
 def test_a_film(film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert run(film, "--out", out) == 0
@@ -135,17 +119,6 @@ def test_a_film(film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -
     video = cv2.VideoCapture(str(out / "film.mp4"))
     assert sum(iter(lambda: video.read()[0], False)) == 16
     assert "16 frames" in capfd.readouterr().out
-
-
-def test_missing_pictures_and_a_selection(film: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "film"
-    folder.mkdir()
-    for path in film.iterdir():
-        (folder / path.name).write_bytes(path.read_bytes()[: 60 if path.name == "frame7.png" else None])
-    assert run(folder, "--out", tmp_path / "out", "--start", 3, "--stop", 14, *ALONE) == 0
-    summary = summary_of(tmp_path / "out")
-    assert (summary["first_frame"], summary["last_frame"], summary["missing"]) == (3, 14, [7])
-    assert "Missing or unreadable: frame 7." in summary["notes"]
 
 
 # --- hard input ---------------------------------------------------------------------------------------------

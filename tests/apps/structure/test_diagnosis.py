@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.structure.diagnosis import no_depth, no_points
-from rsmcm.inference.sfm.depth import picture_motion
 from rsmcm.models.core.frame import Frame
 
 from ...conftest import Command, names, summary_of
-from ...support.fruitless import N_FRAMES, tracks_in_depth, tracks_on_wall, wall, write_pictures, write_wall
+from ...support.fruitless import N_FRAMES, tracks_in_depth, tracks_on_wall, wall, write_pictures
 
 run = Command("structure")
 Image = NDArray[np.uint8]
@@ -97,13 +96,6 @@ def test_share_of_still_points_that_are_given_a_shape(
     assert share <= most
 
 
-def test_tracks_in_depth_have_no_diagnosis(tmp_path: Path) -> None:
-    assert run(track_file(tmp_path, tracks_in_depth()), "--out", tmp_path / "out", *ALONE) == 0
-    summary = summary_of(tmp_path / "out")
-    assert summary["diagnosis"] is None
-    assert summary["shape"] == "euclidean"
-
-
 @pytest.mark.parametrize(
     ("few", "words"),
     [
@@ -146,11 +138,6 @@ def test_pictures(
     assert (out / "summary.json").read_bytes() == before
 
 
-def test_a_film_of_a_wall(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    diagnosis = fails(write_wall(tmp_path / "film", "still"), tmp_path / "out", capfd, *ALONE)
-    assert WHY["still"] in diagnosis["why"]
-
-
 def test_pictures_that_move_too_fast() -> None:
     """The tracks live one frame, so the motion is that of the pictures."""
     texture = wall()
@@ -169,11 +156,3 @@ def test_pictures_that_move_too_fast() -> None:
     assert "--step" not in no_points(frames[:1] * 6, tracks, "").advice, "they stand still"
     long = np.random.default_rng(9).uniform(0, 150, (6, 20, 2))
     assert "not of one rigid thing: too few agree" in no_points(frames, long, "too few agree").why
-
-
-def test_motion_of_pictures() -> None:
-    texture = wall()
-    shifted = [texture[300:420, 300 + 12 * k : 460 + 12 * k] for k in range(4)]
-    assert picture_motion(shifted) == pytest.approx(12, abs=0.5)
-    assert np.isnan(picture_motion([np.zeros((50, 50), np.uint8)] * 3))
-    assert np.isnan(picture_motion([]))

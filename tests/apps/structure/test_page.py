@@ -44,13 +44,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory, truth: Cylinder, found: Rec
     return path
 
 
-@pytest.fixture(scope="module")
-def tracks_only(tmp_path_factory: pytest.TempPathFactory, truth: Cylinder, found: Reconstruction) -> Path:
-    path = tmp_path_factory.mktemp("tracks")
-    write_without_film(path, truth, found)
-    return path
-
-
 def write_without_film(path: Path, truth: Cylinder, found: Reconstruction) -> None:
     frames = without_images(pictures(truth, COLOURS))
     film, corner = film_of_tracks(frames, found)
@@ -196,25 +189,6 @@ def test_a_click_on_a_point_selects_it(shown: ViewPage, found: Reconstruction) -
     assert said == {True, False}
     shown.click((0, 0))
     assert shown.selected is None
-
-
-def test_without_a_film(browser: Browser, tracks_only: Path, truth: Cylinder, found: Reconstruction) -> None:
-    film, (left, top) = film_of_tracks(without_images(pictures(truth, COLOURS)), found)
-    with shown_page(browser, tracks_only, film.size) as shown:
-        assert not shown.page.locator("video").count()
-        assert not shown.page.get_by_label("in the film's colours").count()
-        for index in (0, 13):
-            shown.show(index)
-            assert shown.frame == index + 1
-            for point in alone(found.places[index], 3.0):
-                shown.click(found.places[index, point] - (left, top) - 0.5)
-                assert shown.selected == f"point {point}"
-                np.testing.assert_allclose(shown.numbers("place"), found.places[index, point], atol=0.06)
-        shown.page.locator("#start").click()
-        shown.page.locator("#play").click()
-        shown.page.wait_for_function(
-            f"document.getElementById('clock').textContent.startsWith('frame {N_FRAMES},')"
-        )
 
 
 def test_frames_of_which_nothing_is_known(
