@@ -51,7 +51,7 @@ OTHER_TONES = 0.2  # share of an object's pixels near its outline of uniform gre
 
 @dataclass(frozen=True, eq=False)
 class BackgroundContrast:
-    """The background of a frame, one for all experts or one for each."""
+    """Contrast of a frame with the background, one for all experts or one for each."""
 
     region: Region  # of the picture, outside of which the background is unknown
     log_ratio: Map  # `(n_maps, height, width)` float32: background over uniform density, nats times `trust`

@@ -574,7 +574,7 @@ def _add_squares(value, lanes, a, b, c, moments, begin):
 
 @inlined
 def _add_products(value, lanes, a, b, c, moments, begin):
-    """The same times the weight of one corner."""
+    """Add values times their weights of one corner to rows of `moments`."""
     flat, at = moments.reshape(-1), begin * MOST
     for g in range(0, lanes, LANES):
         add_vector(flat, at + g, a, value, g)

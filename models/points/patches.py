@@ -85,7 +85,7 @@ def sample_all(grey, positions, which, patches):
 
 
 class Sampler(NamedTuple):
-    """Places `(LANES,)`, what is `seen` there, `(side * side, LANES)`, and room for what leads to it."""
+    """Positions `(LANES,)`, grey values `seen` there, `(side * side, LANES)`, and scratch memory."""
 
     x: NDArray[np.float64]
     y: NDArray[np.float64]
@@ -110,7 +110,7 @@ def _sampler(side):
 
 @compiled
 def _sample(grey, side, sampler):
-    """Look at the places of a sampler: squares of `side` px about them."""
+    """Sample squares of `side` px about the positions of a sampler."""
     height, width = grey.shape
     pixels, along, weights, line = sampler.pixels, sampler.along, sampler.weights, side + 3
     for k in range(LANES):
@@ -143,10 +143,10 @@ def _sample(grey, side, sampler):
 
 @compiled
 def _changes(seen, patch, mean, side, change):
-    """What changes the pixels of a patch, `(ROWS, side * side, LANES)`, and what they are off by.
+    """Write the derivatives of a patch's pixels `(ROWS, side * side, LANES)`, and the residuals.
 
-    Offset (ones, which are there), gain, rotation, scale, stretch along the axes and along the diagonals,
-    then columns and rows by which it moves, and what is off. `seen` has a pixel more on all sides.
+    By offset (ones, written before), gain, rotation, scale, stretch along the axes and along the diagonals,
+    then motion along columns and rows; last the residuals. `seen` has one more pixel on all sides.
     """
     half, line = side // 2, side + 2
     for n in range(side * side):
@@ -177,7 +177,7 @@ def _turned(one, other, x, y, out):
 
 @compiled
 def _products(change, part, products):
-    """Sums over patches of products of what changes their pixels: upper triangles `(ROWS, ROWS, LANES)`."""
+    """Write sums over patches of products of these rows: upper triangles `(ROWS, ROWS, LANES)`."""
     for piece in range(change.shape[1]):
         for k in range(ROWS):
             for m in range(k, ROWS):
@@ -193,10 +193,10 @@ def _products(change, part, products):
 
 @compiled
 def _eliminate(normal, first, last):
-    """Make zeros below diagonals in columns `first` to before `last` of systems `(ROWS, ROWS, LANES)`.
+    """Eliminate unknowns `first` to before `last` of symmetric systems `(ROWS, ROWS, LANES)`.
 
-    They are symmetric, and only upper triangles are read and written. What is then left at the lower right is
-    the system of the other unknowns alone, and what their sums of squares are without those that went.
+    Only upper triangles are read and written. The lower right is then the Schur complement: the system of the
+    other unknowns, and their sums of squares.
     """
     share = np.empty(LANES)
     for k in range(first, last):
@@ -212,12 +212,12 @@ def _eliminate(normal, first, last):
 
 @compiled
 def align_in_place(grey, patches, which, positions, expected, light, search_radius, covariance, ncc):
-    """Move those `positions` `(m, 2)` whose numbers are in `which` to where the picture is like a patch.
+    """Align those `positions` `(m, 2)` whose numbers are in `which` with a patch.
 
     Of `patches` `(n, side, side)` each has as many positions, one after the other. Picture = patch + offset +
     gain (patch - its mean) + its change by a small linear map + noise; offset, gain and map have inverse
     variances `light.precisions`, `(6,)`, in units of the noise's, whose variance is `light.smoothed` times
-    that of what is left, plus `light.rounding`. Patches have the prior `expected`.
+    that of the residuals, plus `light.rounding`. Patches have the prior `expected`.
 
     Written: `covariance` `(m, 2, 2)` px^2 by the picture alone, with offset, gain and map integrated out; and
     the normalised correlation, -1 where the way leads farther than `search_radius` px or picture or patch are
@@ -267,7 +267,7 @@ def align_in_place(grey, patches, which, positions, expected, light, search_radi
 
 @compiled
 def _take(which, patches, each, positions, patch, mean, sampler):
-    """Side by side: patches, their means, and places; the last one again in lanes that are left over."""
+    """Copy patches, their means, and positions to lanes; the last one to unused lanes."""
     side = patches.shape[1]
     for lane in range(LANES):
         n = which[min(lane, which.size - 1)]
@@ -282,7 +282,7 @@ def _take(which, patches, each, positions, patch, mean, sampler):
 
 @compiled
 def _without_light(products, light, normal):
-    """Equations of the two moves alone: what else changes a patch is eliminated."""
+    """Write the equations of the motion, with offset, gain and linear map eliminated."""
     moves = UNKNOWNS - 2
     for k in range(ROWS):
         for m in range(k, ROWS):
@@ -303,7 +303,7 @@ def _without_light(products, light, normal):
 
 @compiled
 def _step(normal, lane, side, prior, light):
-    """How far a patch is off along both axes, and the covariance that the picture gives its place."""
+    """Return the step along both axes, and the covariance of the position by the picture."""
     k, m, end = UNKNOWNS - 2, UNKNOWNS - 1, UNKNOWNS
     off_x, off_y, px, pxy, py = prior
     xx, xy, yy = normal[k, k, lane], normal[k, m, lane], normal[m, m, lane]
@@ -318,7 +318,7 @@ def _step(normal, lane, side, prior, light):
 
 @compiled
 def _correlation(products, lane, side):
-    """Of a patch with the picture, from sums over it and what the picture is off by; -1 if one is flat."""
+    """Return the correlation of patch and picture, from sums of products; -1 if one is flat."""
     count = side * side
     off, bright = UNKNOWNS, products[0, UNKNOWNS, lane]
     own, cross = products[1, 1, lane], products[1, off, lane]

@@ -61,11 +61,10 @@ class Candidates(NamedTuple):
 
 @compiled
 def find_candidates_in_place(image, windows, patches, which, candidates):
-    """Fill in the two likeliest places of those patches of `(n, side, side)` whose numbers are in `which`.
+    """Write the two likeliest places of those patches of `(n, side, side)` whose numbers are in `which`.
 
-    A place's weight is `SHARPNESS` times -log(1 - correlation^2 + `NCC_NOISE`), plus the log prior. Only
-    places are taken of a correlation of `LEAST_NCC` or more, and that no neighbour is more like the patch
-    than.
+    A place's weight is `SHARPNESS` times -log(1 - correlation^2 + `NCC_NOISE`), plus the log prior. Places
+    are local maxima of a correlation of `LEAST_NCC` or more.
     """
     mean, covariance, prior, reach, search_radius = windows
     height, width = image.shape
@@ -112,7 +111,7 @@ def find_candidates_in_place(image, windows, patches, which, candidates):
 
 @compiled
 def _lift(image, left, top, rows, line, rooms):
-    """A window's pixels, less one of them: squares of small numbers are summed exactly enough."""
+    """Copy a window's pixels less one of them, so that sums of squares have small rounding errors."""
     level = _f4(image[top + rows // 2, left + line // 2])
     filled = min(-(-line // REGISTER) * REGISTER, image.shape[1] - left)
     for y in range(rows):
@@ -122,7 +121,7 @@ def _lift(image, left, top, rows, line, rooms):
 
 @compiled
 def correlate(rooms, line, count, template, side):
-    """Correlation of a template of mean 0 and length 1 with a window's patches, in `rooms` `(6, enough)`."""
+    """Correlate a template of mean 0 and length 1 with a window's patches, in `rooms` `(6, enough)`."""
     for i in range(count + side * line):
         pixel = rooms[PIXELS, _at(i)]
         rooms[SQUARES, _at(i)] = pixel * pixel
@@ -155,7 +154,7 @@ def _five(rooms, i, weights, k):
 
 @compiled
 def _box_sums(rooms, what, line, side, count, out):
-    """Sums over squares, each at its upper left pixel."""
+    """Write sums over squares, each at its upper left pixel."""
     size = count + (side - 1) * line
     if side == USUAL:
         for i in range(size):
@@ -176,7 +175,7 @@ def _box_sums(rooms, what, line, side, count, out):
 
 @compiled
 def _flag_peaks(rooms, line, count, flags):
-    """Whether a place is like the patch, and none of its eight neighbours more so; not at the edge."""
+    """Flag local maxima of the correlation from `LEAST_NCC` on, but for the border."""
     for i in range(count):
         here, after, further = rooms[SCORE, _at(i)], rooms[SCORE, _at(i + 1)], rooms[SCORE, _at(i + 2)]
         rooms[ACROSS, _at(i)] = max(after, max(here, further))
@@ -193,7 +192,7 @@ def _flag_peaks(rooms, line, count, flags):
 
 @compiled
 def _keep_two(score, line, rows, columns, offset, prior, flags, eight, places, weights):
-    """Fill in the two likeliest of the flagged peaks: x, y and correlation `(2, 3)`, and weights `(2,)`."""
+    """Write the two likeliest of the flagged maxima: x, y and correlation `(2, 3)`, and weights `(2,)`."""
     left, top = offset
     xx, xy, yy, most = prior
     weights[0] = weights[1] = LEAST_WEIGHT
@@ -227,7 +226,7 @@ def _keep_two(score, line, rows, columns, offset, prior, flags, eight, places, w
 
 @compiled
 def _normalise(patches, k, template):
-    """The k-th patch with mean 0 and length 1, row after row."""
+    """Write the k-th patch with mean 0 and length 1, row after row."""
     side = patches.shape[1]
     total = squares = _f4(0)
     for y in range(side):
@@ -245,7 +244,7 @@ def _normalise(patches, k, template):
 
 @compiled
 def _parabola(before, here, after):
-    """Where a parabola through three values has its peak, from the middle one, and how much higher it is."""
+    """Return the peak of a parabola through three values: its distance from the middle one, and its rise."""
     bent = before - _f4(2) * here + after
     if bent >= _f4(-1e-6):
         return _f4(0), _f4(0)
@@ -284,11 +283,11 @@ class Places(NamedTuple):
 def choose_places(
     places, mean, around, precision, hidden, false_alarm_rate, search_radius, side, better, seen
 ):
-    """Say of n points in `better`, `(n,)`, which of two places is the likelier one, and if `seen` there.
+    """Choose the likelier of two places of n points, `better` `(n,)`, and accept it or not, `seen` `(n,)`.
 
-    To fractions of a pixel that can be another one than pixel by pixel. `mean`, `around` and `precision` are
-    `(n, 2)` px, `(n, 2, 2)` px^2 and its inverse: where points should be. Those that may be `hidden` `(n,)`
-    have one more rival: what is there by chance. The rest is as of `find_points`.
+    After alignment it may be the other one than before. `mean`, `around` and `precision` are the prior:
+    `(n, 2)` px, `(n, 2, 2)` px^2 and its inverse. Points that may be `hidden` `(n,)` have one more rival, a
+    chance match. The rest is as of `find_points`.
     """
     position, covariance, nccs = places
     log_odds = np.log(ODDS)
@@ -323,7 +322,7 @@ def choose_places(
         if not hidden[k]:
             seen[k] = 0.5 * (xx + yy) <= MAX_STD**2
             continue
-        # where a hidden point is along an edge, only what is expected can say
+        # the position of a hidden point along an edge is known by the prior only
         scale = 1 / (xx * yy - xy * xy)
         p, r = scale * yy + precision[k, 0, 0], scale * xx + precision[k, 1, 1]
         q = precision[k, 0, 1] - scale * xy
@@ -336,10 +335,10 @@ def choose_places(
 def least_ncc(false_alarm_rate, area, side):
     """Return the correlation that a share `false_alarm_rate` of windows without the point exceeds by chance.
 
-    The expected number of places that are at least so like a patch of `side` px in `area` px^2 is 0.24 (area
-    / 1089)^0.56 (5 / side)^2.5 ((1 - ncc) / 0.1)^2.5: a fit to counts for sides from 5 to 11, areas from 25
-    to 1089 and correlations from 0.8 to 0.95, right to a third. What else is asked of a place leaves a third
-    of these false alarms.
+    The expected number of places with at least this correlation with a patch of `side` px in `area` px^2 is
+    0.24 (area / 1089)^0.56 (5 / side)^2.5 ((1 - ncc) / 0.1)^2.5: a fit to counts for sides from 5 to 11,
+    areas from 25 to 1089 and correlations from 0.8 to 0.95, right to a third. The other tests of a place
+    leave a third of these false alarms.
     """
     unlike = 0.1 * (-np.log(1 - false_alarm_rate) / _at_ten_percent(area, side)) ** 0.4
     return max(1 - unlike, LEAST_NCC)
@@ -347,11 +346,11 @@ def least_ncc(false_alarm_rate, area, side):
 
 @compiled
 def odds_over_chance(ncc, square, determinant, area, side):
-    """Log odds that a place shows the point, as against another one that is as like it by chance.
+    """Return the log odds that a place shows the point, and not a chance match.
 
-    Of the point, 1 - ncc is exponential with mean `UNLIKE`, and the place is normal about where it should be,
-    at a squared distance of `square` in units of the covariance, whose `determinant` is px^4. Of what is
-    there by chance 1 - ncc has the density of `least_ncc`'s count, and the place is any in the window of
+    Of the point, 1 - ncc is exponential with mean `UNLIKE`, and the position is normal about the prior's
+    mean, at a squared distance of `square` in units of the covariance, whose `determinant` is px^4. Of a
+    chance match, 1 - ncc has the density of `least_ncc`'s count, and the position is uniform in the window of
     `area` px^2.
     """
     unlike = min(max(1 - ncc, 1e-3), 1.0)
