@@ -15,6 +15,7 @@ from rsmcm.chains.face.recovery import (
     STRAIGHT,
     TRIAL,
     TRIED_TURNS,
+    WIDTH_OF_FACE,
     DetectedFace,
     Trust,
     UprightView,
@@ -134,14 +135,18 @@ def upright_faces(frame: Frame) -> NDArray[np.float64]:
     return np.array([[*(up + down) / 2 - width / 2, width, width]])
 
 
+WIDTH = 30.0 * np.ptp(MODEL.bases[0, :, 0]) / WIDTH_OF_FACE
+"""px, of the box of a face of 30 px."""
+
+
 def picture(roll: float) -> tuple[NDArray[np.uint8], Poses]:
     """Such a face, and its pose."""
     pose = leaning(roll)
-    box = DetectedFace(MODEL, upright_faces)._box(pose)
+    places = MODEL.project(pose)[0]
     rows, columns = np.indices((200, 300))
-    off = np.stack([columns, rows], axis=-1) - box[0]
+    off = np.stack([columns, rows], axis=-1) - (places.min(axis=0) + places.max(axis=0)) / 2
     turn = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
-    across, down = np.moveaxis(off @ turn, -1, 0) / box[1]
+    across, down = np.moveaxis(off @ turn, -1, 0) / WIDTH
     inside = (abs(across) < 0.5) & (abs(down) < 0.5)
     return np.where(inside, np.where(down < 0, 250, 5), 128).astype(np.uint8), pose
 
@@ -152,7 +157,7 @@ def test_confirms_what_is_there(roll: float) -> None:
     finder = DetectedFace(MODEL, upright_faces)
     assert finder.confirms(image, pose)
     aside = np.zeros((1, pose.dimension))
-    aside[0, 3] = 0.3 * finder._box(pose)[1]
+    aside[0, 3] = 0.3 * WIDTH
     assert not finder.confirms(image, pose.moved(aside))
     turned = np.zeros((1, pose.dimension))
     turned[0, 2] = 0.6
