@@ -24,7 +24,9 @@ from .support.browser import Browser, browsing
 seed_shift.install()
 
 # A busy machine, or the first call of a compiled loop, says nothing about what is tested.
-settings.register_profile("any-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "any-machine", max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("any-machine")
 
 

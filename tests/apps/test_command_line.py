@@ -20,8 +20,6 @@ from cyclopts import App
 from rsmcm.apps import command_line
 from rsmcm.apps.command_line import main
 from rsmcm.apps.demo import write_scene
-from rsmcm.apps.io.files import PLAYABLE, SegmentedVideo
-from rsmcm.apps.runs.parallel import in_parallel
 from rsmcm.apps.scenes import sleeping_man
 
 from ..conftest import Command, modified
@@ -183,19 +181,6 @@ def say(capfd: pytest.CaptureFixture[str], *arguments: object) -> tuple[str, str
     return out, err
 
 
-def test_experiments_in_processes_are_quiet_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """What starts processes wants a standard output that can be flushed."""
-
-    def two_numbers(name: str, out: Path, long: bool) -> None:
-        print(sum(in_parallel(name, [(abs, (-1,)), (abs, (-2,))])))
-
-    monkeypatch.setattr(command_line, "run_experiment", two_numbers)
-    assert say(capfd, "reproduce", "gain", "--out", tmp_path, "--quiet") == ("", "")
-    assert "3" in say(capfd, "reproduce", "gain", "--out", tmp_path)[0]
-
-
 def test_quiet_and_verbose(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Quiet says nothing at all, verbose what the usual run does and more, and neither lasts."""
     folder = tmp_path / "input"
@@ -215,6 +200,7 @@ def test_quiet_and_verbose(scene: Path, tmp_path: Path, capfd: pytest.CaptureFix
     assert "nowhere" in complaint(capfd, "background", "nowhere", "--out", tmp_path / "x", "--quiet")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
 def test_completion_is_installed(tmp_path: Path) -> None:
     """In bash, which then completes commands and options."""
@@ -253,30 +239,6 @@ def test_wrong_sources(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture
     (empty / "frame1.png").write_bytes(b"\x89PNG\r\n")
     assert "no readable frame" in complaint(capfd, "background", empty, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_frames_that_change(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    folder = tmp_path / "input"
-    shutil.copytree(scene / "input", folder)
-    cv2.imwrite(str(folder / "in000007.png"), np.zeros((48, 64), np.uint8))
-    message = complaint(capfd, "background", folder, "--out", tmp_path / "out")
-    assert "frame 7 is 64x48 gray, expected 64x48 colour" in message
-
-
-def test_a_truncated_video(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    whole = tmp_path / "whole.mp4"
-    video = SegmentedVideo(whole, 25.0, PLAYABLE)
-    for frame in sleeping_man(40, size=SIZE):
-        assert frame.image is not None
-        video.write(frame.image, frame.number, frame.time)
-    video.close(finished=True)
-    cut = write(tmp_path / "cut.mp4", whole.read_bytes()[: whole.stat().st_size * 2 // 3])
-    with pytest.raises(SystemExit) as ended:
-        main(["background", str(cut), "--out", str(tmp_path / "out")])
-    assert ended.value.code == 0
-    out, err = capfd.readouterr()
-    assert "the source ends before its announced end" in out
-    assert err == ""
 
 
 @pytest.mark.parametrize(
@@ -343,18 +305,6 @@ def test_wrong_ground_truth(scene: Path, tmp_path: Path, capfd: pytest.CaptureFi
     assert not (tmp_path / "out").exists()
 
 
-def test_ground_truth_with_fewer_frames_counts_those(
-    scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    few = write(tmp_path / "gt.txt", "3,1,5,5,10,20,1,-1,-1,-1\n5,1,6,5,10,20,1,-1,-1,-1\n")
-    with pytest.raises(SystemExit) as ended:
-        main(["background", str(scene / "input"), "--out", str(tmp_path / "out"), "--ground-truth", str(few)])
-    assert ended.value.code == 0
-    out = capfd.readouterr().out
-    assert "frames compared: 3\n" in out
-    assert "counted anew in each of the 3 frames compared\n" in out
-
-
 def test_existing_results(scene: Path, finished: Path, capfd: pytest.CaptureFixture[str]) -> None:
     before = modified(finished)
     start = ("background", scene / "input", "--out", finished)
@@ -401,28 +351,11 @@ def test_broken_state_files(
     assert "start anew with --overwrite" in message
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_folder_that_cannot_be_written(
-    scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    tmp_path.chmod(0o500)
-    message = complaint(capfd, "background", scene / "input", "--out", tmp_path / "out")
-    assert "Permission denied" in message
-
-
-def test_output_that_is_no_folder(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    file = write(tmp_path / "file", "")
-    assert "expected a folder" in complaint(capfd, "background", scene / "input", "--out", file)
-    for command in ("background", "structure", "face", "body"):
-        below = complaint(capfd, command, scene / "input", "--out", file / "deep" / "out")
-        assert f"{file}: expected a folder" in below
-    assert "/proc/nothing" in complaint(capfd, "background", scene / "input", "--out", "/proc/nothing")
-
-
 def test_a_full_disk(scene: Path, tmp_path: Path) -> None:
     Command("background").on_a_full_disk(tmp_path / "out", 20_000, scene / "input")
 
 
+@pytest.mark.slow
 def test_control_c(scene: Path, tmp_path: Path) -> None:
     """A process on a long source, interrupted as by a terminal."""
     source = tmp_path / "input"
@@ -450,6 +383,7 @@ def test_control_c(scene: Path, tmp_path: Path) -> None:
     assert (out / "view.html").read_text().endswith("</html>\n")
 
 
+@pytest.mark.slow
 def test_comparison(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for truth in ([], ["--ground-truth", str(scene)]):
         arguments = ["reproduce", "compare", str(scene / "input"), "--out", str(tmp_path)]
@@ -462,18 +396,6 @@ def test_comparison(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[st
         (table,) = json.loads((tmp_path / "results.json").read_text())["tables"]
         assert len(table["rows"]) == 8
         assert ("ghosts" in table["header"]) == bool(truth)
-
-
-def test_names_that_the_output_cannot_spell(scene: Path, tmp_path: Path) -> None:
-    done = subprocess.run(
-        [*COMMAND, "background", str(scene / "input"), "--out", str(tmp_path / "Straße")],
-        env={**os.environ, "PYTHONIOENCODING": "ascii"},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert r"Stra\xdfe" in done.stdout
 
 
 def test_help_comes_at_once() -> None:

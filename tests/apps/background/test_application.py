@@ -1,5 +1,6 @@
 """The background application: whole results, missing frames, regions, runs that are cut off and resumed."""
 
+import itertools
 import json
 import shutil
 import signal
@@ -19,13 +20,11 @@ from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.background.parameters import SECTIONS, read_parameters, with_defaults
 from rsmcm.apps.demo import write_scene
 from rsmcm.apps.evaluation.scoring import Scoring
-from rsmcm.apps.evaluation.tracks import track_rows
 from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.io.ground_truth import MaskTruth, read_ground_truth
 from rsmcm.apps.io.sources.open_source import open_source
 from rsmcm.apps.io.tracks import read_tracks
 from rsmcm.apps.runs.interruption import Interruption
-from rsmcm.apps.runs.region import read_region, stands_inside
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.chains import MixtureBackground
 from rsmcm.models.core.frame import Frame
@@ -110,12 +109,11 @@ def test_all_results_are_there_and_readable(whole: Path, scene: Path) -> None:
     assert scoring.measures(None)["pixels"] == pytest.approx(summary["metrics"]["pixels"])
 
 
-@pytest.mark.parametrize("stop_after", [1, 37, N_FRAMES])
 def test_interrupted_and_resumed_is_as_if_never_interrupted(
-    stop_after: int, scene: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job = BackgroundJob(str(scene / "input"), out=tmp_path, ground_truth=scene, every=10, video=True)
-    items = Interruption.items
+    items, stop_after = Interruption.items, 37
 
     def interrupted(self: Interruption, source: Iterator[Frame]) -> Iterator[Frame]:
         for count, frame in enumerate(items(self, source), 1):
@@ -153,6 +151,7 @@ def test_a_finished_run_is_resumed_by_doing_nothing(scene: Path, whole: Path, tm
     assert modified(out) == before
 
 
+@pytest.mark.slow
 def test_killed_in_the_middle(scene: Path, tmp_path: Path) -> None:
     """The state is saved every 5 frames, slowly enough that kill -9 comes in between."""
     slow = (
@@ -181,11 +180,6 @@ def test_killed_in_the_middle(scene: Path, tmp_path: Path) -> None:
     assert count_frames(tmp_path / "out" / "film.mp4") == N_FRAMES
 
 
-def test_resume_where_nothing_is_starts_a_run(scene: Path, tmp_path: Path) -> None:
-    run_background(BackgroundJob(str(scene / "input"), out=tmp_path / "new", stop=3, resume=True))
-    assert summary_of(tmp_path / "new")["frames"] == 3
-
-
 def test_damaged_images_are_missing_frames(scene: Path, tmp_path: Path) -> None:
     source = tmp_path / "input"
     shutil.copytree(scene / "input", source)
@@ -210,8 +204,7 @@ def test_frames_of_another_size_end_the_run_with_results_until_there(scene: Path
     assert count_frames(tmp_path / "out" / "film.mp4") == 11
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("masks", ["none", "video"])
+@pytest.mark.parametrize(("engine", "masks"), [*zip(ENGINES, itertools.cycle(["none", "video"]))])
 def test_other_engines_and_forms_of_masks(engine: Any, masks: Any, scene: Path, tmp_path: Path) -> None:
     run_background(
         BackgroundJob(str(scene / "input"), out=tmp_path, engine=engine, stop=25, step=2, masks=masks)
@@ -222,12 +215,6 @@ def test_other_engines_and_forms_of_masks(engine: Any, masks: Any, scene: Path, 
     assert not (tmp_path / "foreground").exists()
     if engine == "stand-alone":
         assert (tmp_path / "tracks.txt").read_text() == ""
-
-
-def test_one_frame_is_enough(scene: Path, tmp_path: Path) -> None:
-    run_background(BackgroundJob(str(scene / "input" / "in000001.png"), out=tmp_path))
-    assert summary_of(tmp_path)["frames"] == 1
-    assert count_frames(tmp_path / "film.mp4") == 1
 
 
 def test_region_of_interest(scene: Path, whole: Path, tmp_path: Path) -> None:
@@ -243,17 +230,6 @@ def test_region_of_interest(scene: Path, whole: Path, tmp_path: Path) -> None:
     all_boxes = read_tracks(whole / "tracks.txt")["box"]
     feet = all_boxes[:, 0] + all_boxes[:, 2] / 2
     assert len(inside_boxes) == np.count_nonzero(feet.astype(int) < 64)
-
-
-def test_region_from_a_picture(tmp_path: Path) -> None:
-    picture = np.zeros((48, 64), np.uint8)
-    picture[:, 32:] = 1
-    cv2.imwrite(str(tmp_path / "roi.png"), picture)
-    region = read_region(str(tmp_path / "roi.png"), (64, 48))
-    np.testing.assert_array_equal(region, picture * 255)
-    assert stands_inside(region, (40, 10, 4, 8))
-    assert not stands_inside(region, (10, 10, 4, 8))
-    assert stands_inside(region, (60, 40, 20, 30)), "feet below the picture count at its edge"
 
 
 def test_parameters_from_a_file(tmp_path: Path) -> None:
@@ -280,16 +256,6 @@ def test_the_background_can_be_a_mixture(tmp_path: Path) -> None:
     assert with_defaults({})["background"]["model"] == "gaussian"
 
 
-@pytest.mark.parametrize(
-    "line", ['model = "median"', "model = [1]", 'model = "mixture"\nfollow_light = true']
-)
-def test_a_background_that_does_not_exist(tmp_path: Path, line: str) -> None:
-    path = tmp_path / "settings.toml"
-    path.write_text(f"[background]\n{line}\n")
-    with pytest.raises(ValueError, match=r"\[background\].*(gaussian, mixture|follow_light)"):
-        read_parameters(path)
-
-
 def test_engines_differ_in_feedback_only() -> None:
     dual, forward = (build_model(engine) for engine in ("recursive-bp", "feed-forward"))
     assert dual.chains.keys() == forward.chains.keys()
@@ -309,10 +275,3 @@ def test_scores_are_restored(scene: Path) -> None:
             one = after
         one.add(number, mask)
     assert one.measures(None) == whole.measures(None)
-
-
-def test_track_rows_keep_what_was_read(whole: Path) -> None:
-    boxes = read_tracks(whole / "tracks.txt")
-    rows = track_rows(boxes)
-    assert rows.shape == (len(boxes), 6)
-    np.testing.assert_array_equal(rows[:, 2:], boxes["box"])

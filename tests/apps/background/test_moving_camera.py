@@ -7,15 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.background.application import FrameResult, build_model, read_frame_result
-from rsmcm.apps.background.job import BackgroundJob
+from rsmcm.apps.background.application import build_model, read_frame_result
 from rsmcm.apps.background.moving_camera import MOVES, CameraWatch
-from rsmcm.apps.experiments import compare
-from rsmcm.apps.experiments.compare import PRIORS, run_compare
 from rsmcm.apps.io.files import write_image
 from rsmcm.apps.io.tracks import read_tracks
 from rsmcm.apps.scenes import ShakenFilm, shaken, sleeping_man
-from rsmcm.inference import Belief, RecursiveBP
+from rsmcm.inference import RecursiveBP
 from rsmcm.models import Frame
 
 from ...conftest import Command
@@ -86,6 +83,7 @@ def test_it_is_said_once_on_standard_error_and_in_the_summary(
     assert note.startswith(MOVES)
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_followed_gives_masks_and_tracks_of_the_frames(
     shaking: tuple[ShakenFilm, Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -104,18 +102,3 @@ def test_a_camera_that_is_followed_gives_masks_and_tracks_of_the_frames(
         boxes = tracks[tracks["frame"] == index + 1]["box"]
         assert np.abs(boxes[:, 0] + boxes[:, 2] - columns[-1] - 1).min(initial=np.inf) < 9, index
     assert 2 * hits / (2 * hits + wrong) > 0.85
-
-
-def test_a_comparison_follows_it_too(
-    shaking: tuple[ShakenFilm, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    followed = []
-
-    def seen(belief: Belief, size: tuple[int, int]) -> FrameResult:
-        followed.append(belief["pixels"].view is not None)
-        return read_frame_result(belief, size)
-
-    monkeypatch.setattr(compare, "read_frame_result", seen)
-    run_compare(BackgroundJob(str(shaking[1]), out=tmp_path, camera="moving", stop=2))
-    assert len(followed) == 2 * (len(PRIORS) + len(compare.CHAINS))
-    assert all(followed)

@@ -5,11 +5,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rsmcm.apps.background.page import (
-    RunRecord,
     TrackHistory,
     background_page,
     draw_paths,
@@ -23,7 +21,6 @@ from rsmcm.apps.io.zones import Zones
 from rsmcm.apps.view.film import Film, Row
 from rsmcm.apps.view.overlay import identity_colour
 from rsmcm.apps.view.page import PREDICTED, SEEN, write_page
-from rsmcm.models.core.frame import GivenBoxes
 
 from ...support.records import PICTURE, SUMMARY, recorded
 
@@ -59,13 +56,6 @@ def test_outlines_are_those_of_the_foreground() -> None:
     assert len(drawn["outline"]) < 60
 
 
-def test_nothing_is_drawn_where_nothing_is() -> None:
-    drawn = view_row_of(np.zeros(SIZE, np.uint8), [])
-    assert not any(map(len, drawn.values()))
-    assert drawn["box"].shape == (0, 4)
-    assert drawn["outline"].shape == (0, 2)
-
-
 @given(
     st.lists(st.lists(st.sampled_from([None, True, False]), min_size=3, max_size=3), min_size=1, max_size=12)
 )
@@ -99,12 +89,6 @@ def test_events_are_in_the_order_of_their_times() -> None:
     assert [event["frame"] for event in layers["events"]] == [2, 4, 5], "the film has no frame 9"
 
 
-def test_boxes_of_a_detector_are_drawn() -> None:
-    given = GivenBoxes(np.array([[10.0, 20, 30, 60]]), np.array([0.9]))
-    drawn = view_row_of(np.zeros(SIZE, np.uint8), [], given)
-    assert drawn["given"].tolist() == [[10, 20, 20, 40]], "x, y, width, height"
-
-
 def test_a_page_says_everything(tmp_path: Path) -> None:
     """Without a film: no frame could be read."""
     summary = {**SUMMARY, "metrics": {"F": 0.912345}, "notes": ["The camera moves."]}
@@ -117,16 +101,6 @@ def test_a_page_says_everything(tmp_path: Path) -> None:
     ):  # fmt: skip
         assert expected in text
     assert [path.name for path in tmp_path.iterdir()] == ["view.html"]
-
-
-@pytest.mark.parametrize(
-    "record", [recorded(0), recorded(1), recorded(1, frozenset({1})), recorded(3, frozenset({1, 2, 3}))]
-)
-def test_a_page_of_hardly_anything(tmp_path: Path, record: RunRecord) -> None:
-    page = background_page("title", record, SUMMARY, None, PICTURE[..., 0])
-    for name in ("a.html", "b.html"):
-        write_page(tmp_path / name, page)
-    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
 
 
 def test_paths_are_drawn_in_their_colours() -> None:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from rsmcm.apps.background.application import build_model, run_background
 from rsmcm.apps.background.job import BackgroundJob
-from rsmcm.apps.background.predictions import MOST_FRAMES, PixelScores, Predictions
+from rsmcm.apps.background.predictions import PixelScores, Predictions
 from rsmcm.apps.demo import write_scene
-from rsmcm.apps.evaluation.predictions import FILE, PairRecord, ScoreRecord, read_predictions
+from rsmcm.apps.evaluation.predictions import PairRecord, ScoreRecord, read_predictions
 from rsmcm.apps.runs.interruption import Interruption
 from rsmcm.apps.scenes import Scene, sleeping_man
 from rsmcm.inference import Belief, RecursiveBP, RunState
@@ -96,12 +96,6 @@ def test_a_detector_observes_what_blobs_and_ground_predict() -> None:
     np.testing.assert_array_equal(again.frames, boxes.frames)
 
 
-def test_memory_is_bounded(beliefs: list[Belief], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsmcm.apps.background.predictions.MOST_FRAMES", 3)
-    assert MOST_FRAMES > 3
-    assert len(recorded(beliefs).frames) <= 3
-
-
 def test_a_resumed_run_records_what_a_whole_one_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_scene(SCENE, tmp_path / "scene")
     whole, parts = tmp_path / "whole", tmp_path / "parts"
@@ -124,10 +118,3 @@ def test_a_resumed_run_records_what_a_whole_one_does(tmp_path: Path, monkeypatch
     assert isinstance(other, ScoreRecord)
     np.testing.assert_array_equal(one.frames, other.frames)
     np.testing.assert_array_equal(one.scores, other.scores)
-
-
-def test_a_background_by_itself_records_nothing(tmp_path: Path) -> None:
-    write_scene(sleeping_man(5, size=(64, 48)), tmp_path / "scene")
-    out = tmp_path / "out"
-    run_background(BackgroundJob(str(tmp_path / "scene" / "input"), out=out, engine="stand-alone"))
-    assert not (out / FILE).exists()

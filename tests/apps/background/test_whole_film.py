@@ -5,7 +5,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -15,16 +14,14 @@ import numpy as np
 import pytest
 from rsmcm.apps.background.application import Background, run_background
 from rsmcm.apps.background.job import BackgroundJob
-from rsmcm.apps.background.whole_film import warmed_up
 from rsmcm.apps.demo import write_scene
 from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.io.sources.open_source import Source
 from rsmcm.apps.io.tracks import read_tracks
-from rsmcm.apps.runs.interruption import Interrupted, Interruption
+from rsmcm.apps.runs.interruption import Interruption
 from rsmcm.apps.runs.loop import Columns
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.inference import Belief
-from rsmcm.models.core.frame import Frame
 
 from ...conftest import Command
 
@@ -91,27 +88,7 @@ def test_the_whole_film_shows_who_is_there_in_the_first_frame(scene: Path, whole
     assert summary["metrics"]["pixels"]["F"] > 0.8
 
 
-def test_before_the_masks_it_begins_anew_after_a_signal(
-    scene: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    items, passes = Interruption.items, []
-
-    def interrupted(self: Interruption, source: Iterator[Frame]) -> Iterator[Frame]:
-        passes.append(source)
-        for count, frame in enumerate(items(self, source), 1):
-            yield frame
-            if len(passes) == 3 and count == 17:
-                signal.raise_signal(signal.SIGINT)
-
-    job = job_of(scene, tmp_path, engine="coordinate-ascent")
-    with monkeypatch.context() as patch:
-        patch.setattr(Interruption, "items", interrupted)
-        with pytest.raises(Interrupted):
-            run_background(job)
-    assert run_background(replace(job, resume=True)).signal is None
-    assert masks_of(tmp_path) == masks_of(whole)
-
-
+@pytest.mark.slow
 def test_the_masks_go_on_after_a_signal_to_the_same_bytes(
     scene: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -135,76 +112,14 @@ def test_the_masks_go_on_after_a_signal_to_the_same_bytes(
         assert (tmp_path / name).read_bytes() == (whole / name).read_bytes()
 
 
-@pytest.mark.parametrize("engine", ["recursive-bp", "feed-forward", "stand-alone"])
-def test_a_warm_up_shows_who_is_there_in_the_first_frame(scene: Path, tmp_path: Path, engine: Any) -> None:
-    run_background(job_of(scene, tmp_path / "cold", engine=engine))
-    run_background(job_of(scene, tmp_path / "warm", engine=engine, warm_up=1.5))
+def test_a_warm_up_shows_who_is_there_in_the_first_frame(scene: Path, tmp_path: Path) -> None:
+    run_background(job_of(scene, tmp_path / "cold"))
+    run_background(job_of(scene, tmp_path / "warm", warm_up=1.5))
     assert len(masks_of(tmp_path / "warm")) == N_FRAMES
     assert shown_in_first_frame(tmp_path / "cold", scene) == 0
     assert shown_in_first_frame(tmp_path / "warm", scene) > 0.7
     pixels = [summary_of(tmp_path / name)["metrics"]["pixels"]["F"] for name in ("warm", "cold")]
     assert pixels[0] > pixels[1]
-
-
-def test_a_warm_up_longer_than_the_film_answers_all_frames(scene: Path, tmp_path: Path) -> None:
-    run_background(job_of(scene, tmp_path, warm_up=100.0))
-    assert len(masks_of(tmp_path)) == N_FRAMES
-
-
-def test_a_run_with_a_warm_up_goes_on(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run_background(job_of(scene, tmp_path / "whole", warm_up=1.0))
-    columns, taken = Background.columns, []
-
-    def interrupted(self: Background, belief: Belief) -> Columns:
-        taken.append(belief.frame.number)
-        row = columns(self, belief)
-        if len(taken) == 12:  # of the 26 that wait
-            signal.raise_signal(signal.SIGINT)
-        return row
-
-    job = job_of(scene, tmp_path / "parts", warm_up=1.0)
-    with monkeypatch.context() as patch:
-        patch.setattr(Background, "columns", interrupted)
-        assert run_background(job).signal == signal.SIGINT
-    assert run_background(replace(job, resume=True)).signal is None
-    assert masks_of(tmp_path / "parts") == masks_of(tmp_path / "whole")
-
-
-def test_a_warm_up_that_a_signal_ends_begins_anew(
-    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run_background(job_of(scene, tmp_path / "whole", warm_up=1.0))
-    items = Interruption.items
-
-    def interrupted(self: Interruption, source: Iterator[Frame]) -> Iterator[Frame]:
-        for count, frame in enumerate(items(self, source), 1):
-            yield frame
-            if count == 5:  # of the 26 that it holds
-                signal.raise_signal(signal.SIGINT)
-
-    job = job_of(scene, tmp_path / "parts", warm_up=1.0)
-    with monkeypatch.context() as patch:
-        patch.setattr(Interruption, "items", interrupted)
-        with pytest.raises(Interrupted):
-            run_background(job)
-    assert run_background(replace(job, resume=True)).signal is None
-    assert masks_of(tmp_path / "parts") == masks_of(tmp_path / "whole")
-
-
-def test_frames_of_a_warm_up_come_again_in_order() -> None:
-    from rsmcm.apps.background.application import build_model
-
-    def frames() -> Iterator[Frame]:
-        for number in range(1, 30):
-            image = None if number in (1, 2, 7) else np.full((24, 32), 90, np.uint8)
-            yield Frame(image, number / 10, number)
-
-    state, again = warmed_up(1.0, frames(), build_model())
-    assert state.time < 0.1
-    assert [frame.number for frame in again] == list(range(1, 30))
-    nothing, again = warmed_up(0.05, frames(), build_model())
-    assert not nothing.states  # both frames of it are missing
-    assert [frame.number for frame in again] == list(range(1, 30))
 
 
 class Live:
@@ -251,14 +166,6 @@ def test_a_live_source_is_refused_with_a_way_out(tmp_path: Path) -> None:
         read_whole(job, cast(Source, Live()), build_model(), iter, Interruption())
 
 
-def test_the_engine_stands_in_toml_too(scene: Path, tmp_path: Path, whole: Path) -> None:
-    config = tmp_path / "job.toml"
-    config.write_text('engine = "coordinate-ascent"\n')
-    command = Command("background")
-    assert command(scene / "input", "--out", tmp_path / "out", "--config", config) == 0
-    assert masks_of(tmp_path / "out") == masks_of(whole)
-
-
 PEAK = """
 import resource, sys
 from pathlib import Path
@@ -269,6 +176,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_film(tmp_path: Path) -> None:
     """Four times as long a film takes 45 MB more where its pictures are held."""
     short, long = tmp_path / "short", tmp_path / "long"

@@ -139,16 +139,6 @@ def test_what_is_wrong_with_the_command_begins_nothing(
     assert (foreign / "summary.csv").read_text() == "mine\n"
 
 
-def test_overwrite(films: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert code_of(films / "film000", "--out", out) == 0
-    before = stamps(out / "film000")
-    assert code_of(films / "film000", "--out", out, "--overwrite", "--masks", "none") == 0
-    assert not (out / "film000" / "foreground").exists()
-    after = stamps(out / "film000")
-    assert all(after[path] != before[path] for path in after)
-
-
 def test_threads_and_jobs() -> None:
     cores = os.cpu_count() or 1
     before = thread_count()
@@ -164,6 +154,7 @@ def test_threads_and_jobs() -> None:
     assert workers_for(cameras, Batch(out=Path("out"))).jobs == cores + 3
 
 
+@pytest.mark.slow
 def test_printed_commands_do_the_same(films: Path, done: Path, tmp_path: Path) -> None:
     """In a shell, from elsewhere; the batch afterwards only writes summary and page."""
     spaced = tmp_path / "my films; $HOME 'x'"
@@ -209,6 +200,7 @@ def test_killed_in_the_middle(count: int, tmp_path: Path) -> None:
     assert results(out / "film005") == results(whole / "film005")
 
 
+@pytest.mark.slow
 def test_a_parent_that_is_killed_takes_its_workers_along(tmp_path: Path) -> None:
     films, out = write_long_films(tmp_path / "films", 2, 2000), tmp_path / "out"
     process = start("batch", "background", films, "--out", out, "--jobs", 2, "--masks", "none", "--every", 5)
@@ -220,6 +212,7 @@ def test_a_parent_that_is_killed_takes_its_workers_along(tmp_path: Path) -> None
             pass
 
 
+@pytest.mark.slow
 def test_control_c(tmp_path: Path) -> None:
     """All that has begun ends with what it has; what waits is not begun; the next batch goes on."""
     films, out = write_long_films(tmp_path / "films", 4, 2000), tmp_path / "out"
@@ -254,6 +247,7 @@ def dies(_: str, job: object) -> FilmStatus:
     return FilmStatus("complete")
 
 
+@pytest.mark.slow
 def test_whoever_takes_his_process_along_stops_nobody(
     films: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -283,14 +277,3 @@ def test_one_batch_at_a_time_writes_into_a_folder(
         assert code_of(films, "--out", tmp_path / "out") == 2
     assert "writes there: wait for it, or choose another folder" in capfd.readouterr().err
     assert {path.name for path in (tmp_path / "out").iterdir()} == {".lock"}
-
-
-def test_a_camera_with_another_address_keeps_its_folder(films: Path, tmp_path: Path) -> None:
-    first, second, _ = sorted(films.iterdir())
-    for source, options in ((first, ()), (second, ("--overwrite",))):
-        (tmp_path / "cameras.toml").write_text(f'[[camera]]\nname = "gate"\nsource = "{source}"\nstop = 2\n')
-        assert code_of(tmp_path / "cameras.toml", "--out", tmp_path / "out", "--jobs", 1, *options) == 0
-        assert {folder: row["source"] for folder, row in rows(tmp_path / "out").items()} == {
-            "gate": str(source)
-        }
-        assert (tmp_path / "out" / "summary.csv").read_text().count("\n") == 2

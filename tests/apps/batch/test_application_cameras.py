@@ -10,6 +10,7 @@ from rsmcm.apps.command_line import main
 from ...support.stream_server import Connection, StreamServer, serving
 
 
+@pytest.mark.slow
 def test_cameras_run_at_once(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     scene = np.random.default_rng(0).integers(60, 200, (48, 64, 3)).astype(np.uint8)
     steady = StreamServer([scene] * 2000, [Connection(2000)])

@@ -31,6 +31,7 @@ def in_work(out: Path, process: int) -> bool:
     return False
 
 
+@pytest.mark.slow
 def test_one_worker_is_killed(tmp_path: Path) -> None:
     """All films end, nothing is done twice, and results are those of single runs."""
     films, out = write_films(tmp_path / "films", COUNT, 60), tmp_path / "out"
@@ -65,6 +66,7 @@ def dies(_: str, job: object) -> FilmStatus:
     return FilmStatus("complete")
 
 
+@pytest.mark.slow
 def test_a_film_that_kills_workers_stops_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     films = write_films(tmp_path / "films", 4)
     monkeypatch.setattr(application, "run_film", dies)

@@ -1,6 +1,5 @@
 """Options of an application pass through a batch: the same names, the same help, the same values."""
 
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -73,9 +72,3 @@ def test_values_of_a_list_of_cameras() -> None:
         job_of("face", [*OUT, *words_of("face", {"frobnicate": 1})])
     with pytest.raises(ValueError, match=r"--gain: got 7\.0, expected 0 to 1"):
         job_of("face", [*OUT, *words_of("face", {"gain": 7})])
-
-
-def test_own_fields_are_those_of_every_job() -> None:
-    for kind in APPLICATIONS.values():
-        assert set(OWN) - {"live"} < {each.name for each in fields(kind)}
-    assert "live" in {each.name for each in fields(BackgroundJob)}

@@ -3,19 +3,13 @@
 import json
 import re
 import shutil
-import signal
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import cv2
 import pytest
 from rsmcm.apps.command_line import main
 from rsmcm.apps.events import Kind, read_events
-from rsmcm.apps.runs.interruption import Interruption
 from rsmcm.apps.scenes import sleeping_man
-
-from ...support.browser import PHONE, browsing, landmarks, overflow
 
 ZONES = """
 [[zone]]
@@ -78,33 +72,6 @@ def test_the_run_writes_what_happened(results: Path) -> None:
     assert '"name": "left half"' in re.sub(r"\s*:\s*", ": ", (results / "view.html").read_text())
 
 
-@pytest.mark.parametrize("signals", [1, 2])
-def test_a_run_that_is_ended_early_goes_on_to_the_same(
-    signals: int, results: Path, film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One signal leaves complete results, a second one ends it at once, up to the last saved state."""
-    out, items = tmp_path / "out", Interruption.items
-
-    def interrupted(self: Interruption, source: Iterator[Any]) -> Iterator[Any]:
-        for count, item in enumerate(items(self, source), start=1):
-            yield item
-            if count == 130:
-                for _ in range(signals):
-                    signal.raise_signal(signal.SIGTERM)
-
-    options = (film / "input", "--out", out, "--masks", "none", "--zones", film / "zones.toml", "--every", 50)
-    with monkeypatch.context() as patch:
-        patch.setattr(Interruption, "items", interrupted)
-        assert run("background", *options) == 128 + signal.SIGTERM
-    if signals == 1:
-        assert read_events(out / "events.csv")[-1].kind == Kind.REMAINED
-        assert json.loads((out / "summary.json").read_text())["events"]["left half"]["remained"] == 1
-    assert run("background", *options, "--resume") == 0
-    assert (out / "events.csv").read_bytes() == (results / "events.csv").read_bytes()
-    one, other = (json.loads((folder / "summary.json").read_text()) for folder in (out, results))
-    assert one["events"] == other["events"]
-
-
 def test_the_finished_run_gives_the_same(results: Path, film: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(results, tmp_path / "copy")
     (copy / "events.csv").unlink()
@@ -114,16 +81,6 @@ def test_the_finished_run_gives_the_same(results: Path, film: Path, tmp_path: Pa
     assert one == other
     assert "events.html" in json.loads((copy / "manifest.json").read_text())["files"]
     assert "Zones and lines" in (copy / "events.html").read_text()
-
-
-def test_a_run_in_which_nobody_was(film: Path, tmp_path: Path) -> None:
-    zones = film / "zones.toml"
-    given = ("--out", tmp_path / "out", "--masks", "none", "--stop", 3, "--zones", zones)
-    assert run("background", film / "input", *given) == 0
-    written = (tmp_path / "out" / "events.csv").read_bytes()
-    assert run("events", tmp_path / "out", "--zones", zones) == 0
-    assert (tmp_path / "out" / "events.csv").read_bytes() == written
-    assert "Nobody stayed in a zone or stood still." in (tmp_path / "out" / "events.html").read_text()
 
 
 def test_zones_can_be_changed(results: Path, tmp_path: Path) -> None:
@@ -165,16 +122,3 @@ def test_what_is_wrong_is_one_line_and_loses_nothing(
     stand_alone = ("--engine", "stand-alone", "--zones", film / "zones.toml")
     line = fails("background", film / "input", "--out", tmp_path / "out", *stand_alone)
     assert line == "rsmcm: --zones and --engine stand-alone: got both, expected one of them"
-
-
-def test_the_page_on_a_phone(results: Path, film: Path, tmp_path: Path) -> None:
-    """Tables are wider, and scroll by themselves; a plot's letters stay large enough."""
-    copy = shutil.copytree(results, tmp_path / "copy")
-    assert run("events", copy, "--zones", film / "zones.toml") == 0
-    with browsing() as browser, browser.page(copy / "events.html", PHONE) as page:
-        assert overflow(page) <= 0
-        mains, headings = landmarks(page)
-        assert mains == 1
-        assert headings[1:] == ["Zones and lines"]
-        height = page.evaluate("document.querySelector('.plot text').getBoundingClientRect().height")
-        assert height > 8, "letters can be read"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from markupsafe import escape
 from rsmcm.apps.events import Event, Kind, Line, Moment, Zone, Zones
-from rsmcm.apps.events.page import MOST_ROWS, ZoneEvents
+from rsmcm.apps.events.page import ZoneEvents
 from rsmcm.apps.view.page import Plot
 
 SQUARE = np.array([[10.0, 10], [90, 10], [90, 90], [10, 90]])
@@ -71,12 +71,6 @@ def test_section() -> None:
         (0, 0), (1, 1), (2, 2), (3, 1), (10, 1),
     ]  # fmt: skip
     assert [(line.label, line.values[-1]) for line in plots[2].lines] == [("in", 2), ("out", 1)]
-
-
-def test_a_section_of_many_and_of_no_events() -> None:
-    many = [event(float(time), Kind.LEFT, time, 1.0 + time) for time in range(3 * MOST_ROWS)]
-    assert f"The {MOST_ROWS} longest of {3 * MOST_ROWS}." in parts(ZoneEvents(ZONES, many, (0.0, 1e3)))[1]
-    assert "Nobody stayed" in parts(ZoneEvents(ZONES, [], (0.0, 0.0)))[1]
 
 
 @pytest.mark.parametrize("name", ["$x^$", "5 $", "_a_b", "通り", "</script><b>"])

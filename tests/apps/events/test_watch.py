@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.apps.events import (
@@ -16,14 +16,13 @@ from rsmcm.apps.events import (
     EventWriter,
     Kind,
     Line,
-    Moment,
     Sighting,
     Watch,
     Zone,
     Zones,
     read_events,
 )
-from rsmcm.apps.events.watch import COLUMNS, ERROR, EventLog, line_of, rounded, write_events
+from rsmcm.apps.events.watch import COLUMNS, ERROR, EventLog, line_of, write_events
 from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.io.row_log import RowLog
 from rsmcm.apps.io.tracks import TrackedBox, columns_of
@@ -152,7 +151,6 @@ def walks(draw: st.DrawFn) -> tuple[list[float], list[float]]:
 
 
 @given(walks())
-@settings(deadline=None)
 def test_half_the_frames_give_the_same_events(walk: tuple[list[float], list[float]]) -> None:
     times, columns = walk
     strip = Zones(zones().zones[:1], zones().lines)
@@ -242,13 +240,6 @@ def test_slower_than_a_tenth_of_a_height_a_second_is_standing(speed: float, stan
     assert ("stands" in [each.kind for each in events(path)]) == stands
 
 
-def test_memory_does_not_grow_with_those_who_are_gone() -> None:
-    watch = Watch(zones())
-    for number in range(1, 2000):
-        watch.update(number / 5, number, [Sighting(number, 150.0, 120.0, HEIGHT, True)])
-        assert len(watch._tracks) <= 17
-
-
 N_FRAMES = 120
 ZONES = Zones(
     (Zone('a "door", left', np.array([[100.0, 0], [200, 0], [200, 240], [100, 240]]), (320, 240)),), ()
@@ -293,14 +284,6 @@ def whole(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("stop", "go_on"), [(1, 2), (50, 51), (57, 51), (N_FRAMES, N_FRAMES + 1)])
-def test_a_run_that_goes_on_writes_the_same(stop: int, go_on: int, whole: Path, tmp_path: Path) -> None:
-    """It ended in frame `stop`, completely, or was killed after the state of frame `go_on - 1` was saved."""
-    write(tmp_path, 1, stop)
-    write(tmp_path, go_on, N_FRAMES)
-    assert (tmp_path / "events.csv").read_bytes() == (whole / "events.csv").read_bytes()
-
-
 def test_the_table_of_tracks_gives_the_same(whole: Path) -> None:
     events = EventLog(ZONES)
     events.add_table(read_tracks_table(whole))
@@ -309,22 +292,6 @@ def test_the_table_of_tracks_gives_the_same(whole: Path) -> None:
     lines = (whole / "events.csv").read_text().splitlines()
     assert lines == [",".join(COLUMNS), *map(line_of, found)]
     assert {event.kind for event in found} >= {Kind.ENTERED, Kind.APPEARED, Kind.STANDS, Kind.STOOD}
-
-
-def test_who_reads_along_sees_what_has_happened(tmp_path: Path) -> None:
-    path, events = tmp_path / "events.csv", EventLog(ZONES, RowLog(tmp_path / "rows"))
-    with EventWriter(path) as writer:
-        assert read_events(path) == []
-        writer.write(events.add(1, 0.0, columns_of(boxes(1))))
-        (appeared,) = read_events(path)
-        assert appeared == Event(Moment(0.0, 1, 160.0, 101.01), Kind.APPEARED, ZONES.zones[0].name, 7)
-
-
-def test_rounded_as_they_are_read_back(whole: Path) -> None:
-    with RowLog(whole / "rows", N_FRAMES) as log:
-        events = EventLog(ZONES, log)
-        events.end(int(log["number"][-1]))
-        assert [rounded(event) for event in events.events] == read_events(whole / "events.csv")
 
 
 def test_read_back(whole: Path) -> None:
@@ -345,20 +312,3 @@ def test_another_file_is_one_line(tmp_path: Path) -> None:
     path.write_text(",".join(COLUMNS) + "\n1.0,1,flew,a,1,1,1,,\n")
     with pytest.raises(ValueError, match=r"events\.csv, line 2: got '1\.0,1,flew,a"):
         read_events(path)
-
-
-def test_nobody_has_been_there_yet(tmp_path: Path) -> None:
-    """A run that is interrupted before its first track goes on; one without any has no events."""
-    for after in (0, 3):
-        log, table = RowLog(tmp_path / "rows", after), TrackTableWriter(tmp_path / "tracks.csv", after)
-        events = EventLog(ZONES, log)
-        with log, table, EventWriter(tmp_path / "events.csv", events.events) as writer:
-            for number in range(after + 1, after + 4):
-                table.write(number, number / 25, [])
-                log.append({"number": np.int64(number), "time": number / 25}, columns_of([]))
-                writer.write(events.add(number, number / 25, columns_of([])))
-            log.checkpoint()
-    events = EventLog(ZONES)
-    events.add_table(read_tracks_table(tmp_path))
-    assert events.events == []
-    assert read_events(tmp_path / "events.csv") == []

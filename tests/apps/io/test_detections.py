@@ -121,25 +121,6 @@ def test_classes_are_kept_by_name(form: Callable[[list[Row]], str], tmp_path: Pa
         read_detections(path, ["person", "cat"])
 
 
-def test_classes_of_results_are_numbers(tmp_path: Path) -> None:
-    path = written(tmp_path, results([(1, (1, 2, 3, 4), 0.5, "person"), (1, (1, 2, 3, 4), 0.6, "car")]))
-    assert read_frame_result(read_detections(path, ["1"]), range(2)) == [(1, [1, 2, 4, 6], 0.6)]
-    with pytest.raises(ValueError, match=r"got 'person', but .* has 0, 1"):
-        read_detections(path, ["person"])
-
-
-def test_a_file_without_classes_has_none_to_choose(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"--classes: got 'person', but .* tells no classes"):
-        read_detections(written(tmp_path, "1,-1,5,5,10,10,0.5\n"), ["person"])
-
-
-def test_scores_may_be_left_out(tmp_path: Path) -> None:
-    boxes = read_detections(written(tmp_path, "1 -1 5 5 10 10\n")).at(1)
-    assert boxes is not None
-    assert boxes.confidence is None
-    assert boxes.classes is None
-
-
 # --- where a detector ran --------------------------------------------------------------------------------
 
 
@@ -157,24 +138,6 @@ def test_frames_that_are_not_listed(listed: list[int], looked: set[int], tmp_pat
     detections = read_detections(path)
     assert {number for number in range(30) if detections.at(number) is not None} == looked
     assert {number for number in looked if len(detections.at(number) or ())} == set(listed)
-
-
-def test_a_data_set_lists_the_frames_in_which_nothing_was_found(tmp_path: Path) -> None:
-    content = {"images": [{"id": 5, "file_name": "b.png"}, {"id": 6, "file_name": "x/a.png"}]}
-    detections = read_detections(
-        written(tmp_path, json.dumps(content | {"annotations": []})), pictures=["0.png", "a.png", "b.png"]
-    )
-    assert len(detections) == 0
-    assert [detections.at(number) is None for number in (1, 2, 3)] == [True, False, False]
-
-
-def test_a_thousand_results_a_frame_are_read_in_pieces(tmp_path: Path) -> None:
-    """More than is read at once; a value may lie on the border of two pieces."""
-    rows: list[Row] = [(1 + k // 1000, (k % 997, 2, 3, 4), k / 1e4, "person") for k in range(30_000)]
-    for form in (results, data_set):
-        detections = read_detections(written(tmp_path, form(rows)))
-        assert len(detections) == 30_000
-        np.testing.assert_array_equal(detections.xyxy[:, 0], [row[1][0] for row in rows])
 
 
 # --- what is wrong ---------------------------------------------------------------------------------------
@@ -260,11 +223,6 @@ def test_boxes_are_those_of_the_frames_number(detections: Detections) -> None:
     assert detections.counted(range(1, 4)) == {"boxes": 3, "frames": 2}
 
 
-def test_boxes_that_reach_out_of_the_picture_are_of_it(detections: Detections) -> None:
-    detections.check("film", (100, 50), 5)
-    detections.check("film", (100, 50), None)
-
-
 @pytest.mark.parametrize(
     ("size", "last", "complaint"),
     [
@@ -282,13 +240,6 @@ def test_boxes_of_another_film(
 ) -> None:
     with pytest.raises(ValueError, match=complaint):
         detections.check("film", size, last)
-
-
-def test_frames_without_a_box_can_be_beyond_the_film(tmp_path: Path) -> None:
-    path = tmp_path / "coco.json"
-    path.write_text('{"images": [{"id": 1, "file_name": "a9.png"}], "annotations": []}')
-    with pytest.raises(ValueError, match=r"coco\.json: got frame 9, but film has 8 frames"):
-        read_detections(path).check("film", (100, 50), 8)
 
 
 IMAGE = np.zeros((40, 60, 3), np.uint8)
@@ -377,11 +328,6 @@ def test_boxes_come_in_many_forms(found: Any, n_boxes: int, confidence: Any, cla
 def test_what_a_detector_returns_wrongly_is_said(found: Any, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         list(with_boxes(FRAMES, lambda _: found))
-
-
-def test_what_is_no_frame() -> None:
-    with pytest.raises(TypeError, match="frames: got ndarray, expected Frame"):
-        next(with_boxes([IMAGE], lambda _: None))  # type: ignore[list-item]
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,13 @@
 """A film that is read again for every pass: the same frames in any order, however it ends."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
 
 import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.io.film import Film, SeenFrames, is_blank
-from rsmcm.apps.io.sources.open_source import Source, open_source
+from rsmcm.apps.io.sources.open_source import open_source
 from rsmcm.models import Frame
 
 N_FRAMES = 7
@@ -61,27 +60,6 @@ class Breaking:
 
     def close(self) -> None:
         pass
-
-
-def broken(n_frames: int) -> Callable[[], Source]:
-    return lambda: cast(Any, Breaking(n_frames, OSError("film: torn")))
-
-
-def test_a_film_that_breaks_ends_there() -> None:
-    film = Film(broken(3), iter)
-    assert len(film) == 3
-    assert str(film.error) == "film: torn"
-    assert [frame.number for frame in film] == [1, 2, 3]
-    with pytest.raises(OSError, match="film: torn"):
-        Film(broken(0), iter)
-
-
-def test_a_film_that_has_become_shorter_is_told() -> None:
-    lengths = iter([5, 3])
-    film = Film(lambda: cast(Any, Breaking(next(lengths), OSError("torn"))), iter)
-    assert len(film) == 5
-    with pytest.raises(OSError, match="torn"):
-        film[4]
 
 
 def test_frames_without_contrast_are_blank() -> None:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from rsmcm.apps.io import Keypoints, read_keypoints, with_keypoints
-from rsmcm.apps.io.keypoints import digest_of
 from rsmcm.models import Frame
 from rsmcm.models.core.frame import COCO, KEYPOINTS, SKELETONS
 
@@ -198,15 +197,6 @@ def test_points_must_be_of_the_film(tmp_path: Path) -> None:
         keypoints_at(tmp_path, (1, 0.5, 0.25)).check("film", (55, 50), 9)
 
 
-def test_a_folder_is_known_again(tmp_path: Path) -> None:
-    folder = openpose_of(tmp_path)
-    before = digest_of(folder)
-    assert digest_of(folder) == before
-    file = next(folder.iterdir())
-    file.write_text(file.read_text() + " ")
-    assert digest_of(folder) != before
-
-
 IMAGE = np.zeros((40, 60, 3), np.uint8)
 FRAMES = [Frame(None if number == 4 else IMAGE, 0.1 * number, number) for number in range(1, 9)]
 
@@ -226,10 +216,3 @@ def test_a_detector_is_called_with_every_frame_that_has_an_image() -> None:
     assert frames[6].image is FRAMES[6].image
     third = list(with_keypoints(FRAMES, lambda _: [], every=3))
     assert [frame.number for frame in third if frame.keypoints is not None] == [1, 5, 8]
-
-
-def test_what_a_detector_returns_wrongly_is_said() -> None:
-    with pytest.raises(ValueError, match=r"frame 1: keypoints: got \(1, 2, 3\), expected"):
-        list(with_keypoints(FRAMES, lambda _: np.zeros((2, 3))))
-    with pytest.raises(TypeError, match="detector: got list, expected something to call"):
-        with_keypoints(FRAMES, [])  # type: ignore[arg-type]

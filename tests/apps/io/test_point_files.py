@@ -1,6 +1,5 @@
 """Files of points: what is read, and what is refused in one line."""
 
-import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 from rsmcm.apps.io.point_files import frames_of_tracks, read_points, read_track_file
 from rsmcm.apps.io.sources.open_source import Selection
-from rsmcm.models.files import MOST_NUMBERS
 
 POINTS = np.arange(60, dtype=np.float64).reshape(5, 6, 2)
 POINTS[1, 2] = POINTS[:, 4] = np.nan
@@ -77,17 +75,6 @@ def test_what_is_refused(array: Any, words: str, tmp_path: Path) -> None:
         assert words in str(raised.value)
 
 
-def test_archives_without_one(tmp_path: Path) -> None:
-    for arrays, words in (
-        ({}, "got arrays none, expected 'tracks' or a single one, (n_frames, n_points, 2) px"),
-        ({"track": POINTS, "x": [1]}, "got arrays 'track', 'x', expected 'tracks'"),
-    ):
-        path = archive(tmp_path, **arrays)
-        with pytest.raises(ValueError, match=rf"^{path}: ") as raised:
-            read_points(path)
-        assert words in str(raised.value)
-
-
 VISIBLE = ~np.isnan(POINTS[:, :, 0])
 TRACKED = np.where(np.isnan(POINTS), 7.0, POINTS)  # point trackers guess where they see nothing
 SIZE = np.array([200.0, 100.0])  # width, height
@@ -117,22 +104,6 @@ def test_a_point_at_the_edges_is_half_a_pixel_beyond_the_middles(tmp_path: Path)
     shares = np.array([[[0.0, 0.0]], [[1.0, 1.0]], [[0.5 / 200, 0.5 / 100]]])
     path = archive(tmp_path, points=shares, occluded=np.zeros((3, 1), bool), video=VIDEO[:1])
     np.testing.assert_allclose(read_points(path)[0], [[-0.5, -0.5], [199.5, 99.5], [0, 0]], atol=1e-12)
-
-
-def test_the_video_is_not_read(tmp_path: Path) -> None:
-    """It may have more numbers than a file of arrays may."""
-    video = np.zeros((5, 1080, 8000, 3), np.uint8)
-    assert video.size > MOST_NUMBERS
-    path = tmp_path / "points.npz"
-    np.savez_compressed(path, points=SHARES, occluded=~VISIBLE.T, video=video)
-    tracemalloc.start()
-    try:
-        points = read_points(path)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert np.nanmax(points[..., 0]) > 300
-    assert peak < video.size / 10
 
 
 @pytest.mark.parametrize(
@@ -188,11 +159,6 @@ def test_selected_frames_as_frames(tmp_path: Path) -> None:
     assert first.points.identities.tolist() == [0, 1, 3, 5]
     assert last.points.identities.tolist() == [0, 1, 2, 3, 5]
     np.testing.assert_array_equal(first.points.positions, TRACKS[1, [0, 1, 3, 5]])
-
-
-def test_a_frame_without_any_point_is_not_missing() -> None:
-    (frame,) = frames_of_tracks(np.full((1, 3, 2), np.nan))
-    assert not frame.missing
 
 
 def test_a_selection_beyond_the_end(tmp_path: Path) -> None:

@@ -80,15 +80,6 @@ def test_columns_can_be_looked_at_while_the_run_goes_on(tmp_path: Path) -> None:
     assert not (tmp_path / "rows").exists()
 
 
-def test_a_new_run_begins_with_nothing(tmp_path: Path) -> None:
-    written(tmp_path / "rows", 1, 5)
-    with RowLog(tmp_path / "rows") as log:
-        assert len(log) == 0
-        assert log["number"].tolist() == []
-        assert log.objects("id").tolist() == []
-        assert list(log.frames()) == []
-
-
 def test_another_row_is_refused(tmp_path: Path) -> None:
     with RowLog(tmp_path / "rows") as log:
         log.append(row(1), {})

@@ -36,12 +36,6 @@ def test_there_is_no_border_at_the_edge_of_the_picture() -> None:
     assert whole.distance((-30.0, 4.0)) == np.inf
 
 
-def test_a_corner_at_the_edge_leaves_both_borders() -> None:
-    triangle = Zone("triangle", np.array([[0.0, 120], [100, 60], [100, 180]]), SIZE)
-    assert triangle.distance((50.0, 120.0)) == pytest.approx(50 * 60 / np.hypot(100, 60))
-    assert triangle.distance((110.0, 120.0)) == pytest.approx(-10)
-
-
 def test_right_is_the_right_of_who_looks_along_the_line() -> None:
     line = Line("line", (10.0, 100.0), (110.0, 100.0))  # to the right: its right is below
     assert line.distance((50.0, 130.0)) == pytest.approx(30)
@@ -183,11 +177,3 @@ def test_whatever_is_wrong_is_one_line(text: str, message: str, tmp_path: Path) 
     assert str(error.value).startswith(f"--zones: {path}: ")
     assert message in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_a_polygon_may_be_concave_and_have_many_corners(tmp_path: Path) -> None:
-    angles = np.linspace(0, 2 * np.pi, 1000, endpoint=False)
-    radius = 60 + 40 * (-1) ** np.arange(1000)
-    corners = np.stack([160 + radius * np.cos(angles), 120 + radius * np.sin(angles)], axis=1)
-    zones = read_zones(written(tmp_path, zone(*map(tuple, corners.tolist()))), SIZE)
-    assert len(zones.zones[0].polygon) == 1000

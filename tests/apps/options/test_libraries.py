@@ -11,7 +11,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.command_line import main
 from rsmcm.apps.options.libraries import (
     EXPECTED,
     OF_LIBRARIES,
@@ -33,28 +32,6 @@ def test_what_the_user_has_set_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     have_one_thread()
     assert [os.environ[name] for name in NAMES] == ["1", "3", "1", "1", "1", "1", "1"]
     assert thread_limits(2) == {**dict.fromkeys(NAMES, "2"), OF_OPENCV: "1"}
-
-
-def test_opencv_heeds_its_variable() -> None:
-    script = (
-        "from rsmcm.apps.options.libraries import have_one_thread; have_one_thread()\n"
-        "import cv2; print(cv2.getNumThreads())"
-    )
-    environment = {name: value for name, value in os.environ.items() if name != OF_OPENCV}
-    command = [sys.executable, "-c", script]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
-    assert done.stdout == "1\n"
-
-
-def test_libraries_are_loaded_after_that() -> None:
-    """Otherwise they would have read the variables before they are set."""
-    script = (
-        "import sys, rsmcm.apps.command_line as line\n"
-        "line.have_one_thread = lambda: print({'numpy', 'cv2'} & {*sys.modules})\n"
-        "line.main(['background', 'nothing.mp4', '--out', 'nowhere'])"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (2, "set()\n")
 
 
 HINT = (
@@ -96,11 +73,6 @@ def test_errors_of_opencv(intruder: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert opencv_hint(cascade.value) == HINT
 
 
-def test_other_errors(intruder: Path) -> None:
-    for error in (ValueError("cv2"), ImportError(name="scipy"), AttributeError("cv2", obj=intruder)):
-        assert opencv_hint(error) == ""
-
-
 def test_opencv_that_cannot_be_imported(intruder: Path, tmp_path: Path) -> None:
     """As where a library of the system is missing that the windows need."""
     (intruder / "cv2.py").write_text("raise ImportError('libGL.so.1: cannot open', name='cv2')\n")
@@ -114,15 +86,6 @@ def test_opencv_that_cannot_be_imported(intruder: Path, tmp_path: Path) -> None:
         timeout=60,
     )
     assert (done.returncode, done.stderr) == (2, f"rsmcm: libGL.so.1: cannot open{HINT}\n")
-
-
-def test_other_missing_modules_are_not_hidden(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def missing(_: object) -> None:
-        raise ModuleNotFoundError("No module named 'scipy'", name="scipy")
-
-    monkeypatch.setattr("rsmcm.apps.background.application.run_background", missing)
-    with pytest.raises(ModuleNotFoundError):
-        main(["background", "0", "--out", str(tmp_path / "out")])
 
 
 def damaged_png() -> bytes:

@@ -81,12 +81,3 @@ def test_a_run_that_needs_more_than_there_is(
     assert f"{path}: a run on 640x360 px with these settings needs about" in message
     assert "0.002 GB that are available" in message
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(("name", "option"), [("face", "--experts"), ("body", "--samples")])
-def test_numbers_beyond_any_memory(
-    name: str, option: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    path, _ = film(tmp_path, list(signer(4, 2).images()), 1)
-    message = Command(name).complaint(capfd, path, "--out", tmp_path / "out", option, 10**9)
-    assert "GB that are available" in message

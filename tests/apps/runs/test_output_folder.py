@@ -48,20 +48,6 @@ def test_a_file_of_the_same_name_that_is_no_result(tmp_path: Path) -> None:
     assert names(tmp_path) == {"a.txt"}
 
 
-def test_what_was_not_written_is_not_known_afterwards(tmp_path: Path) -> None:
-    run(tmp_path, "masks/bin000001.png")
-    (tmp_path / "a.txt").write_text("the user's")
-    with pytest.raises(FileExistsError, match="no run has written"):
-        run(tmp_path, overwrite=True)
-    assert (tmp_path / "a.txt").read_text() == "the user's"
-
-
-def test_an_empty_folder_of_results_goes_with_them(tmp_path: Path) -> None:
-    run(tmp_path, "masks/bin000001.png")
-    run(tmp_path, overwrite=True)
-    assert names(tmp_path) == set()
-
-
 def test_what_a_kill_left_over_goes(tmp_path: Path) -> None:
     for folder in ("masks", "other"):
         (tmp_path / folder).mkdir()
@@ -78,14 +64,6 @@ def test_nothing_is_left_of_a_run_that_does_not_begin(tmp_path: Path) -> None:
     with output_folder(tmp_path / "new" / "out", "test"):
         pass
     assert names(tmp_path) == set()
-
-
-def test_more_files(tmp_path: Path) -> None:
-    run(tmp_path, "a.txt")
-    with output_folder(tmp_path, "test", add=True) as folder:
-        folder.add(["b.txt"])
-        (tmp_path / "b.txt").write_text("more")
-    assert listed(tmp_path) == ["a.txt", "b.txt"]
 
 
 def test_resuming_what_is_something_else(tmp_path: Path) -> None:

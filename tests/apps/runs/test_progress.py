@@ -1,8 +1,6 @@
 """What is said on the way."""
 
-import io
 import logging
-import sys
 import time
 
 import pytest
@@ -49,19 +47,3 @@ def test_the_rate_is_without_the_first_round_in_which_loops_are_compiled(
         now += 12.5
         bar.update()
     assert capsys.readouterr().err == "structure: 2 of 20 rounds, 12.5 s each, 03:45 left\n"
-
-
-@pytest.mark.parametrize("total", [None, 3])
-def test_progress_in_a_terminal(monkeypatch: pytest.MonkeyPatch, total: int | None) -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
-    with progress.Progress("background", total) as bar:
-        for _ in range(3):
-            bar.update()
-    assert "background" in terminal.getvalue()
-    assert "frames/s" in terminal.getvalue()
-    assert terminal.getvalue().endswith("\n")

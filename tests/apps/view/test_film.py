@@ -102,17 +102,6 @@ def test_an_endless_stream_keeps_its_last_part(tmp_path: Path, monkeypatch: pyte
     assert len(film.moments) == len(film.numbers) == len(film.counts["box"])
 
 
-def test_a_missing_frame_shows_the_one_before(tmp_path: Path) -> None:
-    with FilmWriter(tmp_path, 10) as writer:
-        for number in range(1, 8):
-            shown = Frame(None, (number - 1) / 10, number) if number in (1, 4) else frame(number)
-            writer.add(shown, dict)
-    film = read_film(tmp_path)
-    np.testing.assert_array_equal(film.numbers, np.arange(2, 8))
-    pictures, _ = read_video(tmp_path / FILM)
-    assert abs(float(pictures[2].mean()) - float(pictures[1].mean())) < 1
-
-
 @pytest.mark.parametrize(("size", "shown"), [((1920, 1080), (640, 360)), ((1080, 1920), (360, 640))])
 def test_pictures_are_small(tmp_path: Path, size: tuple[int, int], shown: tuple[int, int]) -> None:
     with FilmWriter(tmp_path, 10) as writer:
@@ -122,14 +111,3 @@ def test_pictures_are_small(tmp_path: Path, size: tuple[int, int], shown: tuple[
     video = cv2.VideoCapture(str(tmp_path / FILM))
     assert (int(video.get(3)), int(video.get(4))) == shown
     assert max(shown) == LONGEST_SIDE
-
-
-def test_an_unwritable_folder_is_named(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match="gone"):
-        write(tmp_path / "gone", range(1, 3))
-
-
-def test_nothing_was_ever_seen(tmp_path: Path) -> None:
-    with FilmWriter(tmp_path, 10) as writer:
-        writer.add(Frame(None, 0.0, 1), dict)
-    assert not list(tmp_path.iterdir())

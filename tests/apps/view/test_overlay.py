@@ -10,16 +10,11 @@ from numpy.typing import NDArray
 from rsmcm.apps.background.page import view_row_of
 from rsmcm.apps.io.tracks import TrackedBox
 from rsmcm.apps.view.overlay import (
-    DOT,
     LANDMARK,
-    LONGEST_SIDE,
     OverlayVideo,
     PointsOverlay,
     TracksOverlay,
-    caption,
-    css_colour,
     draw_face,
-    enlargement,
     identity_colour,
 )
 from rsmcm.models.core.frame import Frame, GivenBoxes
@@ -53,17 +48,6 @@ def test_masks_boxes_and_trails() -> None:
     assert picture[110, 10].tolist() == [100, 100, 100]
     far = view_row_of(np.zeros_like(foreground), [TrackedBox(1, (-500.0, -90.0, 9000.0, 3.0))])
     overlay(image, far, 3, 0.3, missing=True)  # is no reason to fail
-
-
-def test_trails_are_those_of_two_seconds() -> None:
-    nothing, overlay, shown = np.zeros((120, 160), np.uint8), TracksOverlay(), []
-    for number in range(1, 5):
-        box = (20.0 * number, 20.0, 10.0, 40.0)
-        row = view_row_of(nothing, [TrackedBox(4, box)])
-        picture = overlay(blank(), row, number, float(number), missing=False)
-        there = (picture[60] == identity_colour(4)).all(axis=1)
-        shown.append(np.flatnonzero(there).min())
-    assert np.allclose(shown, [20, 25, 25, 45], atol=1), "of a box alone, and of feet where it was"
 
 
 def test_seen_points_are_dots_and_predicted_ones_rings() -> None:
@@ -102,18 +86,6 @@ def face_row(points: Any, landmarks: Any = (), lost: bool = False) -> dict[str, 
 FACE = np.stack(np.meshgrid(np.linspace(120, 200, 5), np.linspace(80, 160, 5)), axis=2).reshape(-1, 2)
 
 
-@pytest.mark.parametrize("grey", [0, 90, 200, 255])
-def test_points_of_a_face_stand_out_from_any_skin(grey: int) -> None:
-    picture = draw_face(blank(240, 320, grey), face_row(FACE), 1, 0.0, missing=False)
-    assert picture.shape == (480, 640, 3), "enlarged"
-    x, y = np.rint(2 * (FACE + 0.5) - 0.5).astype(int).T
-    assert (picture[y, x] == DOT).all()
-    luma = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(int)
-    contrast = cv2.dilate(np.abs(luma - grey).astype(np.uint8), np.ones((9, 9)))
-    assert contrast[y, x].min() >= 60
-    assert (picture[160:320, 240:400] != grey).any(axis=2).mean() < 0.5, "most of it is left to be seen"
-
-
 def test_landmarks_are_drawn_where_they_are() -> None:
     landmarks = [[20.0, 100.0], [np.nan, np.nan], [-50.0, 4.0], [1e12, 1.0], [60.5, 30.25]]
     picture = draw_face(blank(240, 320), face_row(FACE, landmarks), 1, 0.0, missing=False)
@@ -122,38 +94,6 @@ def test_landmarks_are_drawn_where_they_are() -> None:
     assert count == 3, "two dots and what is none; missing ones and those far outside are left out"
     expected = 2 * (np.array(landmarks)[[4, 0]] + 0.5) - 0.5
     np.testing.assert_allclose(centres[1:], expected, atol=0.75)  # to whole pixels
-
-
-def test_lost_is_said() -> None:
-    found, lost = (
-        draw_face(blank(240, 320), face_row(FACE, lost=lost), 7, 0.0, missing=False) for lost in (False, True)
-    )
-    differs = (found != lost).any(axis=2)
-    assert differs[:100, 200:440].sum() > 500
-    assert not differs[120:].any()
-
-
-def test_identity_colours_are_stable_and_differ() -> None:
-    colours = np.array([identity_colour(identity) for identity in range(12)], dtype=float)
-    assert ((colours >= 0) & (colours <= 255)).all()
-    distances = np.linalg.norm(colours[:, None] - colours[None], axis=2) + 999 * np.eye(12)
-    assert distances.min() > 40
-
-
-def test_colours_of_pages() -> None:
-    assert css_colour((255, 128, 3)) == "#0380ff", "red first"
-
-
-def test_captions() -> None:
-    assert caption(7, missing=False) == "frame 7"
-    assert caption(8, missing=True) == "frame 8 (missing)"
-
-
-@pytest.mark.parametrize(
-    ("height", "width", "scale"), [(240, 320, 2), (480, 640, 1), (16, 16, 30), (1, LONGEST_SIDE, 1)]
-)
-def test_small_pictures_are_enlarged(height: int, width: int, scale: int) -> None:
-    assert enlargement(blank(height, width), 480) == scale
 
 
 # --- the video ----------------------------------------------------------------------------------------------
@@ -171,14 +111,6 @@ def test_missing_frames_show_the_one_before(tmp_path: Path) -> None:
         video.add(Frame(None, 0.2, 3), dict)
     assert len(read_video(tmp_path / "overlay.mp4")[0]) == len(shown) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["overlay.mp4"]
-
-
-def test_pictures_that_are_only_shown(tmp_path: Path) -> None:
-    shown: list[NDArray[np.uint8]] = []
-    with OverlayVideo(None, 10, plain, show=shown.append) as video:
-        video.add(frame(1), dict)
-        video.checkpoint()
-    assert len(shown) == 1
 
 
 def test_an_error_in_the_thread_is_told(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.view.overlay import BEHIND, IN_FRONT, LEFT, RIGHT, TRUNK, BodyOverlay, TrackedBody
+from rsmcm.apps.view.overlay import BEHIND, IN_FRONT, LEFT, RIGHT, BodyOverlay, TrackedBody
 from rsmcm.models.body.upper_body import JOINTS, UpperBody
 
 from ...support.body_poses import from_angles
@@ -58,17 +58,6 @@ def test_arms_in_both_views() -> None:
                 assert there[row - 1 : row + 2, column - 1 : column + 2].any()
 
 
-def test_the_viewer_is_on_the_left() -> None:
-    """A hand that is nearer to the viewer is further left in the side view."""
-    columns = []
-    for elbow in (0.1, 0.9):
-        joints = joints_of(elbow=elbow)
-        picture = BodyOverlay(REACH).draw(blank(), tracked(joints, 0.5), "")
-        columns.append(np.nonzero(is_colour(picture[:, SIZE[1] :], LEFT))[1].min())
-        assert columns[-1] == pytest.approx(ROOT + joints[LEFT_HAND, 2], abs=6)
-    assert columns[1] < columns[0] < ROOT
-
-
 def test_regions_hold_90_percent() -> None:
     """Of draws of a Gaussian, by where the ellipse is drawn; one sample far away draws no lines there."""
     joints = joints_of()
@@ -91,57 +80,9 @@ def test_regions_hold_90_percent() -> None:
     assert inside == pytest.approx(0.9, abs=0.03)  # 3 errors of 4000 draws are 0.014; a line has its width
 
 
-def test_samples_are_seen_through() -> None:
-    """One sample's line keeps most of the frame; many above each other hide it."""
-    joints = joints_of()
-    far = joints + 5000.0
-    row, column = round(joints[HEAD, 1] + 40), round(joints[HEAD, 0])
-    shades = []
-    for n in (1, 40):
-        body = TrackedBody(np.tile(joints, (n, 1, 1)), far, np.tile(np.eye(3), (8, 1, 1)))
-        shades.append(BodyOverlay(REACH).draw(blank(), body, "")[row, column].astype(int))
-    assert (shades[0] > GREY).all()
-    assert (shades[0] < GREY + 0.5 * (np.array(TRUNK) - GREY)).all()
-    assert (np.abs(shades[1] - TRUNK) < 25).all()
-
-
-@pytest.mark.parametrize(
-    ("height", "width", "scale"),
-    [(360, 640, 1), (240, 320, 2), (359, 9, 2), (16, 16, 23), (1000, 700, 1)],
-)
-def test_any_size_of_picture(height: int, width: int, scale: int) -> None:
-    panel = min(round(scale * REACH * (IN_FRONT + BEHIND)), scale * width)
-    for image in (blank(height, width), blank(height, width)[..., 0]):
-        picture = BodyOverlay(REACH).draw(image, tracked(joints_of()), "frame 1")
-        assert picture.shape == (scale * height, scale * width + panel, 3)
-
-
-def test_enlarged_pictures_show_the_same_place() -> None:
-    small = TrackedBody(
-        np.zeros((0, 8, 3)), (joints_of() + 0.5) / 2 - 0.5, np.tile(1e-6 * np.eye(3), (8, 1, 1))
-    )
-    picture = BodyOverlay(REACH / 2).draw(blank(180, 320), small, "")
-    whole = BodyOverlay(REACH).draw(
-        blank(), TrackedBody(np.zeros((0, 8, 3)), joints_of(), np.tile(1e-6 * np.eye(3), (8, 1, 1))), ""
-    )
-    assert picture.shape == whole.shape
-    assert np.mean((np.abs(picture.astype(int) - whole) > 40).any(axis=2)) < 0.002
-
-
 def test_a_body_far_outside_or_unknown() -> None:
     for wrong in (1e5, -1e300, np.nan):
         joints = joints_of() + wrong
         body = TrackedBody(np.tile(joints, (3, 1, 1)), joints, np.full((8, 3, 3), min(abs(wrong), 1e300)))
         picture = BodyOverlay(REACH).draw(blank(), body, "frame 1")
         assert picture.shape[0] == SIZE[0]
-
-
-def test_the_state_is_written() -> None:
-    joints = joints_of()
-    plain, said = (
-        BodyOverlay(REACH).draw(blank(), tracked(joints, state=state), "frame 7")
-        for state in ("", "left hand not seen")
-    )
-    differs = (plain != said).any(axis=2)
-    assert differs[:20, :250].sum() > 200
-    assert not differs[25:].any()

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.background.page import view_row_of
 from rsmcm.apps.events import Line, Zone, Zones
 from rsmcm.apps.view.overlay import ZONES as COLOUR
-from rsmcm.apps.view.overlay import TracksOverlay, draw_zones
+from rsmcm.apps.view.overlay import draw_zones
 
 SIZE = (320, 240)
 SQUARE = np.array([[100.0, 100], [200, 100], [200, 200], [100, 200]])
@@ -41,14 +40,3 @@ def test_the_arrow_goes_to_the_right_of_the_line() -> None:
     assert rows.max() > 126, "a line that goes to the right has its right below"
     assert rows.min() >= 117
     assert all(line.distance((float(x), float(y))) > -3 for y, x in np.argwhere(drawn))
-
-
-def test_names_stay_in_the_picture_and_overlays_have_them() -> None:
-    corner = np.array([[300.0, 220], [320, 220], [320, 240], [300, 240]])
-    zones = Zones((Zone("a long name", corner, SIZE),), ())
-    assert amber(zones)[215:, 200:290].any(), "of the name, left of the zone"
-    image = np.full((240, 320, 3), 90, np.uint8)
-    nothing = view_row_of(np.zeros((240, 320), np.uint8), [])
-    drawn = TracksOverlay(zones)(image, nothing, 1, 0.0, missing=False)
-    assert like_amber(drawn)[215:, 200:290].any()
-    assert (image == 90).all()

@@ -5,7 +5,6 @@ import re
 import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 from markupsafe import Markup
 from rsmcm.apps.demo import write_scene
-from rsmcm.apps.events import read_events, read_zones
+from rsmcm.apps.events import read_zones
 from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.apps.view.film import Film, read_film
@@ -27,12 +26,11 @@ from rsmcm.apps.view.page import (
     table,
     write_page,
 )
-from rsmcm.models.core.frame import Frame
 
 from ...conftest import Command
-from ...support.browser import DESKTOP, PHONE, Browser, landmarks, overflow, reached_by_tab
+from ...support.browser import DESKTOP, PHONE, Browser, landmarks, overflow
 from ...support.records import PICTURE
-from ...support.view_page import ViewPage, shown_page, write_pages
+from ...support.view_page import ViewPage, shown_page
 
 if TYPE_CHECKING:
     import playwright.sync_api as playwright
@@ -79,39 +77,7 @@ def test_the_film_plays_and_stops_at_its_end(shown: ViewPage, page: "playwright.
     page.wait_for_function("document.querySelector('video').currentTime < 1")
 
 
-def test_it_is_stopped_before_it_has_begun(shown: ViewPage, page: "playwright.Page") -> None:
-    for _ in range(3):
-        page.keyboard.press(" ")
-        page.keyboard.press(" ")
-    shown.settle()
-    assert page.get_by_role("button", name="Play").is_visible()
-
-
-def test_a_film_that_cannot_be_decoded_leaves_what_is_drawn(browser: Browser, tmp_path: Path) -> None:
-    count = 12
-    (tmp_path / "film.mp4").write_bytes(b"no film")
-    times = np.arange(count) / 5
-    film = Film(tmp_path / "film.mp4", (64, 48), np.arange(1, count + 1), times, times)
-    write_page(tmp_path / "view.html", page_of(film))
-    with browser.page(tmp_path / "view.html") as page:
-        page.get_by_text("cannot show the film").wait_for()
-        page.keyboard.press("End")
-        assert ViewPage(page, (64, 48)).frame == count
-
-
-@pytest.mark.parametrize("size", [(16, 16), (17, 13), (48, 301)])
-def test_the_film_lies_under_what_is_drawn(browser: Browser, tmp_path: Path, size: tuple[int, int]) -> None:
-    """A film of odd sides is encoded with a column or row more."""
-    image = np.zeros((size[1], size[0], 3), np.uint8)
-    write_pages(tmp_path, (Frame(image, k / 25, k) for k in (1, 2)), lambda _: {}, page_of)
-    with shown_page(browser, tmp_path, size) as shown:
-        film, drawing = (shown.page.locator(at).bounding_box() for at in ("#video", "#drawing"))
-        assert film is not None
-        assert drawing is not None
-        for side, px in zip(("width", "height"), size, strict=True):
-            assert film[side] / drawing[side] == pytest.approx((px + px % 2) / px, rel=1e-3)
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [1, 2, 25, 26, 27, 51, 60])
 def test_the_film_shows_the_frame_that_is_drawn(
     shown: ViewPage, page: "playwright.Page", number: int
@@ -145,14 +111,7 @@ def test_keys_move_the_film(shown: ViewPage, page: "playwright.Page") -> None:
     page.wait_for_function("document.getElementById('speed').value === '0.5'")
 
 
-def test_help(page: "playwright.Page") -> None:
-    page.keyboard.press("?")
-    assert page.get_by_role("dialog", name="Keys").is_visible()
-    assert "play or pause" in (page.locator("#key-list").text_content() or "")
-    page.keyboard.press("Escape")
-    assert not page.get_by_role("dialog", name="Keys").is_visible()
-
-
+@pytest.mark.slow
 def test_a_click_on_an_object_selects_it(shown: ViewPage, page: "playwright.Page", results: Path) -> None:
     table = read_tracks_table(results)
     last = table["frame"] == N_FRAMES
@@ -171,54 +130,6 @@ def test_a_click_on_an_object_selects_it(shown: ViewPage, page: "playwright.Page
     assert page.get_by_label("speed, px/s over time").is_visible()
     shown.click((2, 2))
     assert page.locator("[role=option][aria-selected=true]").count() == 0
-
-
-def test_rows_are_reached_by_keys_and_lead_to_their_frames(
-    shown: ViewPage, page: "playwright.Page", results: Path
-) -> None:
-    table = read_tracks_table(results)
-    first = int(table["frame"][table["id"] == table["id"].min()][0])
-    page.locator(".rows").focus()
-    page.keyboard.press("ArrowDown")
-    assert page.locator("[role=option][aria-selected=true]").count() == 1
-    assert shown.frame == first, "it is not there at the beginning"
-
-
-@pytest.mark.parametrize("name", ["boxes", "outlines", "paths", "identities"])
-def test_what_is_drawn_can_be_switched_off(shown: ViewPage, page: "playwright.Page", name: str) -> None:
-    page.keyboard.press("End")
-    page.keyboard.press("l")  # the zone is all over the picture
-    before = shown.inked()
-    page.get_by_label(name).uncheck()
-    assert shown.inked() < before
-    page.keyboard.press(name[0])
-    assert page.get_by_label(name).is_checked()
-    assert shown.inked() == before
-
-
-def test_the_zoom_follows_what_is_selected(page: "playwright.Page") -> None:
-    page.keyboard.press("End")
-    page.locator("[role=option] .label").first.click()
-    page.keyboard.press("z")
-    page.wait_for_function(
-        "new DOMMatrix(getComputedStyle(document.querySelector('video')).transform).a > 1.2"
-    )
-    middle = page.locator("#drawing").bounding_box()
-    assert middle is not None
-    page.keyboard.press("Escape")
-    page.wait_for_function(
-        "new DOMMatrix(getComputedStyle(document.querySelector('video')).transform).a === 1"
-    )
-
-
-def test_a_click_on_a_plot_goes_there(shown: ViewPage, page: "playwright.Page") -> None:
-    curve = page.get_by_label("foreground, % over time")
-    tick, box = curve.get_by_text("2", exact=True).last.bounding_box(), curve.bounding_box()
-    assert tick is not None
-    assert box is not None
-    at = tick["x"] + tick["width"] / 2 - box["x"]
-    curve.click(position={"x": at, "y": box["height"] / 3}, force=True)
-    assert shown.frame == 51, "two seconds after the first"
 
 
 def test_zones_that_are_drawn_become_a_file(shown: ViewPage, page: "playwright.Page") -> None:
@@ -252,26 +163,21 @@ def test_zones_that_are_drawn_become_a_file(shown: ViewPage, page: "playwright.P
     assert "zone 1" not in page.locator("textarea").input_value()
 
 
-def test_an_event_leads_to_its_moment(shown: ViewPage, page: "playwright.Page", results: Path) -> None:
-    events = sorted(read_events(results / "events.csv"), key=lambda event: event.moment.time)
-    listed = page.locator("select.events")
-    assert listed.locator("option").count() == len(events)
-    page.keyboard.press("e")
-    assert shown.frame == events[0].moment.frame
-    listed.select_option(index=len(events) - 1)
-    assert shown.frame == events[-1].moment.frame
-    assert page.locator("#details .who").text_content() == str(events[-1].identity)
+def contrast(page: "playwright.Page") -> float:
+    """Of the palest text, as WCAG counts it."""
+    script = """(() => {
+        const light = ([r, g, b]) => [r, g, b].map((v) => v / 255)
+            .map((v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+            .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
+        const colour = (place, what) =>
+            getComputedStyle(document.querySelector(place))[what].match(/[\\d.]+/g).map(Number);
+        const [text, card] = [light(colour("dt", "color")), light(colour(".card", "backgroundColor"))];
+        return (Math.max(text, card) + 0.05) / (Math.min(text, card) + 0.05);
+    })()"""
+    return float(page.evaluate(script))
 
 
-def test_typing_a_name_presses_no_keys(page: "playwright.Page") -> None:
-    page.get_by_role("button", name="Draw a zone").click()
-    page.keyboard.press("Enter")
-    page.keyboard.type("b o?+")
-    assert page.get_by_label("boxes").is_checked()
-    assert not page.get_by_role("dialog").is_visible()
-    assert page.get_by_label("name of the zone").last.input_value() == "b o?+"
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("size", [PHONE, (768, 1024), DESKTOP, (2560, 1440)], ids=str)
 def test_it_is_read_on_any_screen(browser: Browser, results: Path, size: tuple[int, int], dark: bool) -> None:
@@ -287,73 +193,6 @@ def test_it_is_read_on_any_screen(browser: Browser, results: Path, size: tuple[i
         assert film["width"] >= min(size[0] - 24, 0.4 * size[0])
         assert film["width"] / film["height"] == pytest.approx(SIZE[0] / SIZE[1], rel=0.01)
         assert contrast(page) >= 4.5
-
-
-def contrast(page: "playwright.Page") -> float:
-    """Of the palest text, as WCAG counts it."""
-    script = """(() => {
-        const light = ([r, g, b]) => [r, g, b].map((v) => v / 255)
-            .map((v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
-            .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
-        const colour = (place, what) =>
-            getComputedStyle(document.querySelector(place))[what].match(/[\\d.]+/g).map(Number);
-        const [text, card] = [light(colour("dt", "color")), light(colour(".card", "backgroundColor"))];
-        return (Math.max(text, card) + 0.05) / (Math.min(text, card) + 0.05);
-    })()"""
-    return float(page.evaluate(script))
-
-
-def test_the_tab_key_reaches_everything(page: "playwright.Page") -> None:
-    reached = reached_by_tab(page)
-    operable = page.locator(
-        "a:visible, button:visible, input:visible, select:visible, [tabindex='0']:visible"
-    )
-    assert operable.count() > 15
-    assert {"start", "back", "play", "step", "end", "seek", "speed", "help", "follow", "draw-zone"} <= reached
-    assert len(reached) >= operable.count() - page.locator("#switches input").count()
-    outline = "getComputedStyle(document.activeElement).outlineStyle"
-    page.keyboard.press("Tab")
-    assert page.evaluate(outline) != "none", "where the focus is can be seen"
-
-
-class Links(HTMLParser):
-    def __init__(self) -> None:
-        super().__init__()
-        self.found: set[str] = set()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag == "a":
-            self.found.add(str(dict(attrs)["href"]))
-
-
-def test_the_page_of_a_run_links_what_lies_beside_it(results: Path) -> None:
-    links = Links()
-    links.feed((results / "view.html").read_text())
-    assert links.found == {"tracks.csv", "events.csv"}
-
-
-def test_many_rows_scroll_by_themselves(browser: Browser, tmp_path: Path) -> None:
-    """And the page stays where it is, so that the film is in sight while its objects are clicked."""
-    count = 200
-    film = Film(None, (64, 48), np.arange(1, count + 1), np.arange(count) / 5, np.arange(count) / 5)
-    rows = [TimelineRow(k, str(k), "#00ff00", np.array([[k, k + 1, 0]])) for k in range(count - 1)]
-    write_page(tmp_path / "view.html", page_of(film, timeline=rows))
-    in_sight = """(id) => {
-        const box = (query) => document.querySelector(query).getBoundingClientRect();
-        const [row, list, cursor] = [`#row-${id}`, ".rows", ".rows .cursor"].map(box);
-        return row.top >= list.top - 1 && row.bottom <= list.bottom + 1 && cursor.bottom >= row.bottom
-            && cursor.top <= row.top;
-    }"""
-    with browser.page(tmp_path / "view.html", PHONE) as page:
-        for key, row in (("End", count - 2), ("Home", 0)):
-            page.keyboard.press(key)
-            assert page.evaluate(in_sight, row)
-        page.locator(".rows").focus()
-        page.evaluate("scrollTo(0, 0)")
-        for _ in range(20):
-            page.keyboard.press("ArrowDown")
-        assert page.evaluate(in_sight, 19)
-        assert page.evaluate("scrollY") == 0
 
 
 def test_no_text_of_the_user_is_taken_for_a_script(browser: Browser, tmp_path: Path) -> None:
@@ -408,13 +247,6 @@ def test_what_the_page_holds_is_json(results: Path) -> None:
     (held,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
     assert json.loads(held)["run"]["frames"] == N_FRAMES
     assert "http" not in re.sub(r"http://www\.w3\.org/\d+/svg", "", text)
-
-
-def test_nothing_half_written_stays_behind(tmp_path: Path) -> None:
-    (tmp_path / "view.html").mkdir()
-    with pytest.raises(OSError, match=r"view\.html"):
-        write_page(tmp_path / "view.html", Page("title"))
-    assert [path.name for path in tmp_path.iterdir()] == ["view.html"]
 
 
 def test_tables_escape_text_and_round_numbers() -> None:
@@ -472,39 +304,6 @@ def test_a_plot_has_axes_units_and_names(browser: Browser, tmp_path: Path) -> No
         assert "left 4 px" in (page.locator(".plot .head").text_content() or "")
 
 
-def test_plots_of_something_else(browser: Browser, tmp_path: Path) -> None:
-    """Maps have one scale, and their vertical axis points down; nothing moves with the film."""
-    square = np.array([0.0, 100, 100, 0, 0])
-    line = Line(2 * np.roll(square, 1), x=square)
-    dots = Line(np.array([10.0, 150, np.nan]), x=np.array([10.0, 90, 5]), style="dots", colours=["red"] * 3)
-    parts = [
-        Plot("map", "y, px", [line, dots], axis="x, px", is_map=True),
-        Plot("rounds", "nats", [dots], axis="round"),
-    ]
-    write_page(tmp_path / "index.html", Page("without a film", sections=[("Some", parts)]))
-    with browser.page(tmp_path / "index.html", PHONE) as page:
-        assert page.locator(".plot").count() == 2
-        box = page.locator(".plot.map .line").bounding_box()
-        assert box is not None
-        assert box["height"] / box["width"] == pytest.approx(2, rel=0.05)
-        high, low = (page.locator(".plot.map circle").nth(k).bounding_box() for k in (0, 1))
-        assert high is not None
-        assert low is not None
-        assert high["y"] < low["y"], "10 is above 150"
-        assert page.locator(".plot.map circle").count() == 2
-        assert not page.locator(".plot.moves").count()
-        assert overflow(page) <= 0
-
-
-def test_a_value_alone_is_a_dot(browser: Browser, tmp_path: Path) -> None:
-    values = np.array([np.nan, 2, np.nan])
-    write_page(tmp_path / "view.html", page_of(plain_film(3), plots=[Plot("alone", "px", [Line(values)])]))
-    with browser.page(tmp_path / "view.html") as page:
-        line = page.locator(".plot .line")
-        assert re.fullmatch(r"M[\d.]+ [\d.]+h0", line.get_attribute("d") or "")
-        assert line.evaluate("(line) => getComputedStyle(line).strokeLinecap") == "round", "it can be seen"
-
-
 def test_plots_of_long_runs_are_of_means(browser: Browser, tmp_path: Path) -> None:
     count = 2 * MOST_FRAMES + 2
     values = np.where(np.arange(count) % 3 == 0, np.nan, 7.0)
@@ -519,18 +318,3 @@ def test_plots_of_long_runs_are_of_means(browser: Browser, tmp_path: Path) -> No
 
 
 # --- paper --------------------------------------------------------------------------------------------------
-
-
-def test_on_paper_everything_is_there(results: Path, browser: Browser) -> None:
-    with browser.page(results / "view.html") as page:
-        page.wait_for_function("document.querySelector('video').readyState >= 2")
-        page.evaluate("dispatchEvent(new Event('beforeprint'))")
-        page.emulate_media(media="print")
-        assert page.locator("#still").is_visible(), "what the film shows"
-        assert not page.locator("#controls").is_visible()
-        for name in ("Over time", "Tracks", "Zones and lines", "Parameters"):
-            assert page.get_by_role("heading", name=name).last.is_visible(), name
-        assert page.locator(".plot svg").first.is_visible()
-        page.evaluate("dispatchEvent(new Event('afterprint'))")
-        assert not page.locator("#still").is_visible()
-        assert len(page.pdf(format="A4")) > 20_000

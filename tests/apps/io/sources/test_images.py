@@ -17,7 +17,7 @@ from PIL import Image, ImageOps
 from rsmcm.apps.io.sources.images import IMAGE_SUFFIXES, SCALED, read_grey, read_image, to_8_bits
 from rsmcm.apps.io.sources.open_source import open_source
 
-from ....conftest import Command, with_peak
+from ....conftest import Command
 
 HEIGHT, WIDTH = 64, 80
 SUFFIXES = sorted(IMAGE_SUFFIXES - {".pbm"})  # OpenCV writes that with one bit only
@@ -47,16 +47,6 @@ def test_as_opencv_reads_it(tmp_path: Path, suffix: str, channels: int) -> None:
     assert grey is not None
     np.testing.assert_array_equal(image, cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
     np.testing.assert_array_equal(grey, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
-
-
-def test_one_bit_and_transparent_pictures(tmp_path: Path) -> None:
-    bits = np.indices((HEIGHT, WIDTH)).sum(0) % 2 * np.uint8(255)
-    for suffix in (".pbm", ".png", ".tif"):
-        path = tmp_path / f"bits{suffix}"
-        Image.fromarray(bits.astype(np.uint8)).convert("1").save(path)
-        np.testing.assert_array_equal(read_image(path), bits)
-    transparent = np.dstack([picture(), np.full((HEIGHT, WIDTH), 9, np.uint8)])
-    np.testing.assert_array_equal(read_image(write(tmp_path / "transparent.png", transparent)), picture())
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
@@ -180,15 +170,6 @@ def test_large_regions_and_truths_are_refused(tmp_path: Path, capfd: pytest.Capt
     large.rename(truth / "gt000001.png")
     words = Command("background").complaint(capfd, *given[1:], "--ground-truth", truth.parent)
     assert "gt000001.png: has more than" in words
-
-
-def test_refusal_takes_little_memory(tmp_path: Path) -> None:
-    path = tmp_path / "large.png"
-    path.write_bytes(LARGE[".png"]())
-    done, peak = with_peak("background", path, "--out", tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert peak < 1 << 30
 
 
 # --- damaged pictures ---------------------------------------------------------------------------------------
