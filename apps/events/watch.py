@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import checked
 from ...models.files import naming, write_text
 from ..io.files import LineWriter
 from ..io.row_log import RowLog
@@ -255,23 +256,36 @@ class _Track:
                 yield Event(self.last, kind, zone.name, self.identity, self.last.time - entered.time)
 
 
+def _sighting(given: Any) -> Sighting:
+    if not isinstance(given, Sighting):
+        raise TypeError(f"sightings: got {given!r}, expected Sighting")
+    if not (math.isfinite(given.x) and math.isfinite(given.y) and 0 < given.height < math.inf):
+        raise ValueError(f"sightings: got {given}, expected finite numbers and a height above 0")
+    return given
+
+
 class Watch:
     """What happens to zones and lines, frame after frame; memory grows with those who are there at a time.
 
-    Events come when they are known: a crossing when it is sure, that somebody is gone after `Zones.patience`.
+    Events come when they are known: a crossing when it is sure, a disappearance after `Zones.max_coast_time`.
     """
 
+    @checked
     def __init__(self, zones: Zones) -> None:
         self._zones = zones
         self._tracks: dict[int, _Track] = {}
+        self._time = -math.inf
 
+    @checked
     def update(self, time: float, number: int, sightings: Iterable[Sighting]) -> list[Event]:
         """Go on with who is in a frame; a frame with nobody may be left out."""
-        found: list[Event] = []
+        if time < self._time:
+            raise ValueError(f"time: got {time}, expected {self._time} s of the last frame or more")
+        self._time, found = time, list[Event]()
         for track in self._by_age():
-            if time - track.last.time > self._zones.patience + CLOCK:
+            if time - track.last.time > self._zones.max_coast_time + CLOCK:
                 found += self._tracks.pop(track.identity).end(Kind.DISAPPEARED)
-        there = sorted(sightings)
+        there = sorted(_sighting(each) for each in sightings)
         places = np.array([(x, y) for _, x, y, _, _ in there], np.float64).reshape(-1, 2)
         zones = self._zones.zones
         inside = np.array([zone.distance(places) for zone in zones]).reshape(len(zones), len(there)).T
@@ -385,6 +399,7 @@ def line_of(event: Event) -> str:
     return written.getvalue()
 
 
+@checked
 def read_events(path: str | Path) -> list[Event]:
     """Read what `EventWriter` wrote; ValueError, naming file and line, if it is no such file."""
     path, found = Path(path), []

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import checked
 from ...models.core.frame import Frame, GivenBoxes
 from ...models.core.short_repr import short_repr
 from ..options.complaints import meant
@@ -144,6 +145,7 @@ class Detections:
             )
 
 
+@checked
 def read_detections(
     path: str | Path, classes: Sequence[str] = (), *, film: str = "the film", pictures: Sequence[str] = ()
 ) -> Detections:
@@ -331,6 +333,7 @@ def frames_looked_at(numbers: NDArray[np.int64]) -> range | frozenset[int]:
     return range(int(listed[0]), int(listed[-1]) + 1, stride)
 
 
+@checked
 def with_boxes(frames: Iterable[Frame], detector: Callable[[Frame], Any], every: int = 1) -> Iterator[Frame]:
     """Frames with the boxes that a detector finds in them.
 
@@ -365,8 +368,6 @@ def attach_detections(
     """Frames with what a detector finds in them, which `attach` puts into each; as `with_boxes` otherwise."""
     if every < 1:
         raise ValueError(f"every: got {every}, expected 1 or more frames")
-    if not callable(detector):
-        raise TypeError(f"detector: got {type(detector).__name__}, expected something to call with a frame")
 
     def attached() -> Iterator[Frame]:
         count = 0

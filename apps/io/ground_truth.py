@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.array_files import ARCHIVE, PACKED
+from ...models.core.checks import checked
 from ...models.core.short_repr import short_repr
 from ...models.files import MOST_SETTINGS, MOST_TEXT, read_text
 from .sources.images import read_grey
@@ -135,6 +136,7 @@ class MaskTruth:
         return labels
 
 
+@checked
 def read_ground_truth(path: str | Path) -> BoxTruth | MaskTruth:
     """Read ground truth.
 

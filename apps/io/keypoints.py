@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import checked
 from ...models.core.frame import COCO, KEYPOINTS, KNOWN, POINTS, SKELETONS, Frame, GivenKeypoints
 from ...models.core.short_repr import short_repr
 from .detections import attach_detections, check_not_live, last_frame
@@ -118,6 +119,7 @@ class Keypoints:
             )
 
 
+@checked
 def read_keypoints(path: str | Path, *, film: str = "the film", pictures: Sequence[str] = ()) -> Keypoints:
     """Read the points that a detector has found of persons in a film; the content tells the form.
 
@@ -300,6 +302,7 @@ class _Persons:
         return Keypoints(self.path, frame[order], kept, tuple(self._places[row] for row in order))
 
 
+@checked
 def with_keypoints(
     frames: Iterable[Frame], detector: Callable[[Frame], Any], every: int = 1
 ) -> Iterator[Frame]:

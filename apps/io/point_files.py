@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.array_files import SINGLE, Arrays, read_arrays
+from ...models.core.checks import checked
 from ...models.points.point_tracks import MAX_COORDINATE, check_points, frames_of_tracks
 from .sources.open_source import Selection
 
@@ -52,6 +53,7 @@ LAYOUTS = (
 )
 
 
+@checked
 def read_points(path: str | Path, *, allow_single: bool = False) -> NDArray[np.float64]:
     """Read points over time.
 
@@ -100,6 +102,7 @@ def read_points(path: str | Path, *, allow_single: bool = False) -> NDArray[np.f
     return points
 
 
+@checked
 def read_shapes(path: str | Path) -> NDArray[np.float64]:
     """Read shapes in space over time: where every point is in every frame, `(n_frames, n_points, 3)`, finite.
 

@@ -10,6 +10,7 @@ from typing import Any, Protocol, TextIO, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import checked
 from ...models.core.frame import BoundingBox
 from ...models.files import LAST_FRAME
 from .files import LineWriter
@@ -135,6 +136,7 @@ def _optional(value: float) -> str:
     return "" if math.isnan(value) else f"{value:.2f}"
 
 
+@checked
 def read_tracks(path: str | Path) -> NDArray[np.void]:
     """Read boxes in MOT format: results, detections or ground truth.
 

@@ -4,11 +4,12 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...models.core.checks import Array, Bound, Count, NotNegative, checked
 from ...models.core.short_repr import short_repr
 from ...models.files import MOST_SETTINGS, read_text
 from ..options.complaints import meant
@@ -23,6 +24,7 @@ WITHIN = 1e-9
 """Share of the picture's side by which a foot at its edge is inside of it."""
 
 
+@checked
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Zone:
@@ -41,8 +43,8 @@ class Zone:
     """
 
     name: str
-    polygon: Corners
-    size: tuple[int, int]
+    polygon: Annotated[Corners, Array(None, 2), Bound(lambda corners: len(corners) > 2, "3 corners or more")]
+    size: tuple[Count, Count]
     _starts: Corners = field(init=False, repr=False)
     _ways: Corners = field(init=False, repr=False)
     _inner: NDArray[np.bool_] = field(init=False, repr=False)
@@ -79,6 +81,7 @@ class Zone:
         return distances
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class Line:
@@ -105,7 +108,11 @@ class Line:
     end: tuple[float, float]
     left_to_right: str = "left to right"
     right_to_left: str = "right to left"
-    size: tuple[int, int] | None = None
+    size: tuple[Count, Count] | None = None
+
+    def __post_init__(self) -> None:
+        if self.start == self.end:
+            raise ValueError(f"end: got {self.end}, which is the start, expected another place")
 
     def distance(self, place: tuple[float, float]) -> float:
         """How far a place is to the right of the endless line, px; negative to its left."""
@@ -130,6 +137,7 @@ class Line:
         )
 
 
+@checked
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Zones:
@@ -141,14 +149,14 @@ class Zones:
         with names of which none is there twice.
     still_after
         s after which somebody stands still.
-    patience
+    max_coast_time
         s for which somebody may be out of sight and still be there.
     """
 
     zones: tuple[Zone, ...] = ()
     lines: tuple[Line, ...] = ()
-    still_after: float = 2.0
-    patience: float = 3.0
+    still_after: NotNegative = 2.0
+    max_coast_time: NotNegative = 3.0
 
     def plain(self) -> dict[str, Any]:
         """Names and corners (px) as a page takes them, by the words of a file of zones."""
@@ -171,10 +179,13 @@ NEAREST = 1e-3
 """px, between places that differ."""
 
 KEYS = {"zone": ("name", "polygon"), "line": ("name", "from", "to", "left_to_right", "right_to_left")}
-OPTIONS = ("units", "still_after", "patience")
+OPTIONS = ("units", "still_after", "max_coast_time")
+RENAMED = {"patience": "max_coast_time"}
+"""Old names of options."""
 UNITS = ("px", "relative")
 
 
+@checked
 def read_zones(path: str | Path, size: tuple[int, int]) -> Zones:
     """Read zones and lines.
 
@@ -183,8 +194,8 @@ def read_zones(path: str | Path, size: tuple[int, int]) -> Zones:
     path
         `.toml` with `[[zone]]` (`name`, `polygon`) and `[[line]]` (`name`, `from`, `to`, and perhaps names
         for its directions, `left_to_right` and `right_to_left`), and perhaps `units` ("px" of the picture, or
-        "relative", from 0 to 1), `still_after` and `patience` (s). Or `.json` as LabelMe writes it, of which
-        polygons and lines are taken.
+        "relative", from 0 to 1), `still_after` and `max_coast_time` (s). Or `.json` as LabelMe writes it, of
+        which polygons and lines are taken.
     size
         `(width, height)` px of the picture that they are in.
 
@@ -201,6 +212,8 @@ def read_zones(path: str | Path, size: tuple[int, int]) -> Zones:
     except ValueError as error:
         raise ValueError(f"--zones: {error}") from None
     unknown = next((key for key in entries if key not in (*KEYS, *OPTIONS)), None)
+    if unknown in RENAMED:
+        raise ValueError(f"{where}: unknown key {unknown!r}, it is {RENAMED[unknown]} now")
     if unknown is not None:
         raise _unknown(where, unknown, (*KEYS, *OPTIONS))
     units = entries.get("units", UNITS[0])
@@ -213,7 +226,7 @@ def read_zones(path: str | Path, size: tuple[int, int]) -> Zones:
         raise ValueError(f"{where}: got neither [[zone]] nor [[line]], expected one at least")
     seconds = {
         key: _seconds(entries[key], f"{where}: {key}")
-        for key in ("still_after", "patience")
+        for key in ("still_after", "max_coast_time")
         if key in entries
     }
     return Zones(tuple(zones), tuple(lines), **seconds)

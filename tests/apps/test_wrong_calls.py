@@ -11,11 +11,14 @@ from rsmcm.apps.evaluation import (
     mask_error_classes,
     report_validity,
 )
+from rsmcm.apps.events import Line, Sighting, Watch, Zone, Zones
 from rsmcm.apps.exports import FinishedRun, read_tracks_table, to_coco, to_key_points, to_supervision
+from rsmcm.apps.io import open_source, read_points, with_boxes
 from rsmcm.apps.scenes import cylinder, face, shaken, sleeping_man, turntable
 
 MASK = np.zeros((4, 5), np.uint8)
 ZEROS = np.zeros
+CORNERS = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0]])
 NAN = float("nan")
 
 
@@ -59,6 +62,25 @@ NAN = float("nan")
         (lambda: shaken([]), "film: got [], expected one or more"),
         (lambda: shaken(sleeping_man(2), -1.0), "amount: got -1.0, expected 0 or more"),
         (lambda: turntable(2, (0, 5)), "size[0]: got 0, expected 1 or more"),
+        (lambda: open_source(5), "source: got 5, expected a text or a Path"),
+        (lambda: open_source("film.mp4", start="1"), "start: got '1', expected a whole number"),
+        (lambda: read_points(None), "path: got None, expected a text or a Path"),
+        (lambda: with_boxes(None, print), "frames: got None, expected an iterable"),
+        (lambda: with_boxes([], 3), "detector: got 3, expected a function"),
+        (lambda: Zone("a", CORNERS * NAN, (9, 9)), "polygon: got NaN or infinity"),
+        (
+            lambda: Zone("a", CORNERS[:2], (9, 9)),
+            "polygon: got an array of float64 of shape (2, 2), expected 3",
+        ),
+        (lambda: Line("a", (1, 1), (1, 1)), "end: got (1, 1), which is the start"),
+        (lambda: Zones(max_coast_time=-1.0), "max_coast_time: got -1.0, expected 0 or more"),
+        (lambda: Watch(None), "zones: got None, expected a Zones"),
+        (lambda: Watch(Zones()).update(NAN, 1, []), "time: got nan, expected a finite number"),
+        (lambda: Watch(Zones()).update(0.0, 1, [5]), "sightings: got 5, expected Sighting"),
+        (
+            lambda: Watch(Zones()).update(0.0, 1, [Sighting(1, NAN, 0.0, 1.0, True)]),
+            "sightings: got Sighting(identity=1, x=nan",
+        ),
     ],
 )
 def test_one_line_names_what_is_wrong(call: Callable[[], object], words: str) -> None:

@@ -13,6 +13,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ....models.core.checks import checked
 from ....models.core.frame import Frame
 from .images import IMAGE_SUFFIXES, ImageReader, images_among
 from .live_reader import Camera, LiveReader
@@ -226,8 +227,9 @@ class Source:
         self._queue.put(outcome)
 
 
+@checked
 def open_source(
-    source: str,
+    source: str | Path,
     start: int = 1,
     stop: int | None = None,
     step: int = 1,
@@ -262,10 +264,10 @@ def open_source(
     OSError
         if a camera or address cannot be opened or sends no picture (after 10 s of silence).
     """
-    selection = Selection(start, stop, step, after)
+    selection, name = Selection(start, stop, step, after), str(source)
     if reconnect is not None and not 0 < reconnect < math.inf:
         raise ValueError(f"--reconnect: got {reconnect:g}, expected seconds, more than 0")
-    return Source(lambda: _open_reader(source, reconnect), selection)
+    return Source(lambda: _open_reader(name, reconnect), selection)
 
 
 def fingerprint(source: str) -> dict[str, Any]:

@@ -94,7 +94,7 @@ def test_who_is_in_has_come_in_and_not_gone(path: Way, data: st.DataObject) -> N
     for name in {event.zone for event in stood}:
         turns = [event.kind for event in stood if event.zone == name]
         assert turns == ["stands", "stood"] * (len(turns) // 2)
-    if np.diff(np.flatnonzero(there)).max(initial=0) / 25 > Zones().patience:
+    if np.diff(np.flatnonzero(there)).max(initial=0) / 25 > Zones().max_coast_time:
         return  # nobody knows where it was meanwhile
     crossings = [event.direction for event in found if event.kind == "crossed"]
     assert all(one != other for one, other in pairwise(crossings)), "there and back"

@@ -64,7 +64,7 @@ def test_a_line_that_reaches_the_edge_goes_on_beyond() -> None:
 GOOD = """
 units = "relative"
 still_after = 3
-patience = 1.5
+max_coast_time = 1.5
 
 [[zone]]
 name = "door, left"
@@ -102,7 +102,7 @@ def test_all_that_a_file_may_say(tmp_path: Path) -> None:
         "out",
     )
     assert (road.left_to_right, road.right_to_left) == ("left to right", "right to left")
-    assert (zones.still_after, zones.patience) == (3.0, 1.5)
+    assert (zones.still_after, zones.max_coast_time) == (3.0, 1.5)
 
 
 def test_labelme(tmp_path: Path) -> None:
@@ -138,12 +138,13 @@ TRIANGLE = zone((1, 1), (9, 1), (9, 9))
     ("text", "message"),
     [
         ("", "got neither [[zone]] nor [[line]], expected one at least"),
-        ("[[zoone]]", "unknown key 'zoone', expected zone, line, units, still_after, patience, did you"),
+        ("patience = 2.0\n[[zone]]", "unknown key 'patience', it is max_coast_time now"),
+        ("[[zoone]]", "unknown key 'zoone', expected zone, line, units, still_after, max_coast_time, did"),
         ("zone = 3", "zone: got 3, expected [[zone]]"),
         ("zone = [3]", "zone 1: got 3, expected [[zone]]"),
         ('units = "cm"\n' + TRIANGLE, "units: got 'cm', expected px or relative"),
         ("still_after = 0\n" + TRIANGLE, "still_after: got 0, expected seconds, more than 0"),
-        ("patience = true\n" + TRIANGLE, "patience: got True, expected seconds, more than 0"),
+        ("max_coast_time = true\n" + TRIANGLE, "max_coast_time: got True, expected seconds, more than 0"),
         ("[[zone]]\npolygon = []", "zone 1: name: got '', expected a text on one line"),
         (f'[[zone]]\nname = "{201 * "a"}"', "of 200 letters at most"),
         ("[[zone]]\nname = 3", "zone 1: name: got 3, expected a text on one line"),
