@@ -2,14 +2,14 @@
 One pixel, two chains, by hand
 ==============================
 
-The whole method on one pixel, small enough to check with a pencil. A floor is dark. In the second frame the
+The whole method on one pixel, small enough to check by hand. A floor is dark. In the second frame the
 pixel turns bright, and stays so: has a person in a bright shirt stopped in front of the floor, or has the
 floor changed?
 
-The feature :math:`F` on which two chains meet has three values: what is seen is the floor, dark; the floor,
-bright; or a person. Each chain has a state :math:`X` of two values, and three tables: ``first``, which is
-:math:`p(X)` in the first frame, ``follows``, :math:`p(X_t \\mid X_{t-1})` with a row for each state before,
-and ``shows``, :math:`p(F \\mid X)` with a row for each state.
+The feature :math:`F` that two chains share has three values: the pixel shows the dark floor, the bright
+floor, or a person. Each chain has a state :math:`X` with two values, and three tables: ``first`` is
+:math:`p(X)` in the first frame, ``follows`` is :math:`p(X_t \\mid X_{t-1})` with a row for each previous
+state, and ``shows`` is :math:`p(F \\mid X)` with a row for each state.
 
 .. math::
 
@@ -46,9 +46,9 @@ class TwoStates:
 # %%
 # The tables
 # ----------
-# The floor is dark or bright. It hardly ever changes, and is what is seen in 8 of 10 frames. The person is
-# absent or present, mostly stays, and hides the floor. ``image`` says how likely a grey level, dark (row 0)
-# or bright (row 1), is for each value of :math:`F`. There is one frame a second.
+# The floor is dark or bright. It hardly ever changes, and is visible in 8 of 10 frames. The person is
+# absent or present, mostly stays, and hides the floor. ``image`` is the likelihood of a grey level, dark
+# (row 0) or bright (row 1), for each value of :math:`F`. There is one frame per second.
 
 floor = TwoStates("floor", [0.99, 0.01], [[0.999, 0.001], [0.001, 0.999]], [[0.8, 0, 0.2], [0, 0.8, 0.2]])
 person = TwoStates("person", [0.9, 0.1], [[0.8, 0.2], [0.005, 0.995]], [[0.5, 0.5, 0], [0.002, 0.002, 0.996]])
@@ -60,11 +60,11 @@ apart = MultiChain().connect(floor, pixel).connect(person, pixel, feedback=False
 runs = [list(RecursiveBP(model).run(images, dt=1.0)) for model in (together, apart)]
 
 # %%
-# Frame 2 with a pencil
-# ---------------------
-# What a chain believed after frame 1, times ``follows``, is what it predicts, ``x`` and ``y``. That times
-# ``shows`` is what it says to :math:`F`. The belief in :math:`F` is the product of what both say and of
-# what the image says, column by column, divided by the sum.
+# Frame 2 by hand
+# ---------------
+# The posterior of a chain after frame 1, times ``follows``, is its prediction, ``x`` and ``y``. The
+# prediction times ``shows`` is its message to :math:`F`. The belief of :math:`F` is the product of both
+# messages and of the image's likelihood, divided by its sum.
 
 first, second, *_ = runs[0]
 x, y = (first[chain] @ chain.follows for chain in (floor, person))
@@ -74,7 +74,7 @@ product = (x @ floor.shows) * (y @ person.shows) * image[1]
 print("times image", product.round(4), "divided by the sum", (product / product.sum()).round(4))
 
 # %%
-# The oracle knows no messages: it sums over all :math:`2 \cdot 2 \cdot 3` cases at once. These are the
+# The reference uses no messages: it sums over all :math:`2 \cdot 2 \cdot 3` cases at once. These are the
 # beliefs in the pixel, the floor and the person.
 
 cases = np.einsum("x,y,xf,yf,f->xyf", x, y, floor.shows, person.shows, image[1]) / product.sum()
@@ -84,10 +84,10 @@ print("the engine", second[pixel].probabilities().round(4), second[floor].round(
 # %%
 # Twenty frames
 # -------------
-# Feed-forward, where the person reads the pixel and nobody hears of it, the floor takes the shirt in within
-# seconds, and then the person is gone, too. With feedback both agree on a person, and the floor behind him
-# stays dark. What does that is how surely a person stays, and hides the floor: try 0.02, 0.98 in the last
-# row of ``follows``, and the floor gives way in the end.
+# Feed-forward, without messages from the person, the floor absorbs the shirt within seconds, and the
+# person is lost. With feedback both chains agree on a person, and the floor behind stays dark. This
+# depends on the probability that a person stays: with 0.02, 0.98 in the last row of ``follows``, the
+# floor changes in the end.
 
 figure, axes = plt.subplots(1, 2, figsize=(8, 3), sharey=True, layout="constrained")
 for axis, beliefs, title in zip(axes, runs, ("with feedback", "feed-forward"), strict=True):

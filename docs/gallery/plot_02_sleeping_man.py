@@ -2,9 +2,9 @@
 A person who stands still
 =========================
 
-A background model that is left to itself takes a person who stands still into the background. When the
-tracker tells it "I still see somebody there", he stays foreground. Feedback is the only difference between
-the two models here: in the second one the tracker reads the pixels, and its message to them is cut.
+A background model alone absorbs a person who stands still. With the messages of the tracker, the person
+stays foreground. The two models differ only in this feedback: in the second one the tracker receives the
+pixels, but its message to them is removed.
 """
 
 import matplotlib.pyplot as plt
@@ -18,8 +18,8 @@ scene = sleeping_man(300, seed=0, size=(160, 120))
 print(f"{len(scene)} frames at {1 / scene.dt:.0f} a second; the person stands for {scene.stand} of them")
 
 # %%
-# Both models go over the same frames. The scene knows which pixels the person covers, so we keep the share
-# of them that each model calls foreground, and its last mask and empty scene before he walks on.
+# Both models process the same frames. The true mask of the person is known: we keep the share of it that
+# each model labels as foreground, and its last mask and background image before the person walks on.
 
 found, last = {}, {}
 for name, feedback in (("with feedback", True), ("feed-forward", False)):
@@ -35,9 +35,9 @@ for name, feedback in (("with feedback", True), ("feed-forward", False)):
     print(f"{name}: {np.nanmean(found[name][150:270]):.0%} of the person in frames 151 to 270")
 
 # %%
-# Each row: what a model says of frame 271, and its picture of the empty scene. On the right, how much of
-# the person is found over time. Look at the lower empty scene: he is in it. Try
-# ``AdaptiveBackground(settle_time=2)``, which takes in sooner what nobody explains.
+# Each row: the mask of frame 271 and the background image of a model. On the right, the detected share of
+# the person over time. The lower background image contains the person. Try
+# ``AdaptiveBackground(settle_time=2)``, which absorbs unexplained changes sooner.
 
 figure, axes = plt.subplot_mosaic([["a", "b", "c"], ["d", "e", "c"]], figsize=(10, 3.6), layout="constrained")
 for (left, right), (name, (mask, empty)) in zip(("ab", "de"), last.items(), strict=True):

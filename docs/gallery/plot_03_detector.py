@@ -2,11 +2,11 @@
 A detector's boxes as evidence
 ==============================
 
-A detector looks at single pictures: it misses people, finds some that are not there, and does not know who
-is who. Its boxes are joined to the tracked objects with probabilities, and it need not run on every frame.
+A detector looks at single images: it misses people, reports false ones, and has no identities. Its boxes
+are associated with the tracked objects by probabilities, and it need not run on every frame.
 
-Here a detector is made up from the truth of a generated street. It runs on every fifth frame, misses the
-person in one frame out of five, and in three frames out of ten it adds a false box somewhere.
+Here a detector is simulated from the truth of a generated street. It runs on every fifth frame, misses
+the person in one frame out of five, and adds a false box in three frames out of ten.
 """
 
 import matplotlib.pyplot as plt
@@ -34,9 +34,9 @@ def detector(frame):
 
 
 # %%
-# The tracker meets the boxes at a second feature, ``ObjectBoxes``. There ``DetectorRates``, one more chain,
-# learns how the detector behaves: how much it finds, how often it errs, and what its scores mean. Nobody
-# sets a threshold.
+# The tracker receives the boxes at a second feature, ``ObjectBoxes``. There ``DetectorRates``, one more
+# chain, learns how often the detector detects, how often it errs, and what its scores mean. There is no
+# threshold.
 
 pixels, objects, blobs = PixelLabels(), ObjectBoxes(), BlobTracker()
 model = MultiChain().connect(AdaptiveBackground(), pixels).connect(blobs, pixels)
@@ -53,9 +53,9 @@ print(f"true boxes have scores about {rates.scores.true:.2f}, others about {rate
 
 # %%
 # Left: all boxes of the detector. Right: where they were over time (grey), and the track (green). False
-# boxes lead to no track. On the four frames out of five without the detector, and where it misses him, the
-# pixels carry the track on. The second identity is a fault: it is still he, who strides off after he has
-# stood for eight seconds. (Without the detector he keeps his number.) Try ``every=25``, or
+# boxes lead to no track. On the four frames out of five without the detector, and where it misses him,
+# the pixels carry the track on. The second identity is a fault: it is still he, who strides off after he
+# has stood for eight seconds. (Without the detector he keeps his number.) Try ``every=25``, or
 # ``feedback=False`` for the detector's chain.
 
 figure, (shown, axis) = plt.subplots(1, 2, figsize=(10, 3.4), layout="constrained")

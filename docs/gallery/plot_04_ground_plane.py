@@ -2,9 +2,9 @@
 A third level: the ground
 =========================
 
-``GroundPlane`` learns the perspective of a scene from those who walk through it: how tall somebody looks
-whose feet are in a given row. It meets the tracker at a second feature, the boxes of objects, and never
-sees a pixel. What it has learned goes back down: how large objects are that are half seen, or come in anew.
+``GroundPlane`` learns the perspective of a scene from the people who walk through it: the height of a
+person whose feet are in a given row. It shares a second feature with the tracker, the boxes of objects,
+and receives no pixels. Its messages give the size of objects that are half visible, or new.
 """
 
 import matplotlib.pyplot as plt
@@ -16,7 +16,7 @@ from rsmcm.models import Frame, ObjectBoxes, PixelLabels
 
 # %%
 # Three plain figures walk to and fro at different depths. With feet in row :math:`y` they are :math:`(y -
-# 60) / 2` px tall; that is the perspective to be found.
+# 60) / 2` px tall; this is the true perspective.
 
 random = np.random.default_rng(0)
 street = random.integers(100, 130, (240, 320, 1)).repeat(3, axis=2)
@@ -32,8 +32,8 @@ def image(k):
 
 
 # %%
-# The third level is the second line of the model: the tracker is connected to both features. Printed is how
-# tall somebody is expected to be who was never seen before.
+# The third level is the second line of the model: the tracker is connected to both features. The output
+# is the predicted height of a new person.
 
 pixels, objects, blobs = PixelLabels(), ObjectBoxes(), BlobTracker()
 model = MultiChain().connect(AdaptiveBackground(), pixels).connect(blobs, pixels)
@@ -46,10 +46,9 @@ for k in (1, 4, 7):
     print(f"feet in row {rows[k]}: {mean[k]:.0f} +- {deviation[k]:.0f} px; truly {(rows[k] - 60) / 2:.0f}")
 
 # %%
-# Left: where the tracker sees somebody (white), and how tall a newcomer would be (yellow), row by row.
-# Right: the learned height, two standard deviations either way, and the true one (dashed); dots are the
-# people who were seen. Leave two of them out of ``people``: the height is then known for one row, and
-# hardly elsewhere.
+# Left: tracked people (white), and the predicted height of a new person (yellow), row by row. Right: the
+# learned height with two standard deviations, and the true one (dashed); dots are the observed people.
+# Remove two of them from ``people``: the height is then known for one row, and hardly elsewhere.
 
 figure, (shown, axis) = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")
 shown.imshow(frames[-1].image[..., ::-1])

@@ -2,9 +2,9 @@
 A chain of your own
 ===================
 
-A door that opens is foreground at first, and after some seconds it *is* the background; when it closes, the
-closed door is foreground. A second chain of two states, closed and open, solves it. What it says to the
-pixels is "with this probability something that I know covers you, in whatever colour".
+A door that opens is foreground at first, and after some seconds it *is* the background; when it closes,
+the closed door is foreground. A second chain of two states, closed and open, solves it. Its message
+to the pixels is "with this probability the pixel is covered, in any colour".
 """
 
 import matplotlib.pyplot as plt
@@ -38,7 +38,7 @@ door = DiscreteChain(
 )
 
 # %%
-# ``message`` is the product of the image and of what all *other* chains say: a chain never hears itself.
+# ``message`` is the product of the image and of what all *other* chains say: a chain never receives its own message.
 # Now a street whose door stands open, and shows a dark hall, from 10 s to 50 s.
 
 random = np.random.default_rng(0)
@@ -66,8 +66,8 @@ for name, picture in zip(("alone", "with the door"), pictures, strict=True):
     print(f"background {name}: after 49 s its picture of the door is off by {error:.0f} grey levels")
 
 # %%
-# Left and middle: the empty scene as it is believed after 49 s. Right: what the new chain believes. Connect
-# it with ``feedback=False``: it knows as much as now, but nobody hears of it.
+# Left and middle: the empty scene as it is believed after 49 s. Right: what the new chain believes.
+# Connect it with ``feedback=False``: its posterior is the same, but its messages reach no other chain.
 
 figure, axes = plt.subplots(1, 3, figsize=(10, 2.8), layout="constrained")
 for axis, picture, title in zip(axes, pictures, ("background alone", "with the door's chain"), strict=False):

@@ -2,11 +2,12 @@
 A feature of your own
 =====================
 
-Chains meet on features of the scene. Labels of pixels, boxes, points and parts of bodies are there; this is
-how to add one: the direction :math:`\\theta` of a lighthouse's beam. A feature node gives the message that
-says nothing and the likelihood of an image; messages have a product and a mass.
+Chains share features of the scene. The package has labels of pixels, boxes, points and body parts; this
+example adds one: the direction :math:`\\theta` of a lighthouse's beam. A feature node defines the uniform
+message and the likelihood of an image; messages have a product and an integral.
 
-Directions are circular, so messages are von Mises densities, with a complex number :math:`v` as parameter:
+Directions are circular, so messages are von Mises densities, with a complex number :math:`v` as
+parameter:
 
 .. math::
 
@@ -14,7 +15,7 @@ Directions are circular, so messages are von Mises densities, with a complex num
    \\int \\mu = 2 \\pi I_0(|v|)\\, e^s, \\qquad
    \\mu_1 \\mu_2 \\text{ has } v_1 + v_2 \\text{ and } s_1 + s_2 .
 
-The angle of :math:`v` is the direction, its size says how sure it is: 0 is the constant 1.
+The angle of :math:`v` is the direction, its modulus the concentration: 0 is the constant 1.
 """
 
 import matplotlib.pyplot as plt
@@ -44,8 +45,8 @@ class Beam:
 
 
 # %%
-# A chain that turns at a constant rate, but for a little wander. Its state is the parameter :math:`v` of
-# what it believes, so taking in what is seen is a sum.
+# A chain that rotates at a constant rate with a small random walk. Its state is the parameter :math:`v`
+# of its density, so that the update is a sum.
 
 
 class Turning:
@@ -68,9 +69,9 @@ class Turning:
 
 
 # %%
-# A film at five frames a second, in which gusts shake the lamp, with four seconds of fog. Three chains that
-# differ in their rate go over it: the log evidence, :math:`\sum_t \log p(I_t \mid I_{1 \ldots t-1})`, says
-# which of them the film speaks for.
+# A film at five frames a second, in which gusts shake the lamp, with four seconds of fog. Three chains
+# that differ in their rate go over it: the log evidence, :math:`\sum_t \log p(I_t \mid I_{1 \ldots
+# t-1})`, shows which of them the video supports.
 
 random, angles = np.random.default_rng(0), 0.8 * 0.2 * np.arange(80)
 glow = np.exp(20 * np.cos(np.subtract.outer(random.normal(angles, 0.4), np.angle(GRID))) - 20)

@@ -1,9 +1,9 @@
 """
-Save, load, go on
-=================
+Save and load
+=============
 
-The state of a run is a value: it can be kept, branched from, saved and loaded. A run that is stopped and
-resumed gives the same bytes as one that was never stopped.
+The state of a run is an immutable value: it can be kept, used for several continuations, saved and
+loaded. A run that is stopped and resumed gives the same bytes as an uninterrupted one.
 """
 
 from pathlib import Path
@@ -21,8 +21,8 @@ engine, images = RecursiveBP(model), [frame.image for frame in sleeping_man(150,
 whole = [belief[pixels].foreground() for belief in engine.run(images)]
 
 # %%
-# The same in two halves. What is written is a file of plain arrays, whole or not at all, with whatever you
-# want to know of it later. Another process, on another day, loads it.
+# The same in two halves. The file contains plain arrays and your own notes, and is written completely or
+# not at all. Another process can load it later.
 
 with TemporaryDirectory() as folder:
     path = Path(folder) / "street.npz"
@@ -35,8 +35,9 @@ halves = [belief[pixels].foreground() for belief in engine.run(images[75:], stat
 print("the same masks:", all((one == two).all() for one, two in zip(whole[75:], halves, strict=True)))
 
 # %%
-# **Branches.** From the saved state, what would be believed had the camera been dark for a second? Missing
-# frames are ``None``. The state is not changed by a run that begins with it, so any number of them can.
+# **Branches.** What would the belief be if the camera had been dark for a second after the saved state?
+# Missing frames are ``None``. A run does not change the state that it starts from, so any number of runs
+# can.
 
 futures = {"as it was": images[75:], "a second of darkness": [None] * 25 + images[100:]}
 figure, axes = plt.subplots(1, 3, figsize=(10, 2.8), layout="constrained")

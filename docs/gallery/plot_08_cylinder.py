@@ -2,9 +2,9 @@
 Points that are found again
 ===========================
 
-Points of a turning cylinder are lost and found again, and a tracker takes each one that comes back for a
-new one. A second chain knows that all of them are one rigid shape. It tells the tracker which tracks show
-the same point, and where every point is, seen or not.
+Points of a rotating cylinder are lost and found again, and a tracker gives each one a new identity when
+it comes back. A second chain models all of them as one rigid shape. Its messages say which tracks show
+the same point, and where each point is, visible or hidden.
 """
 
 import matplotlib.pyplot as plt
@@ -15,8 +15,8 @@ from rsmcm.inference import CoordinateAscent, MultiChain
 from rsmcm.models import PointTracks, frames_of_tracks, noise_of_tracks
 
 # %%
-# 40 points in 60 frames. In every frame a point that is seen is lost with probability 0.1, and one that is
-# lost is found again with probability 0.5. Lengths are in radii of the cylinder; noise is 0.01.
+# 40 points in 60 frames. In every frame a visible point is lost with probability 0.1, and a lost one is
+# found again with probability 0.5. Lengths are in radii of the cylinder; noise is 0.01.
 
 turning = cylinder(p_loose=0.1, p_drift=0.0, p_regain=0.5, seed=0)
 tracks = turning.tracks()  # (60, n_tracks, 2), NaN where a track is not seen
@@ -27,8 +27,8 @@ structure = solution["structure"]
 print(f"{tracks.shape[1]} tracks, which the chain takes for {len(structure.factorisation.shape)} points")
 
 # %%
-# What the chain says of a track's point, it says in every frame, seen or not. Where the point is not seen,
-# the error is hardly larger. (Of a few short tracks it does not know whose they are, and says nothing.)
+# The chain predicts the point of a track in every frame, visible or hidden; the error of hidden points is
+# hardly larger. (A few short tracks cannot be assigned, and get no prediction.)
 
 said = [message.positions for message in solution.messages("structure", points)]
 believed, known = np.array([positions.moments[1] for positions in said]), said[0].identities
@@ -40,8 +40,8 @@ print(
 )
 
 # %%
-# Left: tracks of three points, each in its own colour, and where the chain says that the points are (grey).
-# Right: frame 31, with the points that are seen (dots) and all that the chain knows (circles). Try
+# Left: tracks of three points, each in its own colour, and the positions predicted by the chain (grey).
+# Right: frame 31, with the visible points (dots) and all points of the shape (circles). Try
 # ``p_loose=0.3``.
 
 figure, (axis, shown) = plt.subplots(1, 2, figsize=(10, 3.8), width_ratios=(2, 1), layout="constrained")

@@ -2,9 +2,9 @@
 Structure, frame by frame
 =========================
 
-``RecursiveStructure`` finds the shape of a rigid thing and the motion of the camera while frames come in,
-in constant time for each. At first it says nothing; once the motion has shown what the shape is, it
-predicts every point, also those that are hidden at the moment.
+``RecursiveStructure`` estimates the shape of a rigid object and the motion of the camera frame by frame,
+in constant time per frame. At first its message is uniform; once the motion has determined the shape, it
+predicts every point, also hidden ones.
 """
 
 import matplotlib.pyplot as plt
@@ -15,9 +15,9 @@ from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import PointTracks, frames_of_tracks
 
 # %%
-# A turning cylinder. Its points hide for ten frames or so now and then, and keep their numbers. In each
-# frame we ask both models where the hidden points are: a tracker alone, which moves every point on at its
-# velocity, and the same tracker with the shape.
+# A rotating cylinder. Its points are hidden for about ten frames at times, and keep their identities. In
+# each frame, two models predict the hidden points: a tracker alone, with constant velocities, and the
+# same tracker with the shape.
 
 turning = cylinder(n_frames=120, p_loose=0.05, p_drift=0.0, p_regain=0.1, seed=3)
 points = PointTracks(noise=0.01)  # radii of the cylinder, as all lengths here
@@ -34,8 +34,8 @@ for name, model in models.items():
 
 # %%
 # Left: until the motion has shown a shape, both are the same. Right: the last frame with the points that
-# are seen (dots), where the second model believes the hidden ones (circles), and where they are (crosses).
-# Try points that come back later (``p_regain=0.02``).
+# are visible (dots), the hidden ones as the second model predicts them (circles), and the truth
+# (crosses). Try points that come back later (``p_regain=0.02``).
 
 figure, (axis, shown) = plt.subplots(1, 2, figsize=(10, 3.8), width_ratios=(2, 1), layout="constrained")
 for name, error in errors.items():

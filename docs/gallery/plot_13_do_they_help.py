@@ -1,14 +1,14 @@
 """
-Do my chains help each other?
-=============================
+Do two chains help each other?
+==============================
 
-Two models of the same thing pay when their errors differ enough. If they make the same mistakes, their
-product is only surer of them. How much is too much can be worked out (§3.3 of the RSMCM paper): from the
-mean squares :math:`A` and :math:`B` of both errors, the mean product :math:`K` of the two, and the noise of
-what is observed follows the gain of the product over the better one of both, in nats.
+Two models of the same quantity help if their errors differ enough. With the same errors, their product is
+only overconfident. The limit can be computed (§3.3 of the RSMCM paper): from the mean squares :math:`A`
+and :math:`B` of both errors, the mean product :math:`K` of the two, and the noise of the observations
+follows the gain of the product over the better one of both, in nats.
 
-All of these are seen in a recorded run: predictions, each made without what it is held against, and what
-was then observed. ``compare_predictions`` judges them; ``rsmcm validity`` does so for a run of the command.
+All of these are measured in a recorded run: predictions, each made without the observation, and the
+observations. ``compare_predictions`` evaluates them; ``rsmcm validity`` does so for a run of the command.
 """
 
 import matplotlib.pyplot as plt
@@ -26,9 +26,8 @@ from rsmcm.inference import (
 from rsmcm.models import Frame, PointTracks
 
 # %%
-# Four trackers of the points of a turning cylinder. Two of them see all frames, and differ in how far they
-# trust that points move straight on. The other two are of one kind, but one sees the odd frames and one the
-# even ones.
+# Four trackers of the points of a rotating cylinder. Two of them receive all frames, and differ in their
+# acceleration noise. The other two are equal, but one receives the odd frames and one the even ones.
 
 turning = cylinder(n_frames=160, p_loose=0, p_drift=0, noise=0.1, degrees_per_frame=1)
 points = PointTracks(noise=0.1)  # radii of the cylinder
@@ -50,10 +49,9 @@ pairs = {
 }
 
 # %%
-# Two who saw the same do not help each other, whatever they make of it: what misled one misled the other.
-# Two who saw different things do. Lines: what the theory says of errors as large as these, at any
-# correlation. Dots: what was found, with a 95 % interval. Let each of the last two see half of the frames
-# of the other, too.
+# Two trackers of the same observations do not help each other: their errors are common. Two with
+# different observations do. Lines: the theory for errors of these sizes, at any correlation. Dots:
+# measured, with 95 % intervals. Let each of the last two also receive half of the other's frames.
 
 noise, at = 0.1**2 * np.eye(2), np.linspace(-0.3, 0.99, 50)[:, None, None]  # at: correlations
 figure, axis = plt.subplots(figsize=(7, 3.6), layout="constrained")

@@ -1,15 +1,15 @@
 """
-A whole film at once
-====================
+A whole video at once
+=====================
 
-Somebody is there from the first frame on, and leaves later. Frame by frame he is taken for a part of the
-scene, since nothing else was ever seen there, and when he walks off, a ghost of him is left. With all of
-the film at hand there is no such riddle: the place is empty in the end.
+A person is there from the first frame on, and leaves later. Frame by frame, the person is taken for a
+part of the background, and leaves a ghost. With the whole video there is no ambiguity: the place is empty
+in the end.
 
-``CoordinateAscent`` works on sequences: chain after chain gets its best trajectory, the others held fixed.
-Here one chain is ``SceneFilter``, which is a filter's background and tracker, begun with the empty scene
-that is found in frames all over the film. The other one, ``ObjectTrajectories``, says who was where, given
-what came before and after.
+``CoordinateAscent`` works on sequences: each chain in turn gets its best trajectory, while the others are
+fixed. One chain here is ``SceneFilter``, a background model and a tracker that start with the background
+found in frames from the whole video. The other one, ``ObjectTrajectories``, smooths the tracks in both
+directions.
 """
 
 import matplotlib.pyplot as plt
@@ -31,7 +31,7 @@ filters = MultiChain().connect(AdaptiveBackground(), pixels).connect(blobs, pixe
 masks["frame by frame"] = [belief[pixels].foreground() > 0 for belief in RecursiveBP(filters).run(film)]
 
 # %%
-# The same filter as one chain of a model for the whole film. It meets features of its own.
+# The same filter as one chain of a model for the whole video, with its own features.
 
 whole, trajectories, pixels, objects = (
     SceneFilter(filters),
@@ -46,10 +46,9 @@ for track in solution[trajectories].at(60):
     print(f"frame {film[60].number}: object {track.identity}, box {np.round(track.box).astype(int)} px")
 
 # %%
-# Masks of the first frame, and of one in which he walks. Right: what mask and person have in common, as a
-# share of all that is one or the other. What stays missing while he stands are his trousers, which look
-# like the street behind them. Let the film begin earlier, ``scene[200:]``: he is then there for most of it,
-# and is the empty scene.
+# Masks of the first frame, and of one in which the person walks. Right: intersection over union of mask
+# and person. The trousers, which look like the street, are missing while the person stands. Start the
+# video earlier, ``scene[200:]``: the person is then there for most of it, and becomes background.
 
 figure, axes = plt.subplot_mosaic([["a", "b", "e"], ["c", "d", "e"]], figsize=(10, 3.8), layout="constrained")
 person = np.array([scene.person(frame.number - 1) for frame in film])

@@ -1,10 +1,10 @@
 """
-Who enters, and who stands still
-================================
+Entries, exits and stays
+========================
 
-A zone is a polygon of the picture, a line is crossed from one side to the other, and what counts is where
-somebody's feet are. An event is only told when it is sure: feet that are as near to a border as they are
-uncertain do not flicker over it. Since the tracker keeps who stands still, there is an end to every stay.
+A zone is a polygon in the image, a line has two sides, and the position of an object is that of its feet.
+An event is only reported when it is certain: feet that are as near to a border as their uncertainty do
+not flicker over it. Since the tracker keeps standing people, every stay has an end.
 """
 
 import matplotlib.pyplot as plt
@@ -21,10 +21,9 @@ gate = Line("gate", (30, 120), (30, 90), left_to_right="in", right_to_left="out"
 watch = Watch(Zones((door,), (gate,), still_after=2.0))
 
 # %%
-# A zone has no border where it reaches the picture's edge: nobody is seen to come in there. The watch takes
-# in the tracks of each frame and gives the events of which it has become sure. Their times are when they
-# happened, so that one that takes longer to tell, such as the end of standing still, may come after a later
-# one.
+# A zone has no border at the edge of the image, where no entry can be seen. The watch takes the tracks of
+# each frame and returns the events that have become certain, with the times at which they happened; one
+# that takes longer to detect, such as the end of standing, may come after a later one.
 
 pixels = PixelLabels()
 model = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)
@@ -42,9 +41,9 @@ for event in events:
     print(f"{event.moment.time:5.2f} s: {event.identity} {event.kind} {event.zone} {event.direction}{lasted}")
 
 # %%
-# Left: the way of the feet, the zone and the line. Right: where they were over time, with the events. Try a
-# longer ``still_after``, or a zone that he only passes through. ``rsmcm background --zones FILE`` does the
-# same for a film.
+# Left: the path of the feet, the zone and the line. Right: the position over time, with the events. Try a
+# longer ``still_after``, or a zone that the person only passes. ``rsmcm background --zones FILE`` does
+# the same for a video.
 
 figure, (shown, axis) = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")
 shown.imshow(scene[200].image[..., ::-1])

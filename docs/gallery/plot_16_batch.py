@@ -1,10 +1,10 @@
 """
-Many films
-==========
+Many videos
+===========
 
-``rsmcm batch`` runs an application over any number of films: a folder for each, some at a time, and a
-summary of all. A film that fails stops no other. When the same command is typed again, what is complete is
-left as it is, and what was broken off goes on.
+``rsmcm batch`` runs an application on any number of videos: one folder each, several at a time, and a
+summary. A failure does not stop the others. When the same command is run again, complete videos are
+skipped, and interrupted ones continue.
 """
 
 import csv
@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 from rsmcm.apps.scenes import sleeping_man
 
 # %%
-# Two films as folders of pictures, and a file that is none.
+# Two videos as folders of images, and a file that is no video.
 
 folder = TemporaryDirectory()
 films, results = Path(folder.name) / "films", Path(folder.name) / "results"
@@ -30,8 +30,7 @@ for seed in range(2):
 
 # %%
 # This is the command as it is typed in a shell, where ``rsmcm`` stands for ``python -m
-# rsmcm.apps.command_line``, and what stands in its summary. Typed once more, it has nothing to do but what
-# has failed.
+# rsmcm.apps.command_line``, and its summary. Run again, it only repeats what has failed.
 
 command = "-m rsmcm.apps.command_line batch background films --out results --jobs 1 --masks none --quiet"
 for time in ("first", "second"):
@@ -43,8 +42,8 @@ for row in rows:
     print(f"{row['folder']}: {row['state']} {row['error'].split(': ', 1)[-1]}")
 
 # %%
-# Each folder holds what the single command would have written. Here are the empty scene and the ways of the
-# feet, from ``background.png`` and ``tracks.csv``; ``results/index.html`` is a page over all of them.
+# Each folder has the results of the single command. Here are the background image and the paths of the
+# feet, from ``background.png`` and ``tracks.csv``; ``results/index.html`` is a page of all videos.
 
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
 for axis, row in zip(axes, (row for row in rows if row["state"] == "complete"), strict=True):

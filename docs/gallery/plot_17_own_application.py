@@ -2,10 +2,9 @@
 Your own application
 ====================
 
-An application is its model, its columns (what is said of a frame), what it concludes, and its page. The loop
-that runs ``rsmcm background`` runs it, too: it reads any source, ends by Ctrl-C with complete results,
-resumes, shows its progress, and writes ``summary.json`` and the page that plays the film. This one measures
-how busy a place is.
+An application is its model, its columns (one row per frame), its conclusions, and its page. The loop of
+``rsmcm background`` runs it: any source, Ctrl-C with complete results, resuming, progress,
+``summary.json``, and the page that plays the video. This one measures how busy a place is.
 """
 
 from pathlib import Path
@@ -48,9 +47,9 @@ class Busy(Application):
 
 
 # %%
-# ``run_film`` takes the application with its job, whose fields are the options that every run has: ``out``,
-# ``start``, ``stop``, ``every``, ``live`` and so on. After a kill, the same with ``resume=True`` goes on, and
-# gives the same bytes as a run in one go.
+# ``run_film`` takes the application with its job, whose fields are the common options of all runs:
+# ``out``, ``start``, ``stop``, ``every``, ``live`` and so on. After a kill, the same job with
+# ``resume=True`` continues, with the same bytes as an uninterrupted run.
 
 folder = TemporaryDirectory()
 for frame in sleeping_man(120, size=(160, 120), enter=5):
@@ -61,8 +60,8 @@ print(*outcome.words, f"{outcome.summary['mean_objects']:.2f} objects a frame", 
 print(*sorted(path.name for path in out.iterdir()))
 
 # %%
-# The columns were kept in a log while the run went on, which is what ``finish`` and ``page`` are given. By
-# ``sinks`` an application writes files that grow with the frames, by ``drawing`` it says what a video shows.
+# The columns are kept in a log, which ``finish`` and ``page`` receive. With ``sinks`` an application
+# writes files that grow with the frames, with ``drawing`` it draws on the video.
 
 rows = np.genfromtxt(out / "busy.csv", delimiter=",", names=True)
 axis = plt.figure(figsize=(9, 2.6), layout="constrained").subplots()
