@@ -38,7 +38,7 @@ door = DiscreteChain(
 )
 
 # %%
-# ``message`` is the product of the image and of what all *other* chains say: a chain never receives its own message.
+# ``message`` is the product of the image and of all *other* chains, without the chain's own message.
 # Now a street whose door stands open, and shows a dark hall, from 10 s to 50 s.
 
 random = np.random.default_rng(0)
