@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.checks import Positive, Probability, checked
+from ..core.checks import Array, NotNegative, Positive, Probability, checked
 from ..core.gaussian_message import GaussianMessage
 from ..core.identities import find, union
 from ..core.short_repr import short_repr
@@ -75,6 +75,7 @@ class BoxDetector:
 
 
 @short_repr
+@checked
 @dataclass(frozen=True, eq=False)
 class LogOdds:
     """Product over objects k of exp(values_k) where something is true of k, and 1 where it is not.
@@ -82,8 +83,10 @@ class LogOdds:
     `identities` `(n,)` int64 increase; of an object that is not mentioned the `values`, nats, are 0.
     """
 
-    identities: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    values: Numbers = field(default_factory=lambda: np.zeros(0))
+    identities: Annotated[NDArray[np.int64], Array("n")] = field(
+        default_factory=lambda: np.zeros(0, np.int64)
+    )
+    values: Annotated[Numbers, Array("n")] = field(default_factory=lambda: np.zeros(0))
 
     def __len__(self) -> int:
         return len(self.identities)
@@ -104,6 +107,7 @@ class LogOdds:
 
 
 @short_repr
+@checked
 @dataclass(frozen=True, eq=False)
 class Newcomers:
     """Density of the box of a new object, wherever in the picture its feet are.
@@ -112,11 +116,12 @@ class Newcomers:
     """
 
     size: tuple[int, int]  # (height, width) px of the picture
-    line: Numbers  # (2,): px height with the foot in the middle row, and px it grows with each row
-    line_covariance: Numbers  # (2, 2)
-    variation: float  # standard deviation of heights over what the line gives, as a share of that
+    # (2,): px height with the foot in the middle row, and px it grows with each row
+    line: Annotated[Numbers, Array(2)]
+    line_covariance: Annotated[Numbers, Array(2, 2)]
+    variation: NotNegative  # standard deviation of heights over what the line gives, as a share of that
     aspect: float  # width over height
-    aspect_variance: float
+    aspect_variance: NotNegative
 
     def height(self, foot_y: ArrayLike) -> tuple[Numbers, Numbers]:
         """Return mean and standard deviation px of the height with feet in these rows, in their shape."""
@@ -188,6 +193,7 @@ EVEN = LogOdds()
 
 
 @short_repr
+@checked
 @dataclass(frozen=True, eq=False)
 class BoxMessage:
     """Product of factors over the boxes of all objects."""

@@ -13,7 +13,7 @@ from rsmcm.chains import (
 )
 from rsmcm.inference import MultiChain
 from rsmcm.models import Frame, Layer, LayerStack, ObjectBoxes, PixelLabels, PixelMessage
-from rsmcm.models.objects.box_message import BoxDetector, Scores
+from rsmcm.models.objects.box_message import BoxDetector, BoxMessage, LogOdds, Scores
 
 MASK = np.full((4, 5), 0.5, np.float32)
 GREY = PixelMessage(image=np.zeros((8, 9), np.uint8))
@@ -44,6 +44,10 @@ WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: SceneFilter(MultiChain(), memory=0), "memory: got 0, expected more than 0"),
     (lambda: BoxDetector(found=1), "found: got 1, expected a probability"),
     (lambda: BoxDetector(position=float("nan")), "position: got nan, expected a finite number"),
+    (lambda: LogOdds(np.array([1, 2]), np.zeros(3)), "values: got shape (3,), expected shape (n,)"),
+    (lambda: LogOdds(np.array([1]), np.array([np.nan])), "values: got NaN or infinity"),
+    (lambda: BoxMessage([1, 2]), "objects: got [1, 2], expected a GaussianMessage"),
+    (lambda: BoxMessage(detector=0.9), "detector: got 0.9, expected a BoxDetector or None"),
     (lambda: Scores(1.0, 0.0, 0.0), "deviation: got 0.0, expected more than 0"),
     (lambda: ObjectBoxes("boxes"), "detector: got 'boxes', expected a BoxDetector"),
     (lambda: PixelLabels(3), "name: got 3, expected a text"),
