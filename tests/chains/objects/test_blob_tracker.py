@@ -110,24 +110,6 @@ def test_an_object_is_reported_after_it_was_seen_for_a_while(walk):
     assert blob.seen > 0.6
 
 
-@pytest.mark.parametrize(
-    ("size", "speed", "colour"), [(TALL, -40, BLUE), (TALL, 60, DARK), ((40, 30), 60, BLUE)]
-)
-def test_what_enters_over_the_edge_is_one_object(size, speed, colour):
-    """What enters fast or is wide may keep a tail of the scene behind it, up to half its width."""
-    start = -size[1] if speed > 0 else WIDTH
-    n_frames = int((size[1] / abs(speed) + 2) / DT)
-    beliefs = run(film(n_frames, (size, colour, moving(start, 40, speed))))
-    assert identities(beliefs) == {1}
-    (track,) = tracks_of(beliefs[-1])
-    x = start + speed * (n_frames - 1) * DT
-    left, top, width, height = track.box
-    assert (top, height) == pytest.approx((40, size[0]), abs=3)
-    leading, true_leading = (left + width, x + size[1]) if speed > 0 else (left, x)
-    assert leading == pytest.approx(true_leading, abs=3)
-    assert size[1] - 3 < width < 1.5 * size[1]
-
-
 def test_what_vanishes_is_given_up_when_patience_is_over():
     frames = film(70, (TALL, RED, lambda time: (-20 + 60 * time, 50) if time < 1.58 else None))
     beliefs = run(frames)

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from rsmcm.apps.scenes import sleeping_man
-from rsmcm.chains import AdaptiveBackground, BlobTracker, MixtureBackground
+from rsmcm.chains import MixtureBackground
 from rsmcm.chains.pixels.background_prediction import colour
 from rsmcm.chains.pixels.gaussians import HIGHEST_NOISE, LOWEST_NOISE
 from rsmcm.chains.pixels.mixture_background import REACH, Mixture, MixturePrediction
@@ -108,21 +107,6 @@ def test_it_is_stauffer_and_grimson_s(channels, components):
             assert mixture.variances[k, pixel] == pytest.approx(variance, rel=1e-4, abs=1e-2)
 
 
-def test_what_waves_is_background():
-    rng = np.random.default_rng(1)
-    images = [
-        np.clip((60 if number // 3 % 2 else 160) + rng.normal(0, 3, (*SIZE, 3)), 0, 255).astype(np.uint8)
-        for number in range(300)
-    ]
-    mixed, belief = run(MixtureBackground(), images)
-    single, _ = run(AdaptiveBackground(settle_time=np.inf, follow_light=False), images)
-    assert not mixed[-50:].any()
-    assert (single[-48:] > 0).mean() == pytest.approx(0.5)
-    picture = belief["background"].picture()
-    assert picture.shape == (*SIZE, 3)
-    assert picture.dtype == np.uint8
-
-
 def heard(chain, background, image, layers):
     """The chain's state after an image, told of layers."""
     told = PixelMessage(image=image, layers=LayerStack(layers))
@@ -173,23 +157,3 @@ def test_likelihood(channels, shifted):
     density = 0.8 * np.exp(shift) * (2 * parts[0] + parts[1]) / 3 + 0.2 / 256.0**channels
     found = prediction.log_likelihood(image, shift if shifted else None)
     assert found == pytest.approx(np.log(density).sum(), abs=1e-3 * n_pixels)
-
-
-@pytest.mark.slow
-def test_a_tracked_person_who_stands_stays_foreground():
-    """Beside it, the same chains without feedback: the person becomes background."""
-    scene = sleeping_man(230, 0, size=(160, 120), stand=400, light_drift=0.0)
-    recall = {}
-    for feedback in (True, False):
-        pixels = PixelLabels()
-        chain = MixtureBackground(rate=0.15)  # forgets after 1.5 s
-        model = MultiChain().connect(chain, pixels).connect(BlobTracker(), pixels, feedback=feedback)
-        found = visible = 0
-        for number, belief in enumerate(RecursiveBP(model).run(scene)):
-            if number >= 200:
-                person = scene.person(number)
-                found += int((belief[pixels].foreground()[person] > 0).sum())
-                visible += int(person.sum())
-        recall[feedback] = found / visible
-    assert recall[True] > 0.8
-    assert recall[False] < 0.4
