@@ -55,33 +55,32 @@ class BlobTracker:
     Parameters
     ----------
     min_area
-        share of the picture's area below which a spot is no object.
+        share of the picture's area below which a spot of foreground starts no object.
     mask_time, colour_time
-        s in which a mask and its colours follow what is seen.
+        s, time constants with which a mask and its colours follow what is seen.
     colour_variance
-        squared grey levels: variance of a new blob's colours about the remembered ones, at most.
+        squared grey levels, variance of a new object's colours about the remembered ones; an upper bound.
     outliers
-        share of an object's pixels that look otherwise.
+        share of an object's pixels whose colour is not as remembered.
     strength
         how much likelier a known object is in front of the background than an unknown one.
     likelihood_power
-        how many independent observations one pixel of a registration is worth.
+        exponent of the pixels' likelihood in a registration: neighbours are not independent.
     acceleration
-        blob lengths/s^2, standard deviation of what moves a blob out of its straight way; it lasts half a
-        second.
+        blob lengths/s^2, standard deviation of the random acceleration, which lasts half a second.
     initial_velocity_std
         blob lengths/s, standard deviation of a new blob's velocity.
     max_coast_time, max_hidden_time
-        s for which a blob that should be visible, or is hidden by another, may stay unseen.
+        s for which a blob may stay unseen that should be visible, or that another one hides.
     confirmation_time
-        s for which an object must have been seen before it is reported, in every frame.
+        s for which an object must have been seen before it is reported.
     ghost_threshold
-        nats from which on a blob is taken for a ghost: log ratio of an outline that is an edge of the
+        nats of evidence from which on a blob is a ghost: log ratio of an outline that is an edge of the
         background's picture and one that is an edge of the image (see `chains.objects.blob_scene`).
     split_time
-        s for which a blob must have had a waist, or the width of two people, before it becomes two.
+        s for which a blob must have had a waist, or the width of two people, before it is split.
     size_time
-        s in which a blob's usual size follows its box; its mask does not reach much further.
+        s, time constant with which a blob's usual size follows its box, which bounds its mask.
     """
 
     min_area: Positive = 0.0003

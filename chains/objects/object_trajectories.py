@@ -308,13 +308,13 @@ class ObjectTrajectories:
     Parameters
     ----------
     acceleration
-        heights/s^2, standard deviation of what moves a foot out of its straight way; it lasts half a second.
+        heights/s^2, standard deviation of a foot's random acceleration, which lasts half a second.
     growth
-        heights/s^2, the same of a width or height.
+        heights/s^2, the same of width and height.
     initial_velocity_std
         heights/s, standard deviation of a velocity.
     max_gap_time
-        s, longest gap in which an object is out of sight and is joined again.
+        s, longest gap over which two tracks are joined into one object.
     min_seen_time
         s for which an object must have been seen in all.
     """
