@@ -27,7 +27,7 @@ except ImportError:  # Windows: only time is bounded there
 MEMORY = 2 << 30
 """Bytes that reading an input may take."""
 HEADROOM = 3
-"""Times as much can be asked for, so that who asks is told from who is refused and hides it."""
+"""Factor of the memory limit above the allowed memory, so that an excessive request is measured, not refused."""
 SECONDS = 10.0
 RESULT, REFUSED = "result", "refused"
 
@@ -126,9 +126,9 @@ def _serve(
 ) -> None:  # pragma: no cover (another process)
     """Read the inputs that are asked for."""
     warnings.simplefilter("always")  # each would be a line on standard error
-    with tempfile.TemporaryFile() as said, tempfile.TemporaryDirectory(prefix="fuzz-") as top:
+    with tempfile.TemporaryFile() as printed, tempfile.TemporaryDirectory(prefix="fuzz-") as top:
         for number in (1, 2):
-            os.dup2(said.fileno(), number)
+            os.dup2(printed.fileno(), number)
         if resource is not None and hasattr(resource, "RLIMIT_AS"):
             bound = _status("VmSize") + HEADROOM * memory
             resource.setrlimit(resource.RLIMIT_AS, (bound, bound))
@@ -142,11 +142,11 @@ def _serve(
             taken = _status("VmHWM") - before
             if taken > memory:
                 outcome = f"{taken / 2**20:.0f} MiB of memory"
-            said.seek(0)
-            if words := said.read(2000).decode(errors="replace"):
+            printed.seek(0)
+            if words := printed.read(2000).decode(errors="replace"):
                 outcome = f"said by itself: {words.strip().splitlines()[-1][:100]}"
-                said.seek(0)
-                said.truncate()
+                printed.seek(0)
+                printed.truncate()
             shutil.rmtree(folder)
             pipe.send(outcome)
 

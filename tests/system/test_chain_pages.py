@@ -22,7 +22,7 @@ KINDS = {
 NAMES = sorted(
     {name for page in PAGES.values() for name in re.findall(r"`((?:models|inference|chains)\.[\w.]+)`", page)}
 )
-HEARD = {Cavity.NOTHING: "nothing", Cavity.IMAGE: "the image", Cavity.OTHERS: "image and others"}
+CAVITIES = {Cavity.NOTHING: "nothing", Cavity.IMAGE: "the image", Cavity.OTHERS: "image and others"}
 
 
 def page_of(name: str) -> str:
@@ -51,21 +51,21 @@ def test_features_are_those_of_the_code(name: str) -> None:
     table = re.search(r"\| feature \| cavity \| message.*\n\|[-|]+\n((?:\|.*\n)+)", page_of(name))
     assert table is not None
     rows = [[cell.strip() for cell in row.split(" | ")] for row in table[1].splitlines()]
-    told = [(row[0].removeprefix("| "), row[1]) for row in rows]
-    assert told == [(shown(port), HEARD[port.cavity]) for port in ports(name)]
+    listed = [(row[0].removeprefix("| "), row[1]) for row in rows]
+    assert listed == [(shown(port), CAVITIES[port.cavity]) for port in ports(name)]
     row = re.search(rf"^\| \[{name}\]\((\w+)\.md\) \| (.*?) \|", INDEX, re.MULTILINE)
     assert row is not None
     assert row[1] in PAGES
     assert row[2] == ", ".join(shown(port) for port in ports(name))
 
 
-def test_parameters_that_pages_tell_to_turn_are_there() -> None:
+def test_parameters_that_pages_name_are_there() -> None:
     """In tables of failures, `name` up or down is a parameter of this chain."""
     count = 0
     for name, kind in KINDS.items():
         own = {field.name for field in fields(kind)}
-        for said in re.findall(r"`(\w+)` (?:up|down)\b", page_of(name).partition("## Failures")[2]):
-            assert said in own, f"{name}: {said}"
+        for parameter in re.findall(r"`(\w+)` (?:up|down)\b", page_of(name).partition("## Failures")[2]):
+            assert parameter in own, f"{name}: {parameter}"
             count += 1
     assert count > 20
 

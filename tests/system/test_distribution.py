@@ -88,11 +88,11 @@ def test_source_distribution_holds_what_is_needed_to_work_on_it(source: Path, bu
 
 @pytest.mark.slow
 def test_what_is_installed_is_what_runs(environment: Path) -> None:
-    asked = subprocess.run(
+    done = subprocess.run(
         [_program(environment, "python"), "-c", "import rsmcm.apps; print(rsmcm.apps.__file__)"],
         check=True, env=_clean(), cwd=environment, capture_output=True, text=True, timeout=MOST_SECONDS,
     )  # fmt: skip
-    assert environment.resolve() in Path(asked.stdout.strip()).resolve().parents
+    assert environment.resolve() in Path(done.stdout.strip()).resolve().parents
 
 
 @pytest.mark.slow

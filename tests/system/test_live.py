@@ -43,7 +43,7 @@ def scene() -> Scene:
 
 @dataclass
 class Running:
-    """A command that goes on, and what it has said."""
+    """A command that goes on, and its output."""
 
     process: subprocess.Popen[str]
     lines: list[str] = field(default_factory=list)
@@ -60,8 +60,8 @@ class Running:
 
     def status(self) -> dict[str, Any]:
         with urllib.request.urlopen(self.page + "status.json", timeout=20) as answer:
-            said: dict[str, Any] = json.load(answer)
-        return said
+            status: dict[str, Any] = json.load(answer)
+        return status
 
 
 @contextmanager
@@ -135,7 +135,7 @@ def test_a_camera_with_zones_in_the_browser(scene: Scene, browser: Browser, tmp_
 
 
 def check_events(scene: Scene, out: Path, zones: Path) -> None:
-    """His stay is told as it was, though frames may have been dropped."""
+    """The stay has its true length, though frames may have been dropped."""
     watch, expected = Watch(read_zones(zones, SIZE)), list[Event]()
     for index in range(len(scene)):
         boxes = [(each.identity, *each.box) for each in scene.boxes(index) if each.kind == "pedestrian"]
@@ -194,15 +194,15 @@ def test_a_port_that_is_taken_is_told_before_anything_is_written(
     film, out = write_film(tmp_path / "film"), tmp_path / "out"
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        said = Command("background").complaint(capfd, film, "--out", out, "--live", port)
-    assert said.startswith(f"rsmcm: --live: got 127.0.0.1:{port}, which cannot be opened: Address already")
+        message = Command("background").complaint(capfd, film, "--out", out, "--live", port)
+    assert message.startswith(f"rsmcm: --live: got 127.0.0.1:{port}, which cannot be opened: Address already")
     assert not out.exists()
 
 
 def test_what_is_no_port_is_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     film, out = write_film(tmp_path / "film"), tmp_path / "out"
-    said = Command("background").complaint(capfd, film, "--out", out, "--live", "web")
-    assert said == "rsmcm: --live: got 'web', expected a port from 0 to 65535, or HOST:PORT\n"
+    message = Command("background").complaint(capfd, film, "--out", out, "--live", "web")
+    assert message == "rsmcm: --live: got 'web', expected a port from 0 to 65535, or HOST:PORT\n"
 
 
 def test_a_file_of_options_may_hold_the_port(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -40,11 +40,11 @@ def test_every_package_with_public_names_is_in_the_reference() -> None:
 @pytest.mark.parametrize(
     "name", sorted(name for name in rsmcm.chains.__all__ if hasattr(getattr(rsmcm.chains, name), "ports"))
 )
-def test_the_docstring_of_a_chain_tells_of_its_parameters(name: str) -> None:
+def test_the_docstring_of_a_chain_documents_its_parameters(name: str) -> None:
     """`rows` refuses what is no parameter; here, that none is left out."""
     kind = getattr(rsmcm.chains, name)
-    told = re.findall(r"`(\w+)`", " ".join(names for names, _, _ in extension("parameters").rows(kind)))
-    assert {field.name for field in fields(kind) if field.init} - {"name"} <= set(told)
+    documented = re.findall(r"`(\w+)`", " ".join(names for names, _, _ in extension("parameters").rows(kind)))
+    assert {field.name for field in fields(kind) if field.init} - {"name"} <= set(documented)
 
 
 def test_parameters_that_pages_name_are_there() -> None:

@@ -1,4 +1,4 @@
-"""Streams that stall, drop and come back: nothing is made up, nothing is lost, and all of it is said."""
+"""Streams that stall, drop and come back: no frame is invented or lost, and all gaps are reported."""
 
 import http.server
 import os
@@ -320,7 +320,7 @@ def test_reconnect_is_refused_for_a_file(tmp_path: Path, capfd: pytest.CaptureFi
 
 @dataclass
 class FileServer:
-    """Sends a file from the byte that is asked for, but only a third of it at a time.
+    """Sends a file from the requested byte, but only a third of it at a time.
 
     Parameters
     ----------
@@ -338,8 +338,8 @@ class FileServer:
         self.n_requests += 1
         if self.n_requests > self.n_answers:
             return
-        asked = request.headers.get("Range", "bytes=0-")
-        first, length = int(asked.removeprefix("bytes=").split("-")[0]), len(self.content)
+        requested = request.headers.get("Range", "bytes=0-")
+        first, length = int(requested.removeprefix("bytes=").split("-")[0]), len(self.content)
         request.send_response(206)
         request.send_header("Accept-Ranges", "bytes")
         request.send_header("Content-Length", str(length - first))
@@ -403,8 +403,8 @@ def run(name: str, capfd: pytest.CaptureFixture[str], *arguments: object) -> tup
     """A run of a command: its exit code, what it says, and its complaints."""
     capfd.readouterr()
     code = Command(name)(*arguments)
-    said, errors = capfd.readouterr()
-    return code, said, [line for line in errors.splitlines() if line.startswith("rsmcm: ")]  # no progress
+    output, errors = capfd.readouterr()
+    return code, output, [line for line in errors.splitlines() if line.startswith("rsmcm: ")]  # no progress
 
 
 @pytest.mark.slow
@@ -425,14 +425,14 @@ def test_who_is_tracked_stays_the_same_over_three_drops_and_a_stall(
     out = tmp_path / "out"
     with serving(server.answer) as address:
         options = ["--reconnect", 30, "--stop", 240, "--masks", "none"]
-        code, said, errors = run("background", capfd, address, "--out", out, *options)
+        code, output, errors = run("background", capfd, address, "--out", out, *options)
     assert (code, errors) == (0, [])
     summary = summary_of(out)
     gaps = summary["stream"]["gaps"]
     assert [gap["reason"] for gap in gaps] == [*["it broke off"] * 3, f"nothing came for {limit:g} s"]
     assert summary["stream"]["lost"] is None
     assert summary["missing_frames"] == sum(gap["frames"] for gap in gaps)
-    assert "was lost 4 times and came back" in said
+    assert "was lost 4 times and came back" in output
     tracks = read_tracks(out / "tracks.txt")
     back = round((gaps[-1]["lost_at"] + gaps[-1]["back_after"]) * RATE)
     (person,) = set(tracks["id"][(tracks["frame"] > 45) & (tracks["frame"] <= 60)])
@@ -476,10 +476,10 @@ def test_all_applications_end_with_exit_code_1(
     out = tmp_path / "out"
     with serving(StreamServer(images, [Connection(4), Connection(4)]).answer) as address:
         given = [landmarks if option == "LANDMARKS" else option for option in options]
-        code, said, errors = run(name, capfd, address, "--out", out, "--reconnect", 0.5, *given)
+        code, output, errors = run(name, capfd, address, "--out", out, "--reconnect", 0.5, *given)
     assert (code, errors) == (1, [f"rsmcm: {address}: lost for good: it broke off"])
     summary = summary_of(out)
     assert summary["ended_early"]
     (gap,) = summary["stream"]["gaps"]
     assert gap["frames"] == len(summary["missing"]) > 0
-    assert "was lost once and came back" in said
+    assert "was lost once and came back" in output

@@ -75,7 +75,7 @@ model.connect(Door, PixelLabels())  # refused
 model.connect(Batch(), PixelLabels())  # refused
 
 
-def asked(belief: Belief, solution: Solution) -> None:
+def read(belief: Belief, solution: Solution) -> None:
     reveal_type(belief[Door(box)])  # DoorState
     reveal_type(belief[PixelLabels()])  # PixelMessage
     reveal_type(solution[Batch()])  # Path
