@@ -27,7 +27,7 @@ except ImportError:  # Windows: only time is bounded there
 MEMORY = 2 << 30
 """Bytes that reading an input may take."""
 HEADROOM = 3
-"""Factor of the memory limit above the allowed memory, so that an excessive request is measured, not refused."""
+"""Factor of the process limit above this memory, so that an excessive request is measured, not refused."""
 SECONDS = 10.0
 RESULT, REFUSED = "result", "refused"
 
