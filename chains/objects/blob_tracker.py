@@ -170,14 +170,15 @@ class BlobTracker:
     def _detected(
         self, state: BlobState, pixels: PixelMessage, boxes: BoxMessage, registered: tuple[Blobs, LayerStack]
     ) -> tuple[Blobs, list[Blob], LayerStack]:
-        known = detections.correct(registered[0], boxes)
+        corrected = detections.correct(registered[0], boxes)
         # born where there is no image, it is of any colour until there is one
-        channels = 0 if pixels.image is None else known.channels
+        channels = 0 if pixels.image is None else corrected.channels
         new = [
             detections.newborn(number, boxes, k, channels, self.colour_variance)
             for number, k in enumerate(detections.unexplained(boxes, state.size), state.born + 1)
         ]
-        blobs = front_to_back(known.select(~detections.are_parts(known, Blobs.of(new, known.channels))))
+        parts = detections.are_parts(corrected, Blobs.of(new, corrected.channels))
+        blobs = front_to_back(corrected.select(~parts))
         return blobs, new, self._layers(front_to_back(blobs.concatenate(new)))
 
     def _registered(self, state: BlobState, pixels: PixelMessage) -> tuple[Blobs, LayerStack]:

@@ -56,7 +56,7 @@ def predict(blobs: Blobs, dt: float, acceleration: float, detecting: bool) -> Bl
 
 
 def _predict_detections(table: NDArray[np.void], dt: float) -> None:
-    """Predict what is known of detected boxes, existence and phase `dt` seconds ahead."""
+    """Predict detected boxes, existence and phase `dt` seconds ahead."""
     found = np.flatnonzero(table["detected"])
     sides = table["box_mean"][found][:, [HEIGHT, HEIGHT, WIDTH, HEIGHT]]
     table["box_variance"][found] += (

@@ -6,7 +6,7 @@ Of objects j with feet x_j and sizes w_j, in units of their own height:
     p(b_t | x_t, w_t) = N(b_t; (x_t, w_t), what the tracker says of its errors)
     mu_{trajectories -> boxes}(b_j) = N(b_j; smoothed box, its variance)
 
-A tracker says where its blobs are as frames come. This chain knows what came after: it smooths every track
+A tracker reports its blobs as frames come. This chain has all frames: it smooths every track
 both ways, joins tracks over gaps into one identity (all at once, as an assignment), begins each one with the
 first frame in which it was seen, and leaves out what was not seen for long enough to be believed.
 """
@@ -53,9 +53,9 @@ class Boxes(Rows):
         """Return the boxes of messages, one a frame."""
         parts = []
         for index, message in enumerate(messages):
-            known, mean, covariance = message.moments
-            frames = np.full(len(known), index, np.int64)
-            identities, variances = np.asarray(known, np.int64), covariance.diagonal(axis1=1, axis2=2)
+            names, mean, covariance = message.moments
+            frames = np.full(len(names), index, np.int64)
+            identities, variances = np.asarray(names, np.int64), covariance.diagonal(axis1=1, axis2=2)
             parts.append(Boxes(frames, identities, mean.reshape(-1, BOX), variances.reshape(-1, BOX)))
         return cls.together(parts)
 
@@ -175,7 +175,7 @@ class ArrivalModel:
 
     size: tuple[int, int]  # (height, width) px of the picture
     rate: float  # 1/s, at which new ones come
-    max_gap_time: float  # s, the longest time for which one may be out of sight and still be known
+    max_gap_time: float  # s, the longest gap over which tracks are joined
 
     def at_edge(self, track: SmoothedTrack, place: int) -> bool:
         """Return whether the picture's edge cuts off a track's box, or nearly so, in its frame `place`."""
@@ -262,17 +262,17 @@ class ObjectsOverTime:
 
     boxes: Boxes  # n in all, with one identity for each object
     velocities: NDArray[np.float64]  # (n, 2) px/s of their feet, to the right and down
-    # (n,): whether the frame shows them; in gaps they are known from before and after
+    # (n,): whether the frame shows them; in gaps they are interpolated
     seen: NDArray[np.bool_]
 
     @classmethod
     def of(cls, tracks: Sequence[SmoothedTrack]) -> Self:
         """Return those of tracks ordered by identity, where they are reported."""
-        known = [(track, track.reported()) for track in tracks]
+        reported = [(track, track.reported()) for track in tracks]
         return cls(
-            Boxes.together([track.boxes().only(rows) for track, rows in known]),
-            np.concatenate([np.zeros((0, 2)), *(track.feet.mean[rows, 2:] for track, rows in known)]),
-            np.concatenate([np.zeros(0, bool), *(track.seen[rows] for track, rows in known)]),
+            Boxes.together([track.boxes().only(rows) for track, rows in reported]),
+            np.concatenate([np.zeros((0, 2)), *(track.feet.mean[rows, 2:] for track, rows in reported)]),
+            np.concatenate([np.zeros(0, bool), *(track.seen[rows] for track, rows in reported)]),
         )
 
     def at(self, index: int) -> list[Track]:
@@ -341,10 +341,10 @@ class ObjectTrajectories:
         motion = Motion(0.5 * self.acceleration**2, 0.5 * self.growth**2, self.initial_velocity_std)
         interval = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         tracks = [smooth_track(track, times, motion) for track in boxes.tracks()]
-        known = [track for track in tracks if track.seen.sum() * interval >= self.min_seen_time]
-        arrivals = ArrivalModel(size, len(known) / max(times[-1] - times[0], 1.0), self.max_gap_time)
-        next_of = find_joins(known, times, motion, arrivals)
-        together = join(boxes, known, next_of).tracks()
+        seen = [track for track in tracks if track.seen.sum() * interval >= self.min_seen_time]
+        arrivals = ArrivalModel(size, len(seen) / max(times[-1] - times[0], 1.0), self.max_gap_time)
+        next_of = find_joins(seen, times, motion, arrivals)
+        together = join(boxes, seen, next_of).tracks()
         return Smoothed(ObjectsOverTime.of([smooth_track(track, times, motion) for track in together]))
 
     def messages(

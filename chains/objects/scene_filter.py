@@ -1,6 +1,6 @@
 """Scene filter as a batch chain: background and objects of a whole film, filtered from its empty scene.
 
-Of the chains in its model (the background R, objects S, and what knows them):
+Of the chains in its model (the background R, objects S, and others):
 
     p(R_1, S_1, ..., R_T, S_T) = p(R_1) p(S_1) prod_t p(R_t | R_t-1) p(S_t | S_t-1)
     mu_{scene -> F_t} = product of what the chains in the model say of F_t, given the frames until then
@@ -67,7 +67,7 @@ class SceneModel(Protocol):
 @short_repr
 @dataclass(frozen=True, eq=False)
 class SceneTrajectory:
-    """Trajectory of the scene: the empty scene before the first frame, and the boxes that others know.
+    """Trajectory of the scene: the empty scene before the first frame, and the boxes that other chains sent.
 
     The rest follows from it, forwards. `times` are `(n_frames,)` s.
     """
@@ -123,7 +123,7 @@ class SceneFilter:
     ) -> Smoothed[SceneTrajectory]:
         """Find the empty scene from frames all over the film.
 
-        Where others know of objects, what is seen there does not count.
+        Pixels in boxes that other chains sent do not count.
 
         Raises
         ------
@@ -203,8 +203,8 @@ class SceneFilter:
     def initial_state(self, trajectory: SceneTrajectory) -> RunState:
         """Return the state of the filter before the first frame.
 
-        The scene is empty and known. Chains that meet boxes alone are updated with all boxes of the film, and
-        then predicted until all objects have left: what lasts of it, such as a ground plane, is known.
+        The scene is empty. Chains that meet boxes alone are updated with all boxes of the film, and
+        then predicted until all objects have left: what lasts, such as a ground plane, is kept.
         """
         state = self.state_in(trajectory.empty, float(trajectory.times[0]))
         states = dict(state.states)
@@ -214,12 +214,12 @@ class SceneFilter:
             if len(trajectory.boxes) and all(
                 issubclass(port.kind, ObjectBoxes) and port.sole != "detector" for port in chain.ports
             ):
-                known, last = states[name], trajectory.times[0]
+                after, last = states[name], trajectory.times[0]
                 for time, message in zip(trajectory.times, messages, strict=True):
-                    known = chain.predict(known, time - last)
-                    known, last = chain.update(known, Incoming({ObjectBoxes(): message})), time
-                known = chain.predict(known, LONG)  # after which all objects have left
-                states[name] = chain.update(known, Incoming({ObjectBoxes(): BoxMessage()}))
+                    after = chain.predict(after, time - last)
+                    after, last = chain.update(after, Incoming({ObjectBoxes(): message})), time
+                after = chain.predict(after, LONG)  # after which all objects have left
+                states[name] = chain.update(after, Incoming({ObjectBoxes(): BoxMessage()}))
         return replace(state, states=states)
 
     def state_in(self, empty: EmptyScene, time: float) -> RunState:

@@ -42,7 +42,7 @@ WIDEST_VARIANCE = 255.0**2 / 12
 """Squared grey levels: of a value that may be anything; so far it wanders at most, however long it hides."""
 
 FIRST_TIME = 0.5
-"""s in which those who were there from the first are found; what is behind them is not known then."""
+"""s in which objects of the first frame are found; the scene behind them is unknown until then."""
 
 BOOTSTRAP_TIME = 3.0
 """s after which nothing that was there from the first is taken for the scene by mistake any more."""
