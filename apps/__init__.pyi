@@ -1,3 +1,4 @@
+from .background.application import build_model
 from .trackers import (
     BodyTracker,
     FaceTracker,
@@ -12,4 +13,5 @@ __all__ = [
     "ObjectTracker",
     "PointTracker",
     "TrackerState",
+    "build_model",
 ]

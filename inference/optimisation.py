@@ -41,7 +41,7 @@ def levenberg_marquardt(
     damping: Damping,
     *,
     most_steps: int,
-    patience: int = 1,
+    settled_steps: int = 1,
 ) -> tuple[Place, float]:
     """Lower an error step by step, as far as it goes; the best place, and the damping of the next step.
 
@@ -53,7 +53,7 @@ def levenberg_marquardt(
         place itself if no step is worth while.
     settled
         whether a step, from one place to another, has hardly lowered the error.
-    patience
+    settled_steps
         settled steps in a row with which the loop ends: one may be short because it was damped.
     """
     place, added, step, still, tried = start, damping.first, None, 0, 0
@@ -69,7 +69,7 @@ def levenberg_marquardt(
         added = max(added / damping.fall, damping.least)
         still = still + 1 if settled(place, reached) else 0
         place, step = reached, None
-        if still == patience:
+        if still == settled_steps:
             break
     return place, added
 

@@ -69,20 +69,20 @@ class Contents:
 
 
 def read(path: str | Path) -> Contents:
-    """Read what `save` wrote; of which kinds it is, `load` is told. Errors are those of `load`."""
+    """Read what `save` wrote, without its kinds; errors are those of `load`."""
     path = Path(path)
     size = path.stat().st_size  # nothing is packed, so that a number takes a byte or more
     arrays = read_arrays(path, EXPECTED, most=size)
     try:
         digest = str(arrays.pop(DIGEST, ""))
-        found = _digest(arrays)
+        actual = _digest(arrays)
         content = json.loads(str(arrays.pop(SKELETON)))
         form, values = content["format"], dict(content["values"])
     except (KeyError, TypeError, ValueError, RecursionError):
         raise ValueError(f"{path}: got other arrays than a state's, {EXPECTED}") from None
     if form != FORMAT:
         raise ValueError(f"{path}: got format {str(form)[:60]!r}, expected {FORMAT!r}")
-    if found != digest:
+    if actual != digest:
         raise ValueError(f"{path}: got a state that was changed since it was saved, {EXPECTED}")
     return Contents(path, values, arrays)
 
@@ -138,7 +138,7 @@ def _restore(data: Any, kinds: Mapping[str, Any], arrays: Arrays) -> dict[str, A
 
 
 def _decode(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
-    """The value of a kind from its JSON and the arrays, which are taken out of `arrays`."""
+    """The value of a kind from its JSON and from `arrays`, which lose those that are used."""
     kind = _without_aliases(kind)
     origin, inner = get_origin(kind) or kind, get_args(kind)
     is_array = isinstance(data, dict) and isinstance(data.get("array"), str) and data["array"] in arrays
@@ -186,12 +186,12 @@ def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
         hints = get_type_hints(kind)
         record = {name: hints[name] for name in _saved_fields(kind)}
         build = kind
-    found = data if isinstance(data, dict) else {}
-    if found.keys() != record.keys():
-        got, expected = (", ".join(names) or "nothing" for names in (found, record))
+    content = data if isinstance(data, dict) else {}
+    if content.keys() != record.keys():
+        got, expected = (", ".join(names) or "nothing" for names in (content, record))
         raise ValueError(f"{place or 'file'}: got {got}, expected {expected}")
     return build(
-        **{name: _decode(found[name], part, arrays, _below(place, name)) for name, part in record.items()}
+        **{name: _decode(content[name], part, arrays, _below(place, name)) for name, part in record.items()}
     )
 
 

@@ -16,9 +16,10 @@ from typing import Any, get_args, get_origin, get_type_hints, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import Count, checked
 from ...models.core.frame import Frame
 from . import checkpoint
-from .graph import MultiChain, as_frame, require_later, require_model
+from .graph import MultiChain, as_frame, require_frames, require_later, require_model
 from .protocols import (
     BatchChain,
     BatchIncoming,
@@ -327,13 +328,12 @@ class CoordinateAscent:
         if one of the chains is none for batches.
     """
 
-    def __init__(self, model: MultiChain, most_rounds: int = 20, tolerance: float | None = 1e-5) -> None:
+    @checked
+    def __init__(self, model: MultiChain, most_rounds: Count = 20, tolerance: float | None = 1e-5) -> None:
         require_model(model)
         for name, chain in model.chains.items():
             require(f"chain {name!r}", chain, BatchChain)
         model.check_complete()
-        if most_rounds < 1:
-            raise ValueError(f"most_rounds: got {most_rounds}, expected 1 or more")
         self.model = model.copy()
         self.most_rounds = most_rounds
         self.tolerance = tolerance
@@ -474,6 +474,7 @@ class CoordinateAscent:
 def _as_frames(items: Iterable[Frame | NDArray[np.uint8] | None], dt: float) -> Sequence[Frame]:
     if isinstance(items, LazyFrames):
         return items
+    require_frames(items, dt)
     frames = [as_frame(item, index * dt, index + 1) for index, item in enumerate(items)]
     if not frames:
         raise ValueError("frames: got none, expected at least one")

@@ -71,20 +71,20 @@ def _figure(model: MultiChain) -> Figure:
         names = [name for name, data in graph.nodes.items() if data["kind"] == kind]
         look: dict[str, Any] = {"node_shape": shape, "node_color": FILL[kind], "edgecolors": INK}
         nx.draw_networkx_nodes(graph, places, names, node_size=SIZE, linewidths=1.3, ax=axes, **look)
-    heard = [edge for edge in graph.edges if graph.edges[edge].get("feedback", True)]
+    feedback = [edge for edge in graph.edges if graph.edges[edge].get("feedback", True)]
     cut = [
         (feature, chain)
         for chain in model.chains
         for feature in graph[chain]
         if not graph[chain][feature]["feedback"]
     ]
-    nx.draw_networkx_edges(graph, places, heard, width=1.3, edge_color=INK, ax=axes, node_size=SIZE)
+    nx.draw_networkx_edges(graph, places, feedback, width=1.3, edge_color=INK, ax=axes, node_size=SIZE)
     arrows = nx.DiGraph(cut)
     nx.draw_networkx_edges(
         arrows, places, width=1.3, edge_color=INK, style="dashed", arrowsize=13, node_size=SIZE, ax=axes
     )
-    said = dict.fromkeys(cut, "reads only")
-    nx.draw_networkx_edge_labels(arrows, places, said, font_size=8, font_color=INK, rotate=False, ax=axes)
+    on_edges = dict.fromkeys(cut, "reads only")
+    nx.draw_networkx_edge_labels(arrows, places, on_edges, font_size=8, font_color=INK, rotate=False, ax=axes)
     labels = {name: name.replace("_", " ").replace("-", " ").replace(" ", "\n") for name in places}
     nx.draw_networkx_labels(graph, places, labels, font_size=7, font_color=INK, ax=axes)
     return figure

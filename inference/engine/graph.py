@@ -1,6 +1,6 @@
 """The graph of chains, feature nodes and the image, and the order of messages that follows from it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -10,6 +10,7 @@ import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import Positive, check_of, shown
 from ...models.core.frame import Frame
 from .protocols import (
     BatchChain,
@@ -104,8 +105,8 @@ class MultiChain:
         for node in (chain, feature):
             if not (isinstance(node.name, str) and node.name):
                 raise TypeError(f"name of {type(node).__name__}: got {node.name!r}, expected a text")
-            taken = self.graph.nodes[node.name]["node"] is not node if node.name in self.graph else False
-            if taken or chain.name == feature.name:
+            is_taken = self.graph.nodes[node.name]["node"] is not node if node.name in self.graph else False
+            if is_taken or chain.name == feature.name:
                 raise ValueError(
                     f"name: {node.name!r} is taken by another node of the model, expected a new one"
                 )
@@ -176,8 +177,8 @@ class MultiChain:
         """Names of the chains that send messages to each feature, in the order in which they speak."""
         senders = {}
         for feature in self.features:
-            found = [name for name, edge in self.graph[feature].items() if edge.get("feedback")]
-            senders[feature] = tuple(sorted(found, key=lambda name: (self.cavities[name, feature], name)))
+            speaking = [name for name, edge in self.graph[feature].items() if edge.get("feedback")]
+            senders[feature] = tuple(sorted(speaking, key=lambda name: (self.cavities[name, feature], name)))
         return senders
 
     @cached_property
@@ -215,8 +216,8 @@ class MultiChain:
 
     def unknown(self, name: str) -> KeyError:
         """The error about a name that is neither a chain's nor a feature's."""
-        known = ", ".join([*self.chains, *self.features])
-        return KeyError(f"{name}: not part of the model, expected one of {known}")
+        names = ", ".join([*self.chains, *self.features])
+        return KeyError(f"{name}: not part of the model, expected one of {names}")
 
     def check_complete(self) -> None:
         """Raise a `ValueError` unless every chain is connected to what it cannot do without."""
@@ -331,6 +332,18 @@ def require_model(model: object) -> None:
         )
     if not model.chains:
         raise ValueError("model: got no chain, expected at least one")
+
+
+def require_frames(frames: object, dt: float) -> None:
+    """Raise an error unless frames are several, and the time between plain images is positive and finite."""
+    if isinstance(frames, str | Path):
+        raise TypeError(
+            f"frames: got {str(frames)!r}, expected frames; open_source of rsmcm.apps.io opens a film"
+        )
+    is_image = isinstance(frames, np.ndarray) and (frames.ndim < 3 or frames.shape[2:] == (3,))
+    if is_image or isinstance(frames, Frame) or not isinstance(frames, Iterable):
+        raise TypeError(f"frames: got {shown(frames)}, expected a sequence of frames or images")
+    check_of(Positive)(dt, "dt", {})
 
 
 def as_frame(item: Frame | NDArray[np.uint8] | None, time: float, number: int) -> Frame:

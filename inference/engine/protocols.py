@@ -174,11 +174,11 @@ class Incoming:
 
     def get(self, kind: type[FeatureNode[MessageType]], /) -> MessageType | None:
         """Return the message at the one node of that kind; `None` where there is no such node."""
-        return self[kind] if self._found(kind) else None
+        return self[kind] if self._matching(kind) else None
 
     def by_name(self, kind: type[FeatureNode[MessageType]], /) -> dict[str, MessageType]:
         """Return the messages at all nodes of that kind, for chains that meet any number of them."""
-        return {node.name: cast(MessageType, self._message_at(node)) for node in self._found(kind)}
+        return {node.name: cast(MessageType, self._message_at(node)) for node in self._matching(kind)}
 
     def once(self, function: Callable[..., Result], *arguments: object) -> Result:
         """`function(*arguments)` of a pure function, worked out once in a time slice.
@@ -194,12 +194,12 @@ class Incoming:
 
     def node(self, key: type | Named, /) -> Named:
         """The feature node that the chain is connected to, or the one of that kind; else a `KeyError`."""
-        found = self._found(key)
-        if len(found) != 1:
+        matching = self._matching(key)
+        if len(matching) != 1:
             names = ", ".join(node.name for node in self._nodes) or "none"
-            asked = key.__name__ if isinstance(key, type) else key.name
-            raise KeyError(f"{asked}: got {len(found)} such nodes among {names}, expected one")
-        return found[0]
+            wanted = key.__name__ if isinstance(key, type) else key.name
+            raise KeyError(f"{wanted}: got {len(matching)} such nodes among {names}, expected one")
+        return matching[0]
 
     def __iter__(self) -> Iterator[Named]:
         return iter(self._nodes)
@@ -218,7 +218,7 @@ class Incoming:
     def _evidence_at(self, node: Named) -> Message:
         return self._evidence[node] if node in self._evidence else cast(Any, node).uniform()
 
-    def _found(self, key: type | Named) -> list[Named]:
+    def _matching(self, key: type | Named) -> list[Named]:
         if isinstance(key, str):
             raise TypeError(f"incoming: got {key!r}, expected a feature node or a kind of them")
         if isinstance(key, type):

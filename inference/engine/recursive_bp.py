@@ -15,7 +15,7 @@ from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.numerics.threads import side_by_side
 from . import checkpoint
-from .graph import IMAGE, MultiChain, as_frame, require_later, require_model
+from .graph import IMAGE, MultiChain, as_frame, require_frames, require_later, require_model
 from .protocols import (
     BatchIncoming,
     Chain,
@@ -291,13 +291,16 @@ class RecursiveBP:
         Raises
         ------
         ValueError
-            as `step` does, or if something is not an image.
+            as `step` does, or if something is not an image, or `dt` not positive.
+        TypeError
+            if `frames` is a single image.
         """
-        if isinstance(frames, str | Path):
-            raise TypeError(
-                f"frames: got {str(frames)!r}, expected frames; open_source of rsmcm.apps.io opens a film"
-            )
-        state = state or RunState()
+        require_frames(frames, dt)
+        return self._run(frames, dt, state or RunState())
+
+    def _run(
+        self, frames: Iterable[Frame | NDArray[np.uint8] | None], dt: float, state: RunState
+    ) -> Iterator[Belief]:
         for item in frames:
             time = state.time + dt if state.time > -inf else 0.0
             belief = self.step(state, as_frame(item, time, state.number + 1))

@@ -127,7 +127,7 @@ class TimeSlice:
         for chain in sorted(chains):
             own = [feature for feature in features if chain in self.model.senders[feature]]
             for number, feature in enumerate(own):
-                incoming = {**self._heard(chain, feature), **dict.fromkeys(own[number + 1 :], ())}
+                incoming = {**self._incoming_of(chain, feature), **dict.fromkeys(own[number + 1 :], ())}
                 # what it finds in its own cavity decides where it speaks, now as before
                 incoming[feature] = self._sent[chain, feature].incoming[feature]
                 message = Sent(chain, feature, incoming)
@@ -145,10 +145,10 @@ class TimeSlice:
                 return
             incoming = {feature: self._ahead(feature) if self.model.features[feature].searches else ()}
         else:
-            incoming = self._heard(sender, feature)
+            incoming = self._incoming_of(sender, feature)
         self._sent[sender, feature] = Sent(sender, feature, incoming)
 
-    def _heard(self, chain: str, feature: str) -> dict[str, Factors]:
+    def _incoming_of(self, chain: str, feature: str) -> dict[str, Factors]:
         """What a chain goes by when it speaks to a feature, by feature; at that one, see `Cavity`."""
         incoming = {name: self._factors(name, chain) for name in self.model.features_of[chain]}
         before = self._sent.get((chain, feature))
@@ -173,10 +173,10 @@ class TimeSlice:
     def _send_again(self, step: Step) -> float:
         """Send a message of a loop, and return by how much it differs from the one before."""
         before = self._sent.get(step)
-        heard = self._heard(*step)
-        if before is not None and before.incoming == heard and not before.is_damped:
+        incoming = self._incoming_of(*step)
+        if before is not None and before.incoming == incoming and not before.is_damped:
             return 0.0
-        sent = Sent(*step, heard)
+        sent = Sent(*step, incoming)
         message = self._message(sent)
         if hasattr(message, "normalised"):
             sent.message = message.normalised()
@@ -193,7 +193,7 @@ class TimeSlice:
         if change > 0:
             self._sent[step] = sent
         else:
-            before.incoming, before.is_damped = heard, False
+            before.incoming, before.is_damped = incoming, False
         return change
 
     def _change(self, before: Sent, after: Sent) -> float:
@@ -301,7 +301,7 @@ class _WithoutImage(TimeSlice):
         super().__init__(seen.model, seen.predictions, seen.frame, schedule, seen.limits)
         self._seen = seen
 
-    def _heard(self, chain: str, feature: str) -> dict[str, Factors]:
+    def _incoming_of(self, chain: str, feature: str) -> dict[str, Factors]:
         return {
             name: (self if chain in self.model.senders[name] else self._seen)._factors(name, chain)
             for name in self.model.features_of[chain]

@@ -1,4 +1,4 @@
-"""A feature with a handful of possible values: doors, lights, and the small graphs of the engine's tests."""
+"""Feature with a few possible values, such as a door or a light."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,16 +7,27 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
+from .checks import shown
 from .frame import Frame
 from .short_repr import short_repr
 
 
 @short_repr
 class CategoricalMessage:
-    """A weight for each value of the feature, by logs `(size,)`; minus infinity for an impossible value."""
+    """Log weights `(size,)` of the feature's values; minus infinity for an impossible value.
+
+    Raises
+    ------
+    ValueError
+        if one is NaN or infinite.
+    """
 
     def __init__(self, log_weights: ArrayLike) -> None:
         self.log_weights: NDArray[np.float64] = np.asarray(log_weights, np.float64)
+        if not (self.log_weights < np.inf).all():
+            raise ValueError(
+                f"log_weights: got {shown(self.log_weights.tolist())}, expected less than infinity"
+            )
 
     @property
     def log_mass(self) -> float:
@@ -24,7 +35,7 @@ class CategoricalMessage:
         return float(logsumexp(self.log_weights))
 
     def probabilities(self) -> NDArray[np.float64]:
-        """`(size,)` weights that sum to 1; a `ValueError` if every value is impossible."""
+        """Return weights `(size,)` that sum to 1; a `ValueError` if every value is impossible."""
         log_mass = self.log_mass
         if log_mass == -np.inf:
             raise ValueError("message: got weight 0 for every value, expected one that is possible")
@@ -70,11 +81,11 @@ class Categorical:
     searches = False
 
     def uniform(self) -> CategoricalMessage:
-        """The constant 1."""
+        """Return the constant 1."""
         return CategoricalMessage(np.zeros(self.size))
 
     def evidence(self, frame: Frame, prior: CategoricalMessage) -> CategoricalMessage:
-        """Likelihood of the frame; a `ValueError` if `log_likelihood` gives another number of values."""
+        """Return the likelihood of the frame; a `ValueError` if it has another number of values."""
         if self.log_likelihood is None:
             return self.uniform()
         message = CategoricalMessage(self.log_likelihood(frame))

@@ -1,4 +1,4 @@
-"""A frame: an image, and what somebody else has found in it, with its time and its number."""
+"""A frame: an image, detections in it, its time and its number."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from .checks import check_of, shown
 from .short_repr import Rows, short_repr
 
 Array = NDArray[np.float64]
@@ -58,13 +59,13 @@ SKELETONS: Mapping[int, tuple[str, ...]] = {
 25, MediaPipe's 33."""
 
 KNOWN = frozenset(POINTS).union(*SKELETONS.values())
-"""All names of points; of those that are not among `POINTS`, nothing is made."""
+"""All names of points; those that are not among `POINTS` are ignored."""
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class GivenKeypoints:
-    """Points of persons that a detector has found in a frame: perhaps of nobody, but it did run.
+    """Points of persons in a frame, from a detector that ran: of none, perhaps.
 
     Parameters
     ----------
@@ -123,39 +124,41 @@ class GivenKeypoints:
         return cls(places[..., :2], np.nan_to_num(places[..., 2]))
 
     @classmethod
-    def of(cls, found: Any) -> Self:
-        """Take points as other libraries give them.
+    def of(cls, result: Any) -> Self:
+        """Convert points from what other libraries give.
 
         Parameters
         ----------
-        found
+        result
             anything with `xy` `(n, m, 2)` and perhaps `confidence` or `conf` `(n, m)`, as
             `supervision.KeyPoints` or the keypoints of Ultralytics; or an array `(n, m, 2)` or `(n, m, 3)`
             with scores, or of one person without the first axis; m points as in one of `SKELETONS`; or
             of one person a mapping of names to x, y and perhaps a score. Px from 0. Points at 0, 0 were not
-            found, as these libraries have it. Nothing in it is nobody.
+            found, as these libraries have it. An empty one has no person.
 
         Raises
         ------
         ValueError
             if it is none of these, or as for `GivenKeypoints`.
         """
-        if isinstance(found, cls):
-            return found
-        if isinstance(found, Mapping):
-            return cls.named(_points(tuple(found), [[_point(name, place) for name, place in found.items()]]))
-        if hasattr(found, "xy"):
-            scores, found = _told(found, "confidence", "conf"), np.array(found.xy, np.float64)
-            if scores is not None and found.size:
-                found = np.concatenate([found, scores.astype(np.float64)[..., None]], axis=-1)
+        if isinstance(result, cls):
+            return result
+        if isinstance(result, Mapping):
+            return cls.named(
+                _points(tuple(result), [[_point(name, place) for name, place in result.items()]])
+            )
+        if hasattr(result, "xy"):
+            scores, result = _attribute(result, "confidence", "conf"), np.array(result.xy, np.float64)
+            if scores is not None and result.size:
+                result = np.concatenate([result, scores.astype(np.float64)[..., None]], axis=-1)
         try:
-            rows = np.array(found, np.float64)
+            rows = np.array(result, np.float64)
         except (TypeError, ValueError):
             raise ValueError(
-                f"keypoints: got {type(found).__name__}, expected an array, xy or names"
+                f"keypoints: got {type(result).__name__}, expected an array, xy or names"
             ) from None
         if not rows.size:
-            return cls.nobody()
+            return cls.none()
         rows = rows[None] if rows.ndim == 2 else rows
         if rows.ndim != 3 or rows.shape[1] not in SKELETONS or rows.shape[2] not in (2, 3):
             counts = ", ".join(map(str, sorted(SKELETONS)))
@@ -168,8 +171,8 @@ class GivenKeypoints:
         return cls.named(_points(SKELETONS[rows.shape[1]], rows))
 
     @classmethod
-    def nobody(cls) -> Self:
-        """The detector ran, and found nobody."""
+    def none(cls) -> Self:
+        """Return the points of a detector that ran and found no person."""
         return cls(np.zeros((0, len(KEYPOINTS), 2)), np.zeros((0, len(KEYPOINTS))))
 
     def __len__(self) -> int:
@@ -215,7 +218,7 @@ BoundingBox = tuple[float, float, float, float]
 @short_repr
 @dataclass(frozen=True, eq=False)
 class GivenPoints(Rows):
-    """Points that another detector or tracker has found in a frame.
+    """Points in a frame, from another detector or tracker.
 
     Parameters
     ----------
@@ -249,7 +252,7 @@ class GivenPoints(Rows):
 @short_repr
 @dataclass(frozen=True, eq=False)
 class GivenBoxes:
-    """Boxes of objects that a detector has found in a frame: perhaps none, but it did run.
+    """Boxes of objects in a frame, from a detector that ran: none, perhaps.
 
     Parameters
     ----------
@@ -293,39 +296,39 @@ class GivenBoxes:
             raise ValueError("boxes: got a confidence that is not finite, expected finite ones")
 
     @classmethod
-    def of(cls, found: Any) -> Self:
-        """Take boxes as other libraries give them.
+    def of(cls, result: Any) -> Self:
+        """Convert boxes from what other libraries give.
 
         Parameters
         ----------
-        found
+        result
             anything with `xyxy` and perhaps scores (`confidence` or `conf`), classes (`data["class_name"]`,
             `class_id` or `cls`) and `mask`, as `supervision.Detections` or the boxes of Ultralytics; or an
             array `(n, 4)`, `(n, 5)` or `(n, 6)`: left, top, right, bottom, score, number of the class;
-            nothing in it is no box. The values are copied.
+            an empty one has no box. The values are copied.
 
         Raises
         ------
         ValueError
             if it is neither, or as for `GivenBoxes`.
         """
-        if isinstance(found, cls):
-            return found
-        if hasattr(found, "xyxy"):
-            data = getattr(found, "data", None)
+        if isinstance(result, cls):
+            return result
+        if hasattr(result, "xyxy"):
+            data = getattr(result, "data", None)
             named = data.get("class_name") if isinstance(data, Mapping) else None
-            classes = _told(found, "class_id", "cls") if named is None else np.array(named)
-            confidence, masks = _told(found, "confidence", "conf"), _told(found, "mask")
+            classes = _attribute(result, "class_id", "cls") if named is None else np.array(named)
+            confidence, masks = _attribute(result, "confidence", "conf"), _attribute(result, "mask")
             return cls(
-                np.array(found.xyxy, np.float64).reshape(-1, 4),
+                np.array(result.xyxy, np.float64).reshape(-1, 4),
                 None if confidence is None else confidence.astype(np.float64),
                 classes.astype(np.int64) if classes is not None and classes.dtype.kind == "f" else classes,
                 None if masks is None else masks.astype(np.bool_),
             )
         try:
-            rows = np.array(found, np.float64)
+            rows = np.array(result, np.float64)
         except (TypeError, ValueError):
-            raise ValueError(f"boxes: got {type(found).__name__}, expected an array or xyxy") from None
+            raise ValueError(f"boxes: got {type(result).__name__}, expected an array or xyxy") from None
         if not rows.size:
             rows = rows.reshape(0, 4)
         if rows.ndim != 2 or rows.shape[1] not in (4, 5, 6):
@@ -339,16 +342,19 @@ class GivenBoxes:
         return len(self.xyxy)
 
 
-def _told(found: Any, *names: str) -> NDArray[Any] | None:
-    """The first of some attributes that is there, as an array."""
-    values = (getattr(found, name, None) for name in names)
+def _attribute(result: Any, *names: str) -> NDArray[Any] | None:
+    """The first attribute that is there, as an array."""
+    values = (getattr(result, name, None) for name in names)
     return next((np.array(each) for each in values if each is not None), None)
+
+
+GIVEN = {"image": np.ndarray, "points": GivenPoints, "boxes": GivenBoxes, "keypoints": GivenKeypoints}
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One picture of a sequence.
+    """One image of a sequence, with its time and detections.
 
     Parameters
     ----------
@@ -360,17 +366,19 @@ class Frame:
     number
         1-based number of the frame in its source.
     points
-        points that somebody else has found in it.
+        points in it, from another detector or tracker.
     boxes
-        objects that a detector has found in it; `None` where it did not run on this frame.
+        objects in it, from a detector; `None` where it did not run on this frame.
     keypoints
-        points of persons that a detector of poses or hands has found in it; `None` where it did not run.
+        points of persons in it, from a detector of poses or hands; `None` where it did not run.
 
     Raises
     ------
     ValueError
-        if the image is neither `None` nor such an array, outlines of objects are of another size than it, or
-        the number is below 1.
+        if the image is empty or no such array, outlines of objects are of another size than it, the time is
+        not finite, or the number is below 1.
+    TypeError
+        if one of them is of another type.
     """
 
     image: NDArray[np.uint8] | None
@@ -382,6 +390,14 @@ class Frame:
 
     def __post_init__(self) -> None:
         image = self.image
+        check_of(int)(self.number, "number", {})
+        check_of(float)(self.time, "time", {})
+        for name, kind in GIVEN.items():
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, kind):
+                raise TypeError(f"{name}: got {shown(value)}, expected {kind.__name__} or None")
+        if image is not None and not image.size:
+            raise ValueError(f"image: got no pixel, {image.shape}, at frame {self.number}")
         if image is not None and (
             image.dtype != np.uint8 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3)
         ):
@@ -411,6 +427,6 @@ class Frame:
 
     @property
     def missing(self) -> bool:
-        """Whether there is nothing to see in it."""
+        """Whether it has neither image nor detections."""
         given = self.image, self.points, self.boxes, self.keypoints
         return all(each is None for each in given)

@@ -1,4 +1,4 @@
-"""Independent Gaussians by identity: what is known of many things of one kind, each on its own."""
+"""Independent Gaussians by identity: one of each thing."""
 
 import math
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from .short_repr import Rows, short_repr
 Numbers = NDArray[np.float64]
 
 LEAST_INFORMATION = 1e-12
-"""Smallest pivot of an information matrix, scaled to a unit diagonal, that is told from rounding."""
+"""Smallest pivot of an information matrix, scaled to a unit diagonal, that differs from rounding."""
 
 
 @short_repr
@@ -26,8 +26,8 @@ class GaussianMessage(Rows):
     """A product over things k of exp(scale_k + vector_k . F_k - F_k . information_k F_k / 2).
 
     In information form products add, and a thing that a message does not mention has no information there.
-    Things are kept apart: what a chain knows of several together (one plane below all boxes, one camera that
-    sees all points) is sent as each one's own marginal.
+    Things are independent: what a chain knows of several jointly (one plane below all boxes, one camera that
+    sees all points) is sent as the marginal of each.
     """
 
     identities: NDArray[np.int64]  # (n,), increasing
@@ -37,13 +37,13 @@ class GaussianMessage(Rows):
 
     @classmethod
     def uniform(cls, dimension: int) -> Self:
-        """The constant 1, which mentions nothing."""
+        """Return the constant 1, which mentions no thing."""
         nothing = np.zeros((0, dimension))
         return cls(np.zeros(0, np.int64), np.zeros((0, dimension, dimension)), nothing, np.zeros(0))
 
     @classmethod
     def from_moments(cls, identities: ArrayLike, means: ArrayLike, covariances: ArrayLike) -> Self:
-        """Densities that integrate to 1.
+        """Return densities, which integrate to 1.
 
         Parameters
         ----------
@@ -104,9 +104,29 @@ class GaussianMessage(Rows):
         """Return the Gaussians."""
         return gaussians
 
+    def __pow__(self, exponent: float) -> Self:
+        parts = (self.information, self.vector, self.log_scale)
+        return type(self)(self.identities, *(exponent * part for part in parts))
+
+    def distance(self, other: Self) -> float:
+        """Return how far two messages are apart, whatever their scales.
+
+        The greatest difference of information, and of the slope of the logarithm at the product's mean, in
+        units of the product's information.
+        """
+        both = self * other
+        one, two = self.among(both.identities), other.among(both.identities)
+        size = np.sqrt(both.information.diagonal(axis1=1, axis2=2))
+        size[size == 0] = np.inf  # neither says anything
+        information = one.information - two.information
+        means = both._solved[1]
+        slope = one.vector - two.vector - (information @ means[:, :, None])[:, :, 0]
+        changes = (information / (size[:, :, None] * size[:, None, :]), slope / size)
+        return float(max(np.abs(change).max(initial=0.0) for change in changes))
+
     @property
     def dimension(self) -> int:
-        """Numbers of each thing."""
+        """Number of coordinates of each thing."""
         return int(self.vector.shape[1])
 
     @cached_property
@@ -115,12 +135,12 @@ class GaussianMessage(Rows):
 
     @property
     def proper(self) -> NDArray[np.bool_]:
-        """`(n,)`: whether there is information about all numbers of the thing."""
+        """`(n,)`: whether there is information about all coordinates of the thing."""
         return self._solved[3]
 
     @cached_property
     def moments(self) -> tuple[NDArray[np.int64], Numbers, Numbers]:
-        """Identities `(m,)`, means `(m, d)` px and covariances `(m, d, d)` px^2 of the proper ones."""
+        """Identities `(m,)`, means `(m, d)` px and covariances `(m, d, d)` px^2 of the proper things."""
         covariances, means, _, proper = self._solved
         if proper.all():
             return self.identities, means, covariances
@@ -128,41 +148,41 @@ class GaussianMessage(Rows):
 
     @property
     def log_mass(self) -> float:
-        """Log of the integral over all things that the message knows something of.
+        """Log of the integral over all things about which there is information.
 
-        A number without any information counts as if it were not mentioned; a thing with information about a
-        direction between its numbers alone has no finite integral.
+        A coordinate without any information counts as if it were not mentioned; a thing with information
+        about a direction between coordinates alone has no finite integral.
         """
-        known = np.asarray(self.information.any(axis=(1, 2)))
-        if not self.proper[known].all():
-            return self._without_unmentioned(known)
+        informed = np.asarray(self.information.any(axis=(1, 2)))
+        if not self.proper[informed].all():
+            return self._without_unmentioned(informed)
         _, means, log_determinants, proper = self._solved
         quadratic = (self.vector * means).sum(axis=1)
         gaussian = 0.5 * (self.dimension * np.log(2 * np.pi) - log_determinants + quadratic)[proper]
         return float(self.log_scale.sum() + gaussian.sum())
 
-    def _without_unmentioned(self, known: NDArray[np.bool_]) -> float:
-        """Log of the integral over those numbers of known things about which there is information."""
-        unmentioned = np.asarray(~self.information[known].any(axis=2))
+    def _without_unmentioned(self, informed: NDArray[np.bool_]) -> float:
+        """Log of the integral over those coordinates about which there is information."""
+        unmentioned = np.asarray(~self.information[informed].any(axis=2))
         if not unmentioned.any():
             return float("inf")
         # each one as a standard normal, whose integral is 1
         filled = self.information.copy()
-        filled[known] += unmentioned[:, :, None] * np.eye(self.dimension)
+        filled[informed] += unmentioned[:, :, None] * np.eye(self.dimension)
         scales = self.log_scale.copy()
-        scales[known] -= 0.5 * np.log(2 * np.pi) * np.count_nonzero(unmentioned, axis=1)
+        scales[informed] -= 0.5 * np.log(2 * np.pi) * np.count_nonzero(unmentioned, axis=1)
         return type(self)(self.identities, filled, self.vector, scales).log_mass
 
     def marginal(self, identity: int) -> tuple[Numbers, Numbers]:
-        """Mean `(d,)` px and covariance `(d, d)` px^2 of one thing; a `KeyError` if they are not known."""
+        """Return mean `(d,)` px and covariance `(d, d)` px^2 of a thing that is proper, else a `KeyError`."""
         identities, means, covariances = self.moments
         place, is_proper = find(identities, identity)
         if not is_proper:
-            raise KeyError(f"{identity}: nothing that fixes it is known")
+            raise KeyError(f"{identity}: not mentioned, or without full information")
         return means[place], covariances[place]
 
     def among(self, identities: NDArray[np.int64]) -> Self:
-        """The same function, which also mentions things of which it says nothing."""
+        """Return the same function with rows of zeros for all other of these things."""
         return self._spread(identities, places_of(identities, self.identities))
 
     def _spread(self, identities: Identities, place: Places) -> Self:

@@ -97,6 +97,12 @@ class LogOdds:
         both, _, _ = union(self.identities, other.identities)
         return type(self)(both, self.of(both) + other.of(both))
 
+    def distance(self, other: Self) -> float:
+        """Return the greatest difference of the probabilities."""
+        both, _, _ = union(self.identities, other.identities)
+        one, two = (0.5 * np.tanh(0.5 * odds.of(both)) for odds in (self, other))
+        return float(np.abs(one - two).max(initial=0.0))
+
     def of(self, identities: ArrayLike) -> Numbers:
         """Return the log odds of objects, in their order."""
         place, is_mentioned = find(self.identities, identities)
@@ -221,6 +227,15 @@ class BoxMessage:
             self.detector or other.detector,
             # one without boxes, which is false, says that the detector has run
             other.association if self.association is None else self.association,
+        )
+
+    def distance(self, other: Self) -> float:
+        """Return how far two chains' messages are apart: the greatest distance of their boxes and odds."""
+        return max(
+            self.objects.distance(other.objects),
+            self.hidden.distance(other.hidden),
+            self.existence.distance(other.existence),
+            self.noticed.distance(other.noticed),
         )
 
     @property

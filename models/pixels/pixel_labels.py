@@ -84,6 +84,17 @@ class PixelMessage:
             view=self.view * other.view if self.view and other.view else self.view or other.view,
         )
 
+    def distance(self, other: Self) -> float:
+        """Return the greatest difference of how far two chains' layers leave a pixel clear."""
+        tables = [sheet.table for message in (self, other) for sheet in message.layers.factors]
+        rows = max((int((table["top"] + table["rows"]).max()) for table in tables), default=0)
+        columns = max((int((table["left"] + table["columns"]).max()) for table in tables), default=0)
+        clear = np.ones((2, max(rows, 1), max(columns, 1)), np.float32)
+        for message, its in zip((self, other), clear, strict=True):
+            for region in message.layers.composed(None, its.shape):
+                its[region.window] = region.clear
+        return float(np.abs(clear[0] - clear[1]).max())
+
     @property
     def size(self) -> tuple[int, int]:
         """`(height, width)` px.

@@ -88,10 +88,12 @@ class Counted:
         return step
 
 
-@pytest.mark.parametrize(("patience", "steps"), [(1, 1), (3, 3)])
-def test_so_many_settled_steps_are_the_end(patience: int, steps: int) -> None:
+@pytest.mark.parametrize(("settled_steps", "steps"), [(1, 1), (3, 3)])
+def test_so_many_settled_steps_are_the_end(settled_steps: int, steps: int) -> None:
     onwards = Counted(lambda at: at + 1)
-    found, _ = levenberg_marquardt(0, onwards, lambda *_: True, Damping(), most_steps=9, patience=patience)
+    found, _ = levenberg_marquardt(
+        0, onwards, lambda *_: True, Damping(), most_steps=9, settled_steps=settled_steps
+    )
     assert (found, onwards.steps) == (steps, steps)
 
 

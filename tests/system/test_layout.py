@@ -71,12 +71,12 @@ def test_docs_import_what_is_public() -> None:
         *DOCS.glob("examples/*.py"),
     ):
         imports = re.findall(
-            r"^ *from rsmcm\.((?:models|inference|chains)\S*) import ([^(\n]+|\([^)]*\))",
+            r"^ *from rsmcm\.(\S+) import ([^(\n]+|\([^)]*\))",
             path.read_text(),
             re.MULTILINE,
         )
         for package, names in imports:
-            stub = ROOT / package / "__init__.pyi"
+            stub = ROOT.joinpath(*package.split(".")) / "__init__.pyi"
             public = re.findall(r'^    "(\w+)",$', stub.read_text(), re.MULTILINE) if stub.is_file() else []
             found += [
                 f"{path.name}: {package}.{name}" for name in re.findall(r"\w+", names) if name not in public

@@ -117,7 +117,7 @@ def variable_projection(
         lambda before, after: before.error - after.error <= tolerance * before.error,
         Damping(damping, least=LEAST_DAMPING, most=MOST_DAMPING),
         most_steps=most_steps,
-        patience=STILL,
+        settled_steps=STILL,
     )[0]
 
 

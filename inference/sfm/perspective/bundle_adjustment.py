@@ -198,7 +198,7 @@ def adjust(
         lambda before, after: after.log_likelihood - before.log_likelihood < tolerance,
         DAMPING,
         most_steps=most_steps,
-        patience=STILL,
+        settled_steps=STILL,
     )[0]
 
 

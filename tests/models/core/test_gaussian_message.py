@@ -107,7 +107,7 @@ def test_objects_without_enough_information() -> None:
     nothing = GaussianMessage(np.array([3]), np.zeros((1, 4, 4)), np.zeros((1, 4)), np.array([0.5]))
     known = GaussianMessage.from_moments([1, 2], *random_moments(np.random.default_rng(0), 2))
     for message, identity in ((height_only, 2), (nothing, 3), (known, 3), (UNIFORM, 1)):
-        with pytest.raises(KeyError, match=f"{identity}: nothing"):
+        with pytest.raises(KeyError, match=f"{identity}: not mentioned"):
             message.marginal(identity)
     assert height_only.log_mass == np.inf
     assert nothing.log_mass == 0.5
