@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..models.core.short_repr import short_repr
 from . import kernels as kalman_kernels
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 SHORT = 1e-2  # of a time constant: steps below it have the noise of a position as a series
 
@@ -26,15 +26,15 @@ SHORT = 1e-2  # of a time constant: steps below it have the noise of a position 
 class LinearMotion(NamedTuple):
     """One step of a state: x(t + dt) = transition x(t) + w, w ~ N(0, density noise), both `(n, n)`."""
 
-    transition: Numbers
-    noise: Numbers
+    transition: Array
+    noise: Array
 
     def along(self, axes: int) -> Self:
         """The same motion along several axes, state ordered as all positions, then all velocities, ..."""
         transition, noise = (np.kron(matrix, np.eye(axes)) for matrix in self)
         return type(self)(np.asarray(transition, np.float64), np.asarray(noise, np.float64))
 
-    def moved(self, mean: Numbers, covariance: Numbers, density: ArrayLike) -> tuple[Numbers, Numbers]:
+    def moved(self, mean: Array, covariance: Array, density: ArrayLike) -> tuple[Array, Array]:
         """Mean `(..., n)` and covariance `(..., n, n)` of states after the step, for a noise of `density`."""
         grown = self.transition @ covariance @ self.transition.T
         grown += np.asarray(density, np.float64)[..., None, None] * self.noise
@@ -102,8 +102,8 @@ class PointStates:
         `(..., n_points, 4, 4)`, in the same order.
     """
 
-    mean: Numbers
-    covariance: Numbers
+    mean: Array
+    covariance: Array
 
     @classmethod
     def at_rest(cls, positions: ArrayLike, variance: ArrayLike, speed: float) -> Self:
@@ -120,17 +120,17 @@ class PointStates:
         return cls(mean, covariance)
 
     @property
-    def arrays(self) -> tuple[Numbers, Numbers]:
+    def arrays(self) -> tuple[Array, Array]:
         """Mean and covariance as loops take them."""
         return _plain(self.mean), _plain(self.covariance)
 
     @property
-    def position(self) -> Numbers:
+    def position(self) -> Array:
         """`(..., n_points, 2)` px."""
         return self.mean[..., :2]
 
     @property
-    def position_covariance(self) -> Numbers:
+    def position_covariance(self) -> Array:
         """`(..., n_points, 2, 2)` px^2."""
         return self.covariance[..., :2, :2]
 
@@ -207,7 +207,7 @@ def smooth(filtered: PointStates, times: ArrayLike, acceleration: ArrayLike) -> 
     return smoothed
 
 
-def cavity(smoothed: PointStates, information: ArrayLike, vector: ArrayLike) -> tuple[Numbers, Numbers]:
+def cavity(smoothed: PointStates, information: ArrayLike, vector: ArrayLike) -> tuple[Array, Array]:
     """What all other frames (and the prior) say of each position: smoothed, divided by its own measurement.
 
     This is a chain's message to the feature node (mu_{X -> F}, RSMCM Algorithm 2). Where the others add less
@@ -229,7 +229,7 @@ def cavity(smoothed: PointStates, information: ArrayLike, vector: ArrayLike) -> 
     return others_information, others_vector
 
 
-def _plain(array: ArrayLike) -> Numbers:
+def _plain(array: ArrayLike) -> Array:
     return np.ascontiguousarray(array, np.float64)
 
 
@@ -237,7 +237,7 @@ def _empty_like(states: PointStates) -> PointStates:
     return PointStates(np.empty(states.mean.shape), np.empty(states.covariance.shape))
 
 
-def _per_point(acceleration: ArrayLike, n_points: int) -> Numbers:
+def _per_point(acceleration: ArrayLike, n_points: int) -> Array:
     given = np.asarray(acceleration, np.float64)
     if given.shape not in ((), (n_points,)):
         raise ValueError(f"acceleration: got {given.shape}, expected a number or ({n_points},)")
@@ -256,7 +256,7 @@ def _checked_states(states: PointStates, axes: int) -> int:
     return int(shape[-2])
 
 
-def _checked_times(times: ArrayLike) -> Numbers:
+def _checked_times(times: ArrayLike) -> Array:
     seconds = _plain(times)
     if seconds.ndim != 1 or not len(seconds) or not (np.diff(seconds) >= 0).all():
         raise ValueError(f"times: got {seconds.shape}, expected seconds of one or more frames, in order")
@@ -265,7 +265,7 @@ def _checked_times(times: ArrayLike) -> Numbers:
 
 def _checked_measurements(
     information: ArrayLike, vector: ArrayLike, shape: tuple[int, ...]
-) -> tuple[Numbers, Numbers]:
+) -> tuple[Array, Array]:
     precision, weighted = _plain(information), _plain(vector)
     if precision.shape != (*shape, 2, 2) or weighted.shape != (*shape, 2):
         raise ValueError(

@@ -26,7 +26,7 @@ from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import BoxMessage, Scores
 from ...models.objects.object_boxes import ObjectBoxes
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 ASSUMED = 10.0
 """Weight, in boxes of either kind, of the prior that true boxes have higher scores."""
@@ -42,9 +42,9 @@ UNDETECTED = (
 class ScoreMoments:
     """Weights, sums and sums of squares `(2,)` of the scores of true and of false boxes."""
 
-    weights: Numbers
-    sums: Numbers
-    squares: Numbers
+    weights: Array
+    sums: Array
+    squares: Array
 
     @classmethod
     def empty(cls) -> Self:
@@ -55,7 +55,7 @@ class ScoreMoments:
         """Return the moments with weights times `kept`."""
         return type(self)(kept * self.weights, kept * self.sums, kept * self.squares)
 
-    def updated(self, scores: Numbers, true: Numbers) -> Self:
+    def updated(self, scores: Array, true: Array) -> Self:
         """Return the moments with the scores `(n,)` of a frame, each true with a probability `(n,)`."""
         share = np.stack([true, 1 - true])
         weights, sums = self.weights + share.sum(axis=1), self.sums + share @ scores
@@ -83,8 +83,8 @@ class ScoreMoments:
 class DetectorState:
     """Counts and exposures of a detector's rates, with its scores."""
 
-    counts: Numbers  # (4,): detected objects, false boxes, second boxes, newcomers
-    exposures: Numbers  # (4,): of objects in sight, frames, detected objects, seconds
+    counts: Array  # (4,): detected objects, false boxes, second boxes, newcomers
+    exposures: Array  # (4,): of objects in sight, frames, detected objects, seconds
     scores: ScoreMoments
     undetected: float  # people in the picture who were not detected yet
     area: float  # px of the picture

@@ -28,7 +28,7 @@ from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage, Newcomers
 from ...models.objects.object_boxes import ObjectBoxes
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 INITIAL_TRUST, MAX_TRUST = 1.4, 4.0
 """Log odds that an object stands on the plane: before its first observation, and as sure as one can get."""
@@ -57,17 +57,17 @@ class GroundState:
     size: tuple[int, int]  # (height, width) px of the picture; `middle` is its middle row
     variation: float  # standard deviation of heights over what the plane predicts, a share of that
     # (2 + n,): px height in the middle row, px it grows with each row, and each object's share
-    scene: Numbers
-    scene_covariance: Numbers  # (2 + n, 2 + n)
-    all_aspects: Numbers  # (3,): weight, mean and variance of the width over height of all objects
+    scene: Array
+    scene_covariance: Array  # (2 + n, 2 + n)
+    all_aspects: Array  # (3,): weight, mean and variance of the width over height of all objects
     identities: NDArray[np.int64]  # (n,) of the objects, increasing
-    feet: Numbers  # (n, 2, 2): along x and y, position px and velocity px/s
-    feet_covariance: Numbers  # (n, 2, 2, 2)
-    heights: Numbers  # (n,) px, the scale on which an object moves and varies
-    aspects: Numbers  # (n,) width over height
-    aspect_variances: Numbers
-    trust: Numbers  # (n,) log odds that the object stands on the plane
-    unseen: Numbers  # (n,) s since it was last observed
+    feet: Array  # (n, 2, 2): along x and y, position px and velocity px/s
+    feet_covariance: Array  # (n, 2, 2, 2)
+    heights: Array  # (n,) px, the scale on which an object moves and varies
+    aspects: Array  # (n,) width over height
+    aspect_variances: Array
+    trust: Array  # (n,) log odds that the object stands on the plane
+    unseen: Array  # (n,) s since it was last observed
 
     @property
     def middle(self) -> float:
@@ -81,11 +81,11 @@ class GroundState:
             self.size, self.scene[:2], self.scene_covariance[:2, :2], self.variation, aspect, variance
         )
 
-    def expected_height(self, foot_y: ArrayLike) -> tuple[Numbers, Numbers]:
+    def expected_height(self, foot_y: ArrayLike) -> tuple[Array, Array]:
         """Return mean and standard deviation px of a new object's height, with feet in these rows."""
         return self.newcomers().height(foot_y)
 
-    def design(self, below: Numbers, places: NDArray[np.intp], own: Numbers) -> Numbers:
+    def design(self, below: Array, places: NDArray[np.intp], own: Array) -> Array:
         """Return the design `(n, 2 + n_objects)` of heights by `scene`, for feet `below` the middle row.
 
         An object's own share is of `own` px (see `usual_heights`).
@@ -95,7 +95,7 @@ class GroundState:
         design[np.arange(len(below)), 2 + places] = own
         return design
 
-    def usual_heights(self, below: Numbers, heights: Numbers) -> Numbers:
+    def usual_heights(self, below: Array, heights: Array) -> Array:
         """Return the plane's heights px at these rows; the measured ones as long as it is unknown.
 
         An object's own share and all noise are scaled with it. The measured height comes in as little as can
@@ -231,9 +231,9 @@ class GroundPlane:
         self,
         state: GroundState,
         places: NDArray[np.intp],
-        boxes: Numbers,
-        covariances: Numbers,
-        exists: Numbers | float,
+        boxes: Array,
+        covariances: Array,
+        exists: Array | float,
     ) -> GroundState:
         """The state given boxes `(n, 4)` px of different objects, each weighed by its prediction."""
         below, height, slope = boxes[:, FOOT_Y] - state.middle, boxes[:, HEIGHT], state.scene[1]
@@ -282,12 +282,12 @@ class GroundPlane:
         self,
         state: GroundState,
         places: NDArray[np.intp],
-        boxes: Numbers,
-        covariances: Numbers,
-        heights: Numbers,
-        reliable: Numbers,
-        worth: Numbers,
-    ) -> tuple[Numbers, Numbers]:
+        boxes: Array,
+        covariances: Array,
+        heights: Array,
+        reliable: Array,
+        worth: Array,
+    ) -> tuple[Array, Array]:
         """Feet and their covariances after observations that show them as likely as `reliable` `(n,)`.
 
         What hides feet does so for a while: of their row they are `worth` `(n,)` a part of a new one.
@@ -306,12 +306,12 @@ class GroundPlane:
         after = covariance - gain[:, :, :, None] * covariance[:, :, None, 0]
         return feet + gain * off[:, :, None], after
 
-    def _probability_of_good(self, ratio: Numbers) -> Numbers:
+    def _probability_of_good(self, ratio: Array) -> Array:
         odds = ratio * (1 / self.outliers - 1)
         return odds / (1 + odds)
 
     def _with_births_and_deaths(
-        self, state: GroundState, identities: NDArray[np.int64], boxes: Numbers
+        self, state: GroundState, identities: NDArray[np.int64], boxes: Array
     ) -> GroundState:
         """The state without objects that have ended, and with new ones."""
         place, is_known = find(state.identities, identities)
@@ -348,7 +348,7 @@ class GroundPlane:
         )
 
 
-def _pooled(moments: Numbers, added: float, off: float, squares: float) -> Numbers:
+def _pooled(moments: Array, added: float, off: float, squares: float) -> Array:
     """Weight, mean and variance with further observations; the last `MOST_ASPECTS` count.
 
     `off` and `squares` are weighted sums of the differences from the mean and of their squares.
@@ -360,21 +360,21 @@ def _pooled(moments: Numbers, added: float, off: float, squares: float) -> Numbe
     return np.array([min(weight + added, MOST_ASPECTS), mean + shift, variance])
 
 
-def _good_over_bad(square: Numbers, variance: Numbers, more: Numbers) -> Numbers:
+def _good_over_bad(square: Array, variance: Array, more: Array) -> Array:
     """Likelihood ratio of two Gaussians about the same mean, the second one with `more` variance."""
     bad = variance + more
     ratio = np.sqrt(bad / variance) * np.exp(-0.5 * square * (1 / variance - 1 / bad))
     return np.asarray(np.maximum(ratio, 1e-30))
 
 
-def _are_whole(boxes: Numbers, size: tuple[int, int]) -> NDArray[np.bool_]:
+def _are_whole(boxes: Array, size: tuple[int, int]) -> NDArray[np.bool_]:
     """`(n,)`: whether the picture's edge does not cut off a box."""
     x, y, width, height = boxes.T
     inside = (y - height > 1) & (y < size[0] - 1)
     return np.asarray(inside & (x - 0.5 * width > 1) & (x + 0.5 * width < size[1] - 1))
 
 
-def _put(values: Numbers, places: NDArray[np.intp], new: Numbers) -> Numbers:
+def _put(values: Array, places: NDArray[np.intp], new: Array) -> Array:
     """A copy of the values with others at some places."""
     copy = values.copy()
     copy[places] = new

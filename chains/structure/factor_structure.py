@@ -15,10 +15,10 @@ from ...models.core.short_repr import short_repr
 from ...models.points.point_tracks import PointMessage, PointTracks
 from .track_association import associate_tracks
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
-def observations(incoming_over_time: Sequence[BatchIncoming]) -> tuple[NDArray[np.int64], Numbers, Numbers]:
+def observations(incoming_over_time: Sequence[BatchIncoming]) -> tuple[NDArray[np.int64], Array, Array]:
     """Return identities `(n,)`, positions `(n_frames, n, 2)` and 1 / variances `(n_frames, n)`.
 
     Where there is information about one coordinate only the other one is NaN.
@@ -147,7 +147,7 @@ class FactorStructure:
 
 
 def point_messages(
-    identities: NDArray[np.int64], point_of_track: NDArray[np.int64], positions: Numbers, covariances: Numbers
+    identities: NDArray[np.int64], point_of_track: NDArray[np.int64], positions: Array, covariances: Array
 ) -> list[PointMessage]:
     """Return a shape's predictions of tracks in each frame, with tracks of one point grouped.
 

@@ -15,7 +15,7 @@ from ...models.core.short_repr import short_repr
 from ...models.points.point_tracks import PointMessage, PointTracks
 from .factor_structure import LEAST_SCATTER, observations, point_messages
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
 @short_repr

@@ -24,7 +24,7 @@ from ...models.core.identities import Turnover, common, find, union
 from ...models.core.short_repr import short_repr
 from ...models.points.point_tracks import NO_POINTS, PointMessage, PointTracks
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 Identities = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
@@ -49,22 +49,22 @@ class CameraMotion:
         that multiply the shape, and of the translation.
     """
 
-    mean: Numbers
-    covariance: Numbers
-    noise: Numbers
+    mean: Array
+    covariance: Array
+    noise: Array
 
     @property
-    def camera(self) -> Numbers:
+    def camera(self) -> Array:
         """`(2, 4)`: position in px = camera[:, :3] @ shape + camera[:, 3]."""
         return self.mean[:, :ROW]
 
     @property
-    def camera_covariance(self) -> Numbers:
+    def camera_covariance(self) -> Array:
         """`(4, 4)`, of either row."""
         return self.covariance[:ROW, :ROW]
 
     @classmethod
-    def vague(cls, extent: float, noise: Numbers) -> Self:
+    def vague(cls, extent: float, noise: Array) -> Self:
         """Return a camera with a vague prior, for a shape of about `extent` px."""
         return cls(np.zeros((2, ORDERS * ROW)), (VAGUE * extent) ** 2 * np.eye(ORDERS * ROW), noise)
 
@@ -89,7 +89,7 @@ class CameraMotion:
         covariance[range(ROW), range(ROW)] += variance
         return replace(self, covariance=covariance)
 
-    def update(self, information: Numbers, vector: Numbers) -> Self:
+    def update(self, information: Array, vector: Array) -> Self:
         """Return the camera updated with information `(4, 4)` of either row, vector `(2, 4)` of u and v."""
         seen = self.covariance[:, :ROW]
         shrink = np.linalg.inv(np.eye(ROW) + information @ seen[:ROW])
@@ -101,9 +101,7 @@ class CameraMotion:
         return replace(self, mean=mean, covariance=0.5 * (covariance + covariance.T))
 
 
-def learned_noise(
-    noise: Numbers | None, evidence: "CameraEvidence", extent: float, rounds: int = 1
-) -> Numbers:
+def learned_noise(noise: Array | None, evidence: "CameraEvidence", extent: float, rounds: int = 1) -> Array:
     """Return the noise `(3, 2)` of `CameraMotion` after EM rounds over the last frames.
 
     `noise` is what to begin with, or `None`. `evidence` is of two frames or more; their times are brought
@@ -144,8 +142,8 @@ class ObservedPoints:
     """Points of a frame: identities `(k,)` increasing, positions `(k, 2)` px, variances px^2 as stated."""
 
     identities: Identities
-    positions: Numbers
-    variances: Numbers
+    positions: Array
+    variances: Array
 
     def __len__(self) -> int:
         return len(self.identities)
@@ -156,9 +154,9 @@ class ObservedPoints:
 class CameraEvidence:
     """Evidence of the last frames about the camera: information `(n, 4, 4)`, vector `(n, 2, 4)`, times s."""
 
-    information: Numbers
-    vector: Numbers
-    times: Numbers
+    information: Array
+    vector: Array
+    times: Array
 
 
 PER_POINT = ("identities", "shape", "shape_covariance", "unseen", "innovations")
@@ -191,19 +189,19 @@ class Structure:
     """
 
     identities: Identities
-    shape: Numbers
-    shape_covariance: Numbers
-    unseen: Numbers
+    shape: Array
+    shape_covariance: Array
+    unseen: Array
     motion: CameraMotion
     evidence: CameraEvidence
     extent: float
     noise_scale: float
-    innovations: Numbers
+    innovations: Array
     autocorrelation: float
     wander: float
 
     @property
-    def offsets(self) -> Numbers:
+    def offsets(self) -> Array:
         """`(n, 2)` px: what each point is taken to be off by, since what it was off by lasts.
 
         The camera is not quite affine, the thing not quite rigid, and a tracker's patch drifts. With e = a +
@@ -238,15 +236,15 @@ class Registration:
     """
 
     motion: CameraMotion
-    information: Numbers
-    vector: Numbers
-    cameras: Numbers
-    leverages: Numbers
-    means: Numbers
-    covariances: Numbers
+    information: Array
+    vector: Array
+    cameras: Array
+    leverages: Array
+    means: Array
+    covariances: Array
     places: NDArray[np.intp]
-    positions: Numbers
-    variances: Numbers
+    positions: Array
+    variances: Array
     inliers: Mask
 
 
@@ -262,7 +260,7 @@ def register(structure: Structure, seen: ObservedPoints) -> Registration:
     # The rows of the camera share one covariance, so to them noise is the same in all directions.
     noise = variances + np.trace(of_shape, axis1=1, axis2=2) + of_both
 
-    def distances(motion: CameraMotion, used: Mask) -> Numbers:
+    def distances(motion: CameraMotion, used: Mask) -> Array:
         """Return squared Mahalanobis distances of points from predictions by the used ones without them.
         are."""
         leverage = _leverage(motion, points)
@@ -347,8 +345,8 @@ def add_points(structure: Structure, seen: ObservedPoints) -> Structure:
 
 
 def intersect(
-    shape: Numbers, covariance: Numbers, cameras: Numbers, positions: Numbers, noise: Numbers
-) -> tuple[Numbers, Numbers]:
+    shape: Array, covariance: Array, cameras: Array, positions: Array, noise: Array
+) -> tuple[Array, Array]:
     """Return points after each was seen by a camera of its own (Kalman update in Joseph's form).
 
     Points `(k, 3)` with covariances, cameras `(k, 2, 4)`, positions `(k, 2)` px, noise `(k,)` px^2 of u and
@@ -370,36 +368,36 @@ def correlation_time(autocorrelation: float) -> float:
     return (1 + correlation) / (1 - correlation)
 
 
-def wandering(autocorrelation: float, variances: Numbers, elapsed: float) -> float:
+def wandering(autocorrelation: float, variances: Array, elapsed: float) -> float:
     """Return `Structure.wander` of errors with these variances, `elapsed` s apart."""
     return autocorrelation * (1 - autocorrelation) * float(np.median(variances)) / elapsed
 
 
-def camera_information(points: Numbers, positions: Numbers, precisions: Numbers) -> tuple[Numbers, Numbers]:
+def camera_information(points: Array, positions: Array, precisions: Array) -> tuple[Array, Array]:
     """Return information `(4, 4)` and vector `(2, 4)` of a camera, from homogeneous points `(k, 4)`."""
     weighted = points.T * precisions
     return weighted @ points, (weighted @ positions).T
 
 
-def isotropic(variances: Numbers) -> Numbers:
+def isotropic(variances: Array) -> Array:
     """Return `(n, 2, 2)` covariances, the same in all directions."""
     return variances[:, None, None] * np.eye(2)
 
 
-def _leverage(motion: CameraMotion, points: Numbers) -> Numbers:
+def _leverage(motion: CameraMotion, points: Array) -> Array:
     """px^2 by which the camera's uncertainty moves points `(n, 4)`, in u and in v."""
-    moved: Numbers = ((points @ motion.camera_covariance) * points).sum(axis=1)
+    moved: Array = ((points @ motion.camera_covariance) * points).sum(axis=1)
     return moved
 
 
-def _seen_through(linear: Numbers, spreads: Numbers) -> Numbers:
+def _seen_through(linear: Array, spreads: Array) -> Array:
     """`(n, 2, 2)` px^2: covariances of points `(n, 3, 3)` as they show in the picture."""
     return linear @ spreads @ linear.swapaxes(-1, -2)
 
 
-def _joint(motion: CameraMotion, spreads: Numbers) -> Numbers:
+def _joint(motion: CameraMotion, spreads: Array) -> Array:
     """px^2, in u and in v, of the product of both errors, the camera's and the point's."""
-    moved: Numbers = (motion.camera_covariance[:3, :3] * spreads).sum(axis=(1, 2))
+    moved: Array = (motion.camera_covariance[:3, :3] * spreads).sum(axis=(1, 2))
     return moved
 
 
@@ -469,9 +467,9 @@ class Window:
     """
 
     identities: Identities
-    positions: Numbers
-    variances: Numbers
-    times: Numbers
+    positions: Array
+    variances: Array
+    times: Array
     stride: int = 1
     skipped: int = 0
 
@@ -569,7 +567,7 @@ def first_structure(window: Window) -> Structure | None:
 
 
 def _factorised(
-    positions: Numbers, stated: Numbers, seen: NDArray[np.bool_]
+    positions: Array, stated: Array, seen: NDArray[np.bool_]
 ) -> tuple[Factorisation, NDArray[np.bool_], bool]:
     """Shape and cameras, which observations are inliers, and whether these have errors of one size."""
     for last in (*[False] * (TRIMMINGS - 1), True):
@@ -585,7 +583,7 @@ def _factorised(
     return found, seen, found.noise_variance <= max(UNEVEN * usual, LEAST_SCALE)
 
 
-def _autocorrelation(cameras: Numbers, shape: Numbers, positions: Numbers, seen: NDArray[np.bool_]) -> float:
+def _autocorrelation(cameras: Array, shape: Array, positions: Array, seen: NDArray[np.bool_]) -> float:
     """Correlation of what points are off by, from one frame of the window to the next."""
     off = np.where(seen[:, :, None], positions - projected(cameras, shape), 0.0)
     both = (seen[1:] & seen[:-1])[:, :, None]
@@ -594,8 +592,8 @@ def _autocorrelation(cameras: Numbers, shape: Numbers, positions: Numbers, seen:
 
 
 def _intersected(
-    cameras: Numbers, shape: Numbers, positions: Numbers, precisions: Numbers, repeated: float
-) -> tuple[Numbers, Numbers]:
+    cameras: Array, shape: Array, positions: Array, precisions: Array, repeated: float
+) -> tuple[Array, Array]:
     """Points `(n, 3)` and their covariances from all frames, each through the camera that the others show."""
     points = homogeneous(shape)
     of_frames = np.einsum("ti,ij,ik->tjk", precisions, points, points, optimize=True)

@@ -21,7 +21,7 @@ from ...inference.sfm.factor_analysis.factorisation import Factorisation, factor
 from ...inference.sfm.factor_analysis.observations import Observations, SparseObservations, as_arrays
 from .kernels import assign_tracks, camera_coupling, same_point_gains, track_information
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99)  # of the variance, that may be drift
@@ -53,22 +53,20 @@ class CorrelatedNoise:
         """Return the same with variances times a factor."""
         return CorrelatedNoise(factor * self.white, factor * self.drift, self.memory)
 
-    def information(
-        self, tracks: SparseObservations, cameras: Numbers
-    ) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+    def information(self, tracks: SparseObservations, cameras: Array) -> tuple[Array, Array, Array, Array]:
         """Return the information of tracks about their points, for known cameras `(n_frames, 2, 4)`.
 
         -2 log p(track | its point S) = quadratic - 2 vector . S + S . information S + determinant +
         constant; the four are `(n_tracks, 3, 3)`, `(n_tracks, 3)`, `(n_tracks,)`, `(n_tracks,)`.
         """
-        terms: tuple[Numbers, Numbers, Numbers, Numbers] = track_information(
+        terms: tuple[Array, Array, Array, Array] = track_information(
             tracks, np.ascontiguousarray(cameras), self.white, self.drift, self.decay
         )
         return terms
 
 
 def estimate_correlated_noise(
-    tracks: SparseObservations, cameras: Numbers, point_of_track: NDArray[np.int64], prior: Numbers
+    tracks: SparseObservations, cameras: Array, point_of_track: NDArray[np.int64], prior: Array
 ) -> CorrelatedNoise:
     """Find the noise under which the tracks are likeliest, whatever the points are (restricted likelihood).
 
@@ -104,7 +102,7 @@ def estimate_correlated_noise(
     return max(found, key=lambda each: each[0])[1]
 
 
-def _likeliest_scale(total: float, values: Numbers, squares: Numbers, count: int) -> tuple[float, float]:
+def _likeliest_scale(total: float, values: Array, squares: Array, count: int) -> tuple[float, float]:
     """Likeliest variance of the noise of y = A s + noise, s ~ N(0, I), and the squares that are left then.
 
     `total` = y.y, `values` of A'A and `squares` of A'y along its axes.
@@ -131,7 +129,7 @@ def covariance_of_points(
     point_of_track: Indices,
     noise: CorrelatedNoise,
     chosen: Indices,
-) -> Numbers:
+) -> Array:
     """Return covariance `(n, 3, n, 3)` of chosen points `(n,)`, with cameras uncertain as well (Laplace).
 
     `point_of_track` `(n_tracks,)` names points in the order of the observations; `fit` is in px, `noise` in
@@ -167,7 +165,7 @@ def covariance_of_points(
     return covariance
 
 
-def camera_precision(fit: Factorisation, n_frames: int) -> Numbers:
+def camera_precision(fit: Factorisation, n_frames: int) -> Array:
     """Return prior information `(4 n_frames, 4 n_frames)` 1/px^2 of a row of the cameras at all times."""
     if not fit.coherent:
         return np.diag(np.tile(1 / np.repeat(fit.motion_noise[0], (3, 1)), n_frames))
@@ -179,7 +177,7 @@ def camera_precision(fit: Factorisation, n_frames: int) -> Numbers:
     return precision.reshape(4 * n_frames, 4 * n_frames)
 
 
-def motion_precision(variances: Numbers, n_frames: int) -> Numbers:
+def motion_precision(variances: Array, n_frames: int) -> Array:
     """Return information `(n_frames, n_frames)` that eq. (19) holds of one number m at all times.
 
     `variances` are those of eps_1, eps_2 and eps_3. Eq. (19) without its derivatives: the third difference
@@ -214,13 +212,13 @@ def certain(point: Indices, n_points: int) -> csr_array:
     return csr_array((np.ones(edges[-1]), point[shown], edges), shape=(len(point), n_points))
 
 
-def pooled(membership: csr_array, values: Numbers) -> Numbers:
+def pooled(membership: csr_array, values: Array) -> Array:
     """Return sums `(n_points, ...)` of the tracks' `(n_tracks, ...)` information, by memberships."""
     sums = np.asarray(membership.T @ values.reshape(len(values), -1), np.float64)
     return sums.reshape(membership.shape[1], *values.shape[1:])
 
 
-def pooled_positions(membership: csr_array, positions: Numbers, weights: Numbers) -> tuple[Numbers, Numbers]:
+def pooled_positions(membership: csr_array, positions: Array, weights: Array) -> tuple[Array, Array]:
     """Return positions `(n_frames, n_points, 2)` px and weights `(n_frames, n_points)` pooled over tracks."""
     known = ~np.isnan(positions)
     weight = weights[..., None] * known
@@ -234,7 +232,7 @@ def pooled_positions(membership: csr_array, positions: Numbers, weights: Numbers
 MOST_SHARE, LEAST_SHARE, SHARE_STEPS = 0.1, 1e-9, 50  # of pairs at one place: most, least, steps of EM
 
 
-def log_odds_of_new(gains: Numbers, apart: NDArray[np.bool_]) -> float:
+def log_odds_of_new(gains: Array, apart: NDArray[np.bool_]) -> float:
     """Return the log prior odds that a pair of points is two and not one, learned by EM.
 
     Different points may be there, too: as often as pairs that are two for sure, `apart`. `gains`
@@ -244,7 +242,7 @@ def log_odds_of_new(gains: Numbers, apart: NDArray[np.bool_]) -> float:
     return float(np.log((1 - share) / share))
 
 
-def _share_in_one_place(gains: Numbers) -> float:
+def _share_in_one_place(gains: Array) -> float:
     share = MOST_SHARE if len(gains) else 0.0
     for _ in range(SHARE_STEPS):
         if share <= LEAST_SHARE:
@@ -310,7 +308,7 @@ def associate_tracks(
 class _Association:
     """State of the association, in the units of `Observations`."""
 
-    def __init__(self, positions: Numbers, weights: Numbers, fit: Factorisation) -> None:
+    def __init__(self, positions: Array, weights: Array, fit: Factorisation) -> None:
         whole = np.asarray(~np.isnan(positions).any(axis=2))
         self._all = positions, weights
         self._positions, self._weights = np.where(whole[..., None], positions, 0.0), weights * whole
@@ -330,11 +328,11 @@ class _Association:
     # --- what the present cameras say ---
 
     @property
-    def _cameras(self) -> Numbers:
+    def _cameras(self) -> Array:
         """In the units of the observations."""
         return self._observations.scaled(self._fit.cameras)
 
-    def _population(self) -> tuple[Numbers, Numbers]:
+    def _population(self) -> tuple[Array, Array]:
         """Mean `(3,)` and covariance `(3, 3)` of the points that are well seen."""
         seen = self._membership.T @ self._counts
         well = seen >= min(8.0, np.median(seen[seen > 0]))
@@ -442,11 +440,11 @@ class _Association:
             start=replace(self._fit, shape=shape, shape_covariance=spread),
         )
 
-    def _points_given_cameras(self, membership: csr_array) -> tuple[Numbers, Numbers]:
+    def _points_given_cameras(self, membership: csr_array) -> tuple[Array, Array]:
         information, vector, _, _ = self._white_noise.information(self._tracks, self._cameras)
         whole = np.eye(3) + pooled(membership, information)
         inverse = np.asarray(np.linalg.inv(whole), np.float64)
-        shape: Numbers = np.einsum("pij,pj->pi", inverse, pooled(membership, vector))
+        shape: Array = np.einsum("pij,pj->pi", inverse, pooled(membership, vector))
         return shape, inverse
 
     # --- the end ---
@@ -466,7 +464,7 @@ class _Association:
         information, vector, _, _ = noise.information(self._tracks, self._cameras)
         mean, covariance = self._population()
         prior = np.asarray(np.linalg.inv(covariance), np.float64)
-        pull: Numbers = prior @ mean
+        pull: Array = prior @ mean
         while True:
             shared = triu(membership.T @ membership, 1).tocoo()
             torn = shared.data > TORN
@@ -525,18 +523,18 @@ class _Association:
         return self._fit, point
 
 
-def log_partition(information: Numbers, vector: Numbers) -> Numbers:
+def log_partition(information: Array, vector: Array) -> Array:
     """Return the log integral of exp(vector . x - x . information x / 2) over 3-D x, without log(2 pi)."""
     solved = np.linalg.solve(information, vector[..., None])[..., 0]
-    result: Numbers = 0.5 * ((vector * solved).sum(axis=-1) - np.linalg.slogdet(information)[1])
+    result: Array = 0.5 * ((vector * solved).sum(axis=-1) - np.linalg.slogdet(information)[1])
     return result
 
 
 def unite_points(
-    mean: Numbers,
-    covariance: Numbers,
+    mean: Array,
+    covariance: Array,
     apart: NDArray[np.bool_],
-    spread: Numbers,
+    spread: Array,
     log_new: float,
     margin: float,
 ) -> Indices:
@@ -573,7 +571,7 @@ def unite_points(
 
 
 def _unambiguous(
-    gains: Numbers, apart: NDArray[np.bool_], log_new: float, margin: float
+    gains: Array, apart: NDArray[np.bool_], log_new: float, margin: float
 ) -> list[tuple[int, int]]:
     """Unions to be made at once: no point is in two of them."""
     n = len(gains)
@@ -599,7 +597,7 @@ def _unambiguous(
     return pairs
 
 
-def _close(gains: Numbers, chosen: int, margin: float) -> Indices:
+def _close(gains: Array, chosen: int, margin: float) -> Indices:
     """Others that are nearly as likely as the chosen one, or likelier."""
     near = gains > gains[chosen] - margin
     near[chosen] = False

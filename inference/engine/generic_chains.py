@@ -27,12 +27,12 @@ from ..kalman import LinearMotion
 from ..smc import copied, log_sum, normalised, systematic
 from .protocols import FeatureNode, Incoming, Message, Named, Port
 
-Matrix = NDArray[np.float64]
+Array = NDArray[np.float64]
 Dynamics = ArrayLike | Callable[[float], ArrayLike]
 """A matrix of one step, or a function of its length in seconds."""
 
 
-def _at(dynamics: Dynamics, dt: float, name: str, size: int | None = None) -> Matrix:
+def _at(dynamics: Dynamics, dt: float, name: str, size: int | None = None) -> Array:
     """Return the square matrix of a step of `dt` s."""
     matrix = np.asarray(dynamics(dt) if callable(dynamics) else dynamics, np.float64)
     wanted = "(n, n)" if size is None else f"({size}, {size})"
@@ -69,9 +69,9 @@ class LinearGaussianState:
     """Gaussian states of things by identity, each on its own."""
 
     identities: Identities  # (k,), increasing
-    mean: Matrix  # (k, n)
-    covariance: Matrix  # (k, n, n)
-    unseen: Matrix  # (k,) s since there was information about it
+    mean: Array  # (k, n)
+    covariance: Array  # (k, n, n)
+    unseen: Array  # (k,) s since there was information about it
 
 
 @checked
@@ -143,10 +143,10 @@ class LinearGaussianChain:
         return _ports(self.features, many=False)
 
     @cached_property
-    def _design(self) -> Matrix | None:
+    def _design(self) -> Array | None:
         return None if self.H is None else np.asarray(self.H, np.float64)
 
-    def _prior(self, size: int) -> tuple[Matrix, Matrix]:
+    def _prior(self, size: int) -> tuple[Array, Array]:
         mean = np.zeros(size) if self.initial_mean is None else np.asarray(self.initial_mean, np.float64)
         covariance = np.eye(size) if self.initial_covariance is None else self.initial_covariance
         return mean, _at(covariance, 0.0, "initial_covariance", size)
@@ -213,7 +213,7 @@ class LinearGaussianChain:
         unseen[place] = 0.0
         return LinearGaussianState(state.identities, mean_after, covariance_after, unseen)
 
-    def _features_of(self, state: LinearGaussianState) -> tuple[Matrix, Matrix]:
+    def _features_of(self, state: LinearGaussianState) -> tuple[Array, Array]:
         """Return means `(k, d)` and covariances `(k, d, d)` of the features."""
         mean, covariance = state.mean, state.covariance
         if self._design is not None:
@@ -242,7 +242,7 @@ class LinearGaussianChain:
 class DiscreteState:
     """Probabilities of a few states, `(k,)`, with sum 1."""
 
-    probabilities: Matrix
+    probabilities: Array
 
 
 @checked
@@ -302,18 +302,18 @@ class DiscreteChain:
         return _ports(self.features, self.many)
 
     @cached_property
-    def _tables(self) -> dict[str, Matrix]:
+    def _tables(self) -> dict[str, Array]:
         """Emissions by name of the node; by "" that of all."""
         if self.emission is None:
             return {}
         tables = self.emission if isinstance(self.emission, Mapping) else {"": self.emission}
         return {name: np.asarray(table, np.float64) for name, table in tables.items()}
 
-    def _prior(self, size: int) -> Matrix:
+    def _prior(self, size: int) -> Array:
         prior = self.initial_probabilities
         return np.full(size, 1 / size) if prior is None else np.asarray(prior, np.float64)
 
-    def _transition(self, dt: float) -> Matrix:
+    def _transition(self, dt: float) -> Array:
         matrix = _at(self.transition, dt, "transition")
         return _probabilities(matrix, "transition", matrix.shape)
 
@@ -340,16 +340,16 @@ class DiscreteChain:
         """Return the probabilities given all of `incoming`; as they are where nothing fits."""
         return DiscreteState(self._weighted(state, incoming)[0])
 
-    def _emitted(self, weights: Matrix, feature: Named) -> Matrix:
+    def _emitted(self, weights: Array, feature: Named) -> Array:
         table = self._table(feature)
         return weights if table is None else weights @ table
 
-    def _table(self, feature: Named) -> Matrix | None:
+    def _table(self, feature: Named) -> Array | None:
         return self._tables.get(feature.name, self._tables.get(""))
 
     def _weighted(
         self, state: DiscreteState, incoming: Incoming, without: Named | None = None
-    ) -> tuple[Matrix, float]:
+    ) -> tuple[Array, float]:
         """Return probabilities given what features say, and the log of how much they fit."""
         log_factors = np.zeros(len(state.probabilities))
         for feature, message in _messages(incoming):
@@ -362,7 +362,7 @@ class DiscreteChain:
             return state.probabilities, -inf
         return weights / total, log(total) + peak
 
-    def _log_factors(self, message: Any, feature: Named) -> Matrix:
+    def _log_factors(self, message: Any, feature: Named) -> Array:
         size = len(self._transition(1.0))
         if self.log_likelihood is not None:
             factors = np.asarray(self.log_likelihood(message, feature), np.float64)
@@ -383,7 +383,7 @@ def _messages(incoming: Incoming) -> Iterator[tuple[Named, Any]]:
     return ((feature, incoming[cast(FeatureNode[Any], feature)]) for feature in incoming)
 
 
-def _probabilities(table: Matrix, name: str, shape: tuple[int, ...]) -> Matrix:
+def _probabilities(table: Array, name: str, shape: tuple[int, ...]) -> Array:
     """Return a table, rows of which are probabilities with sum 1; else a `ValueError`."""
     if table.shape != shape:
         raise ValueError(f"{name}: got shape {table.shape}, expected {shape}")
@@ -397,13 +397,13 @@ def _probabilities(table: Matrix, name: str, shape: tuple[int, ...]) -> Matrix:
 class ParticleState:
     """Weighted particles."""
 
-    particles: Matrix  # (n, ...), or rows of another kind, say poses
-    log_weights: Matrix  # (n,), of weights that sum to 1
+    particles: Array  # (n, ...), or rows of another kind, say poses
+    log_weights: Array  # (n,), of weights that sum to 1
     random: np.random.Generator  # of the draws to come
     log_evidence: float = 0.0  # nats: log of the mean likelihood of the last update
 
     @cached_property
-    def weights(self) -> Matrix:
+    def weights(self) -> Array:
         """`(n,)`, with sum 1."""
         return np.exp(normalised(self.log_weights))
 
@@ -413,13 +413,13 @@ class ParticleState:
         return float(1 / (self.weights**2).sum())
 
     @property
-    def moments(self) -> tuple[Matrix, Matrix]:
+    def moments(self) -> tuple[Array, Array]:
         """Mean `(d,)` and covariance `(d, d)` of particles `(n, d)`."""
         mean = self.weights @ self.particles
         apart = self.particles - mean
         return mean, (self.weights * apart.T) @ apart
 
-    def reweighed(self, log_factors: Matrix) -> Self:
+    def reweighed(self, log_factors: Array) -> Self:
         """Return the posterior: weights times factors, whose mean is the evidence.
 
         Where nothing fits, weights stay as they are, and the evidence is 0.
@@ -518,7 +518,7 @@ class ParticleChain:
         """Return the particles weighted by all of `incoming`."""
         return state.reweighed(self._log_factors(state, _messages(incoming)))
 
-    def _log_factors(self, state: ParticleState, messages: Iterable[tuple[Named, Any]]) -> Matrix:
+    def _log_factors(self, state: ParticleState, messages: Iterable[tuple[Named, Any]]) -> Array:
         log_factors = np.zeros(len(state.log_weights))
         for feature, message in messages:
             nats = np.asarray(self.log_likelihood(state.particles, message, feature), np.float64)

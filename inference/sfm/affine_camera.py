@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..optimisation import Damping, levenberg_marquardt
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 LEAST_VIEWS = 3  # two views of a rigid shape leave its depth open (bas-relief)
 DETERMINED = 0.1  # standard deviation of the log of stretches of space with which a metric is one
@@ -63,11 +63,11 @@ class Euclidean:
 
     determined: bool
     reason: str
-    transform: Numbers
-    shape: Numbers
-    cameras: Numbers
-    scales: Numbers
-    rotations: Numbers
+    transform: Array
+    shape: Array
+    cameras: Array
+    scales: Array
+    rotations: Array
     uncertainty: float
 
 
@@ -137,12 +137,12 @@ def euclidean(cameras: ArrayLike, shape: ArrayLike, camera_covariance: ArrayLike
     )
 
 
-def _undetermined(cameras: Numbers, shape: Numbers, reason: str, uncertainty: float = np.inf) -> Euclidean:
+def _undetermined(cameras: Array, shape: Array, reason: str, uncertainty: float = np.inf) -> Euclidean:
     nothing = np.full((len(cameras), 3, 3), np.nan)
     return Euclidean(False, reason, np.eye(3), shape, cameras, nothing[:, 0, 0], nothing, uncertainty)
 
 
-def _stands_out(rows: Numbers, spread: Numbers, n_points: int) -> bool:
+def _stands_out(rows: Array, spread: Array, n_points: int) -> bool:
     """Whether all three directions are more than noise: singular values of a random matrix are known."""
     noise = 2 * spread.sum(axis=0)
     values, axes = np.linalg.eigh(noise)
@@ -154,12 +154,12 @@ def _stands_out(rows: Numbers, spread: Numbers, n_points: int) -> bool:
     return bool(ratio > CLEAR * by_chance)
 
 
-def _linear_metric(rows: Numbers) -> Numbers:
+def _linear_metric(rows: Array) -> Array:
     """Square root `(3, 3)` of the positive definite matrix nearest to the linear solution."""
     first, second = np.triu_indices(3)
     double = np.where(first == second, 1.0, 2.0)
 
-    def product(one: Numbers, other: Numbers) -> Numbers:
+    def product(one: Array, other: Array) -> Array:
         """Return coefficients of one . Q other."""
         return 0.5 * (one[:, first] * other[:, second] + one[:, second] * other[:, first]) * double
 
@@ -171,7 +171,7 @@ def _linear_metric(rows: Numbers) -> Numbers:
     metric = metric + np.triu(metric, 1).T
     metric *= np.sign(np.trace(metric)) or 1.0
     values, axes = np.linalg.eigh(metric)
-    root: Numbers = axes * np.sqrt(np.maximum(values, 1e-2 * values[-1]))
+    root: Array = axes * np.sqrt(np.maximum(values, 1e-2 * values[-1]))
     return root
 
 
@@ -183,23 +183,23 @@ class _Metric:
     of the E of the last step G <- G exp(E).
     """
 
-    root: Numbers
-    errors: Numbers
-    jacobian: Numbers
-    weight: Numbers
+    root: Array
+    errors: Array
+    jacobian: Array
+    weight: Array
     step: float
 
     @property
-    def normal(self) -> Numbers:
+    def normal(self) -> Array:
         """`(5, 5)`."""
         return self.jacobian.T @ (self.weight[:, None] * self.jacobian)
 
-    def squares(self, errors: Numbers) -> float:
+    def squares(self, errors: Array) -> float:
         """Sum of squared errors, weighted as they are here: weights depend on G."""
         return float(np.sum(self.weight * errors**2))
 
 
-def _refined(rows: Numbers, spread: Numbers | None, root: Numbers) -> tuple[Numbers, float]:
+def _refined(rows: Array, spread: Array | None, root: Array) -> tuple[Array, float]:
     """Improve G by steps G <- G exp(E); and give the largest standard deviation of E."""
 
     def linearised(at: _Metric) -> Callable[[float], _Metric | None]:
@@ -229,7 +229,7 @@ def _refined(rows: Numbers, spread: Numbers | None, root: Numbers) -> tuple[Numb
     return found.root, float(np.sqrt(inflation / known[0]))
 
 
-def _metric(rows: Numbers, spread: Numbers | None, root: Numbers, step: float) -> _Metric:
+def _metric(rows: Array, spread: Array | None, root: Array, step: float) -> _Metric:
     moved = rows @ root
     u, v = moved[:, 0], moved[:, 1]
     size = np.sum(moved**2, axis=(1, 2))
@@ -253,7 +253,7 @@ def _metric(rows: Numbers, spread: Numbers | None, root: Numbers, step: float) -
     return _Metric(root, errors, jacobian, np.concatenate([weight, weight]), step)
 
 
-def scaled_rotations(matrices: ArrayLike) -> tuple[Numbers, Numbers]:
+def scaled_rotations(matrices: ArrayLike) -> tuple[Array, Array]:
     """Return scales `(n,)` and rotations `(n, 3, 3)` whose scaled first rows are nearest to `(n, 2, 3)`."""
     left, values, right = np.linalg.svd(np.asarray(matrices, np.float64), full_matrices=False)
     rows = left @ right
@@ -271,9 +271,9 @@ class Alignment:
     `error` is the root mean square distance that is left, in the target's unit.
     """
 
-    matrix: Numbers
-    translation: Numbers
-    aligned: Numbers
+    matrix: Array
+    translation: Array
+    aligned: Array
     error: float
 
 

@@ -23,7 +23,7 @@ from .factor_analysis.factorisation import NEAR, Factorisation, variable_project
 from .factor_analysis.initialisation import RANK, freedom
 from .factor_analysis.observations import Observations, determined
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 Kind = Literal["still", "similarity", "rotation", "plane", "unknown"]
 """The plainest thing that explains tracks about as well as homographies do, however well that is: nothing
@@ -71,7 +71,7 @@ class Motion:
     parallax: float
 
 
-def motion_of(tracks: Numbers, most: float = MOST) -> Motion:
+def motion_of(tracks: Array, most: float = MOST) -> Motion:
     """Say what tracks `(n_frames, n_tracks, 2)` px show, NaN where they are not seen.
 
     `most` is the share of those of a pair of pictures that counts, those that are explained best.
@@ -122,7 +122,7 @@ def far_pairs(seen: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return []
 
 
-def variance_over_shape(places: Numbers, residuals: Numbers, most: float = MOST) -> float:
+def variance_over_shape(places: Array, residuals: Array, most: float = MOST) -> float:
     """Return the variance about homographies over that about a shape in depth; NaN if unknown.
 
     Where homographies do as well, what was taken for depth is something else. Places `(n_frames, n_points,
@@ -141,7 +141,7 @@ def variance_over_shape(places: Numbers, residuals: Numbers, most: float = MOST)
 
 
 def _kind(
-    tracks: Numbers, seen: NDArray[np.bool_], pairs: list[tuple[int, int]], most: float
+    tracks: Array, seen: NDArray[np.bool_], pairs: list[tuple[int, int]], most: float
 ) -> tuple[Kind, float]:
     """The plainest explanation, and the parallax."""
     if not pairs:
@@ -176,7 +176,7 @@ def _kind(
     return "plane", amount
 
 
-def _homography(before: Numbers, after: Numbers, most: float = MOST) -> tuple[NDArray[np.intp], Numbers]:
+def _homography(before: Array, after: Array, most: float = MOST) -> tuple[NDArray[np.intp], Array]:
     """Most of the points, those that a homography explains best, and what it leaves."""
     count = max(int(np.ceil(most * len(before))), min(len(before), LEAST_SHARED))
     found, _ = cv2.findHomography(before, after, cv2.LMEDS)
@@ -190,7 +190,7 @@ def _homography(before: Numbers, after: Numbers, most: float = MOST) -> tuple[ND
     return chosen, off[chosen]
 
 
-def _off_similarity(before: Numbers, after: Numbers) -> Numbers:
+def _off_similarity(before: Array, after: Array) -> Array:
     """What the best shift, turn and zoom of the picture leaves."""
     one, other = (places @ [1, 1j] for places in (before, after))
     design = np.column_stack([one, np.ones(len(one))])
@@ -198,13 +198,13 @@ def _off_similarity(before: Numbers, after: Numbers) -> Numbers:
     return np.column_stack([left.real, left.imag])
 
 
-def _off_rotation(before: Numbers, after: Numbers, size: float) -> Numbers:
+def _off_rotation(before: Array, after: Array, size: float) -> Array:
     """What the best camera leaves that turns and zooms: f' (r_1 d, r_2 d) / (r_3 d), d = (before, f)."""
 
-    def off(parameters: Numbers, focal: float) -> Numbers:
+    def off(parameters: Array, focal: float) -> Array:
         first, second = focal * parameters[3:]
         seen = np.column_stack([before, np.full(len(before), first)]) @ exponential(parameters[None, :3])[0].T
-        left: Numbers = second * seen[:, :2] / seen[:, 2:] - after
+        left: Array = second * seen[:, :2] / seen[:, 2:] - after
         return left.ravel()
 
     across, down = (after - before).mean(axis=0) / size
@@ -215,7 +215,7 @@ def _off_rotation(before: Numbers, after: Numbers, size: float) -> Numbers:
         bounds = ([-np.pi] * 3 + [low] * 2, [np.pi] * 3 + [high] * 2)
         start = np.array([*turn, 1.0, 1.0])
         fits.append(least_squares(off, start, bounds=bounds, args=(focal * size,), max_nfev=60))
-    best: Numbers = min(fits, key=lambda fit: fit.cost).fun
+    best: Array = min(fits, key=lambda fit: fit.cost).fun
     return best.reshape(-1, 2)
 
 

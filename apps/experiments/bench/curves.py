@@ -19,7 +19,7 @@ from ....chains.structure.track_association import associate_tracks
 from ....inference import MultiChain
 from ....inference.sfm.factor_analysis.em import Posterior, expectation_maximisation
 from ....inference.sfm.factor_analysis.factorisation import around_start
-from ....inference.sfm.factor_analysis.observations import Numbers, Observations, SparseObservations
+from ....inference.sfm.factor_analysis.observations import Array, Observations, SparseObservations
 from ....models import Frame, PointTracks
 from ....models.numerics.threads import set_threads
 from ...background.application import build_model
@@ -265,7 +265,7 @@ def over_tracks() -> Curve:
     return Curve.of("association", "tracks", rounds)
 
 
-def broken_tracks(count: int) -> Numbers:
+def broken_tracks(count: int) -> Array:
     """Return positions `(n_frames, count, 2)` px of points tracked in four pieces, NaN between."""
     n_frames, n_points = PIECES * PIECE, count // PIECES
     positions = turning_points(n_frames, n_points, n_frames)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...optimisation import Anderson
 from .kernels import frame_moments, invert_information, point_moments, smooth_cameras, squared_error
-from .observations import Numbers, Observations
+from .observations import Array, Observations
 
 UPPER = np.triu_indices(4)
 DENSE = 0.5  # share of the matrix that must be seen for products of full matrices to be faster than lists
@@ -23,12 +23,12 @@ _SYMMETRIC = np.array([[0, 1, 2, 3], [1, 4, 5, 6], [2, 5, 7, 8], [3, 6, 8, 9]])
 """Which of the ten numbers each entry of a symmetric matrix is."""
 
 
-def homogeneous(shape: Numbers) -> Numbers:
+def homogeneous(shape: Array) -> Array:
     """Return `(n, 4)`: points `(n, 3)` with a 1 behind."""
     return np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
 
 
-def shape_moments(shape: Numbers, covariance: Numbers | None = None) -> Numbers:
+def shape_moments(shape: Array, covariance: Array | None = None) -> Array:
     """Return E[s s^T], s = (S, 1), as ten numbers `(n_points, 10)`."""
     covariance = np.zeros((len(shape), 3, 3)) if covariance is None else covariance
     moments = np.empty((len(shape), 10))
@@ -41,11 +41,11 @@ def shape_moments(shape: Numbers, covariance: Numbers | None = None) -> Numbers:
     return moments
 
 
-def camera_moments(cameras: Numbers, covariance: Numbers | None = None) -> Numbers:
+def camera_moments(cameras: Array, covariance: Array | None = None) -> Array:
     """Return E[m m^T] summed over the rows of u and v, as ten numbers `(n_frames, 10)`."""
     covariance = np.zeros((len(cameras), 4, 4)) if covariance is None else covariance
     second = np.einsum("tcj,tck->tjk", cameras, cameras) + 2 * covariance
-    moments: Numbers = second[:, UPPER[0], UPPER[1]]
+    moments: Array = second[:, UPPER[0], UPPER[1]]
     return moments
 
 
@@ -65,7 +65,7 @@ class Sums:
         self._equal = observations.count == size and float(np.ptp(weight)) == 0.0
 
     @cached_property
-    def _tables(self) -> tuple[Numbers, Numbers]:
+    def _tables(self) -> tuple[Array, Array]:
         """Weights `(n_frames, n_points)` and weighted positions `(2 n_frames, n_points)`."""
         listed, n_points = self._observations.by_frame, self._observations.n_points
         n_frames = self._observations.n_frames
@@ -76,7 +76,7 @@ class Sums:
         return weight, weighted.reshape(2 * n_frames, n_points)
 
     @cached_property
-    def _squares(self) -> Numbers:
+    def _squares(self) -> Array:
         """Weighted squares of each point's positions."""
         listed = self._observations.by_point
         squares = listed.weight * (listed.x**2 + listed.y**2)
@@ -87,7 +87,7 @@ class Sums:
         """Weighted squares of all positions."""
         return float(self._squares.sum())
 
-    def of_frames(self, shape: Numbers, moments: Numbers) -> tuple[Numbers, Numbers]:
+    def of_frames(self, shape: Array, moments: Array) -> tuple[Array, Array]:
         """Return information `(n_frames, 4, 4)`, vector `(n_frames, 4, 2)` of cameras at noise variance 1."""
         if not self._dense:
             information, vector = frame_moments(self._observations.by_frame, shape, moments)
@@ -99,7 +99,7 @@ class Sums:
             vector.reshape(-1, 2, 4).transpose(0, 2, 1)
         )
 
-    def of_points(self, cameras: Numbers, moments: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+    def of_points(self, cameras: Array, moments: Array) -> tuple[Array, Array, Array]:
         """Return information `(n_points, 3, 3)`, vector `(n_points, 3)`, quadratic `(n_points,)`."""
         if not self._dense:
             information, vector, quadratic = point_moments(self._observations.by_point, cameras, moments)
@@ -112,12 +112,12 @@ class Sums:
         return information, vector[:, :3] - seconds[:, [3, 6, 8]], quadratic
 
 
-def _summed(moments: Numbers, n: int) -> Numbers:
+def _summed(moments: Array, n: int) -> Array:
     """Moments of all, which each of `n` others sees with weight 1."""
     return np.broadcast_to(moments.sum(axis=0), (n, moments.shape[1]))
 
 
-def _matrices(seconds: Numbers, places: NDArray[np.int64]) -> Numbers:
+def _matrices(seconds: Array, places: NDArray[np.int64]) -> Array:
     """Symmetric matrices from ten numbers each; one that is repeated stays so."""
     if repeated(seconds):
         matrix = seconds[0, places]
@@ -125,12 +125,12 @@ def _matrices(seconds: Numbers, places: NDArray[np.int64]) -> Numbers:
     return seconds[:, places]
 
 
-def repeated(matrices: Numbers) -> bool:
+def repeated(matrices: Array) -> bool:
     """Return whether all matrices of an array are the same."""
     return matrices.strides[0] == 0 and len(matrices) > 1
 
 
-def inverses(information: Numbers, prior: Numbers, scale: float) -> tuple[Numbers, Numbers]:
+def inverses(information: Array, prior: Array, scale: float) -> tuple[Array, Array]:
     """Invert `scale * information + diag(prior)`; also its log determinants."""
     if repeated(information):
         covariance, log_determinant = invert_information(information[:1].copy(), prior, scale)
@@ -155,17 +155,17 @@ class CameraPrior:
     with coherence `(3, 2)`, the same of eps_1, eps_2 and eps_3 in eq. (19).
     """
 
-    variance: Numbers
+    variance: Array
     coherent: bool
 
     @property
-    def numbers(self) -> Numbers:
+    def numbers(self) -> Array:
         """`(4,)` or `(12,)` variances, one for each number of a row (and its derivatives)."""
         linear_and_shift = self.variance.reshape(-1, 2)
         return np.repeat(linear_and_shift, (3, 1), axis=1).reshape(-1)
 
 
-def first_prior(cameras: Numbers, coherent: bool) -> CameraPrior:
+def first_prior(cameras: Array, coherent: bool) -> CameraPrior:
     """Return a prior for these cameras, with more noise of the motion than less: EM reduces it."""
     if not coherent:
         linear, shift = (max(float(np.mean(part**2)), LEAST_VARIANCE) for part in _parts(cameras))
@@ -175,7 +175,7 @@ def first_prior(cameras: Numbers, coherent: bool) -> CameraPrior:
     return CameraPrior(np.tile(smallest + LEAST_VARIANCE, (3, 1)), coherent)
 
 
-def _parts(cameras: Numbers) -> tuple[Numbers, Numbers]:
+def _parts(cameras: Array) -> tuple[Array, Array]:
     return cameras[..., :3], cameras[..., 3]
 
 
@@ -187,10 +187,10 @@ class Posterior:
     its covariance `(n_points, 3, 3)`; `noise` is the variance at weight 1.
     """
 
-    cameras: Numbers
-    camera_covariance: Numbers
-    shape: Numbers
-    shape_covariance: Numbers
+    cameras: Array
+    camera_covariance: Array
+    shape: Array
+    shape_covariance: Array
     noise: float
     prior: CameraPrior
 
@@ -203,8 +203,8 @@ class CameraEstimate:
     and `better` a prior of the cameras under which it is not less.
     """
 
-    cameras: Numbers
-    covariance: Numbers
+    cameras: Array
+    covariance: Array
     log_evidence: float
     better: CameraPrior
 
@@ -214,9 +214,7 @@ LEAST_JITTER = 1e-3  # with coherence: by what noise is expected to change rows 
 LONGEST_STEP = 1e3  # factor by which a variance of the motion may grow at once
 
 
-def estimate_cameras(
-    information: Numbers, vector: Numbers, noise: float, prior: CameraPrior
-) -> CameraEstimate:
+def estimate_cameras(information: Array, vector: Array, noise: float, prior: CameraPrior) -> CameraEstimate:
     """Estimate the cameras (E-step) from information `(n_frames, 4, 4)` and vector `(n_frames, 4, 2)`.
 
     With coherence the noise of the motion is learned by the multiplicative step for variance components,
@@ -247,7 +245,7 @@ def estimate_cameras(
     return CameraEstimate(cameras, covariance, evidence, CameraPrior(learned, prior.coherent))
 
 
-def least_variance(n_frames: int) -> Numbers:
+def least_variance(n_frames: int) -> Array:
     """Return the weight b of the prior exp(-b / q) on the variances q of eps_1, eps_2, eps_3 `(3, 1)`.
 
     Noise of order k changes rows over n frames by about sqrt(q n^(2k - 1)). Without a prior the likelihood
@@ -257,7 +255,7 @@ def least_variance(n_frames: int) -> Numbers:
     return np.asarray(LEAST_JITTER**2 / float(n_frames) ** order, np.float64)
 
 
-def _pooled(values: Numbers) -> Numbers:
+def _pooled(values: Array) -> Array:
     """Sum over the three numbers of a row that multiply the shape; the translation apart: `(orders, 2)`."""
     rows = values.reshape(-1, 4)
     return np.stack([rows[:, :3].sum(axis=1), rows[:, 3]], axis=1)
@@ -326,7 +324,7 @@ def expectation_maximisation(
     return Posterior(kept.cameras, spread[0], plain, spread[1], noise, prior), history
 
 
-def _camera_error(sums: Sums, covariance: Numbers, shape: Numbers) -> float:
+def _camera_error(sums: Sums, covariance: Array, shape: Array) -> float:
     """Expected squared error that comes of the cameras' covariances."""
     information, _ = sums.of_frames(shape, shape_moments(shape))
     return 2 * float(np.sum(information * covariance))

@@ -37,7 +37,7 @@ from .kernels import (
     reduced_step,
     squared_error,
 )
-from .observations import Indices, Numbers, Observations, as_arrays, determined
+from .observations import Array, Indices, Observations, as_arrays, determined
 
 ACCURACY = 1e-3  # relative, of the solution of the normal equations
 MOST_PRODUCTS = 500
@@ -51,15 +51,15 @@ STILL = 3  # steps in a row that hardly lower the error: one may be short becaus
 class LeastSquares:
     """Cameras and shape, inverses of the points' information, and the weighted squared error."""
 
-    cameras: Numbers
-    shape: Numbers
-    inverses: Numbers
+    cameras: Array
+    shape: Array
+    inverses: Array
     error: float
 
 
 def variable_projection(
     observations: Observations,
-    cameras: Numbers,
+    cameras: Array,
     *,
     damping: float = FAR,
     tolerance: float = 1e-9,
@@ -122,8 +122,8 @@ def variable_projection(
 
 
 def _in_gauge(
-    cameras: Numbers, shape: Numbers, inverses: Numbers, points: NDArray[np.bool_], rank: int
-) -> tuple[Numbers, Numbers, Numbers]:
+    cameras: Array, shape: Array, inverses: Array, points: NDArray[np.bool_], rank: int
+) -> tuple[Array, Array, Array]:
     """Cameras, points and inverses of their information with orthogonal columns, about the origin, of size 1.
 
     So the damping is the same for all numbers. Medians, because points that are hardly determined may be
@@ -148,8 +148,8 @@ HALF = 0.5  # a point that is known to this share of the spread of all has its s
 
 def around_start(
     observations: Observations,
-    cameras: Numbers,
-    shape: Numbers,
+    cameras: Array,
+    shape: Array,
     frames: Mask,
     points: Mask,
     *,
@@ -173,7 +173,7 @@ def around_start(
     )
 
 
-def _bridged(cameras: Numbers, observed: Mask) -> Numbers:
+def _bridged(cameras: Array, observed: Mask) -> Array:
     """Cameras of unknown frames, between those of the known ones before and after."""
     if observed.all():
         return cameras
@@ -267,14 +267,14 @@ class Factorisation:
         bound of the log likelihood at each iteration of EM; empty where least squares needed none.
     """
 
-    cameras: Numbers
-    camera_covariance: Numbers
-    shape: Numbers
-    shape_covariance: Numbers
+    cameras: Array
+    camera_covariance: Array
+    shape: Array
+    shape_covariance: Array
     noise_variance: float
     rmse: float
     coherent: bool
-    motion_noise: Numbers
+    motion_noise: Array
     frame_determined: Mask
     history: tuple[float, ...]
 
@@ -351,7 +351,7 @@ def factorise(
     return _without_filled(fit, given, half, missing)
 
 
-def _without_filled(fit: Factorisation, weights: Numbers, half: Mask, missing: Mask) -> Factorisation:
+def _without_filled(fit: Factorisation, weights: Array, half: Mask, missing: Mask) -> Factorisation:
     """The same with covariances that do not count coordinates which were filled in."""
     points = half.any(axis=0)
     rows = fit.cameras[..., :RANK]
@@ -374,7 +374,7 @@ def _without_filled(fit: Factorisation, weights: Numbers, half: Mask, missing: M
 
 def _factorised(
     observations: Observations,
-    start: Start | Factorisation | Numbers,
+    start: Start | Factorisation | Array,
     coherence: bool,
     polish: bool,
     iterations: int,
@@ -395,7 +395,7 @@ def _factorised(
 
 
 def _beginning(
-    observations: Observations, part: Observations, start: Start | Factorisation | Numbers, coherent: bool
+    observations: Observations, part: Observations, start: Start | Factorisation | Array, coherent: bool
 ) -> Posterior:
     n_frames = observations.n_frames
     frames, points = np.diff(part.by_frame.edges) > 0, np.diff(part.by_point.edges) > 0
@@ -416,7 +416,7 @@ def _beginning(
     return around_start(observations, cameras, shape, frames, points, coherent=coherent)
 
 
-def _with_points(part: Observations, cameras: Numbers) -> tuple[Numbers, Numbers]:
+def _with_points(part: Observations, cameras: Array) -> tuple[Array, Array]:
     """Given cameras with the points that fit them best; translations may become frames' middles."""
     listed = part.by_frame
     counts = np.maximum(np.diff(listed.edges), 1)
@@ -474,7 +474,7 @@ def _in_pixels(
     )
 
 
-def _axes(cameras: Numbers, counts: NDArray[np.int64]) -> Numbers:
+def _axes(cameras: Array, counts: NDArray[np.int64]) -> Array:
     """Turn of the shape `(3, 3)` after which cameras have orthogonal columns, the longest first."""
     rows = cameras[..., :RANK]
     _, axes = np.linalg.eigh(np.einsum("t,tcj,tck->jk", counts, rows, rows))
@@ -484,13 +484,13 @@ def _axes(cameras: Numbers, counts: NDArray[np.int64]) -> Numbers:
     return axes * np.where(largest < 0, -1.0, 1.0)
 
 
-def projected(cameras: Numbers, shape: Numbers) -> Numbers:
+def projected(cameras: Array, shape: Array) -> Array:
     """Project points `(n_points, 3)` by cameras `(n_frames, 2, 4)`: `(n_frames, n_points, 2)` px."""
-    positions: Numbers = np.einsum("tcj,ij->tic", cameras[..., :3], shape) + cameras[:, None, :, 3]
+    positions: Array = np.einsum("tcj,ij->tic", cameras[..., :3], shape) + cameras[:, None, :, 3]
     return positions
 
 
-def predicted(factorisation: Factorisation) -> tuple[Numbers, Numbers]:
+def predicted(factorisation: Factorisation) -> tuple[Array, Array]:
     """Return positions `(n_frames, n_points, 2)` px of all points, and their covariances px^2.
 
     These are `(n_frames, n_points, 2, 2)`: how uncertain cameras and shape leave them, without observations'
@@ -534,8 +534,8 @@ class RobustFactorisation:
     """
 
     factorisation: Factorisation
-    weights: Numbers
-    right: Numbers
+    weights: Array
+    right: Array
 
     @property
     def trusted(self) -> NDArray[np.bool_]:
@@ -567,7 +567,7 @@ def factorise_robustly(
     right, weight = np.where(given > 0, 1.0, 0.0), given.copy()
     share, renewed = FIRST_SHARE, False
     for number in range(MOST_ROUNDS):
-        squares: Numbers = given[seen] * _free_squares(fit, where[seen], weight[seen], seen)
+        squares: Array = given[seen] * _free_squares(fit, where[seen], weight[seen], seen)
         before = right[seen]
         noise = _noise(squares, before, numbers, first=number < FIRST_ROUNDS)
         wrong = 1 - before
@@ -598,7 +598,7 @@ def factorise_robustly(
 
 
 def _roughly(
-    where: Numbers, weights: Numbers, coherence: bool, start: Literal["grow"] | Factorisation
+    where: Array, weights: Array, coherence: bool, start: Literal["grow"] | Factorisation
 ) -> Factorisation:
     """A few steps of EM: variable projection would follow outliers to far places."""
     return factorise(
@@ -606,7 +606,7 @@ def _roughly(
     )
 
 
-def _renewed(where: Numbers, weights: Numbers, coherence: bool, fit: Factorisation) -> Factorisation:
+def _renewed(where: Array, weights: Array, coherence: bool, fit: Factorisation) -> Factorisation:
     """The better one of a fit and of that which is grown from positions that are trusted."""
     try:
         anew = _roughly(where, weights, coherence, "grow")
@@ -615,7 +615,7 @@ def _renewed(where: Numbers, weights: Numbers, coherence: bool, fit: Factorisati
     return min(fit, anew, key=lambda each: each.noise_variance)
 
 
-def _noise(squares: Numbers, right: Numbers, numbers: Indices, *, first: bool) -> float:
+def _noise(squares: Array, right: Array, numbers: Indices, *, first: bool) -> float:
     """Variance of right positions, in the unit of the squares, of each the sum over so many numbers."""
     if first:
         variance = float(np.median(squares[(right > TRUSTED) & (numbers == numbers.max())])) / MEDIAN
@@ -624,9 +624,7 @@ def _noise(squares: Numbers, right: Numbers, numbers: Indices, *, first: bool) -
     return max(variance, ROUNDING * float(squares.max()), TINY)
 
 
-def _free_squares(
-    fit: Factorisation, where: Numbers, weights: Numbers, seen: tuple[Indices, Indices]
-) -> Numbers:
+def _free_squares(fit: Factorisation, where: Array, weights: Array, seen: tuple[Indices, Indices]) -> Array:
     """Squared distances `(n,)` px^2 of positions from the fit, over what their points leave free."""
     frames, points = seen
     cameras = fit.cameras[frames]
@@ -636,5 +634,5 @@ def _free_squares(
     rows = rows * known[..., None]
     spread = np.einsum("ncj,njk,nck->n", rows, fit.shape_covariance[points], rows, optimize=True)
     free = 1 - weights * spread / (np.count_nonzero(known, axis=1) * fit.noise_variance)
-    squares: Numbers = np.square(off).sum(axis=1) / np.maximum(free, LEAST_FREE)
+    squares: Array = np.square(off).sum(axis=1) / np.maximum(free, LEAST_FREE)
     return squares

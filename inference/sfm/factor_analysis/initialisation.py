@@ -8,7 +8,7 @@ from scipy.sparse.linalg import svds
 
 from .em import LEAST_NOISE, CameraPrior, camera_moments, estimate_cameras, first_prior, shape_moments
 from .kernels import frame_moments, invert_information, point_moments, squared_error
-from .observations import LEAST_POINTS, Numbers, Observations
+from .observations import LEAST_POINTS, Array, Observations
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
@@ -38,7 +38,7 @@ TERMS = (_Terms(6, 0.3, 0.3), _Terms(5, 0.1, 0.5), _Terms(4, 0.02, 1.0))
 """Strict at first, so that what comes in early is right."""
 
 
-def mean_filled(observations: Observations) -> tuple[Numbers, Numbers]:
+def mean_filled(observations: Observations) -> tuple[Array, Array]:
     """Return cameras and shape from the SVD of the mean-filled matrix of positions: the published start."""
     listed = observations.by_point
     seen = np.maximum(np.diff(listed.edges), 1)
@@ -50,7 +50,7 @@ def mean_filled(observations: Observations) -> tuple[Numbers, Numbers]:
     return factored(table.reshape(2 * n_frames, n_points))
 
 
-def factored(table: Numbers) -> tuple[Numbers, Numbers]:
+def factored(table: Array) -> tuple[Array, Array]:
     """Return the best cameras `(n_frames, 2, 4)` and white shape for a table `(2 n_frames, n_points)`."""
     middle = table.mean(axis=1, keepdims=True)
     rows, values, columns = _leading(table - middle)
@@ -62,7 +62,7 @@ def factored(table: Numbers) -> tuple[Numbers, Numbers]:
     return cameras, shape
 
 
-def _leading(table: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+def _leading(table: Array) -> tuple[Array, Array, Array]:
     """The first three singular vectors and values of a table, as `numpy.linalg.svd` gives them."""
     if min(table.shape) < LARGE:
         rows, values, columns = np.linalg.svd(table, full_matrices=False)
@@ -76,16 +76,16 @@ def _leading(table: Numbers) -> tuple[Numbers, Numbers, Numbers]:
 class _PartialStructure:
     """A structure that grows: its frames and points so far, in the gauge of a white shape."""
 
-    cameras: Numbers
-    shape: Numbers
+    cameras: Array
+    shape: Array
     frames: Mask
     points: Mask
     noise: float
     prior: CameraPrior | None
-    camera_covariance: Numbers
+    camera_covariance: Array
 
 
-def grown(observations: Observations, *, coherent: bool) -> tuple[Numbers, Numbers, Mask, Mask]:
+def grown(observations: Observations, *, coherent: bool) -> tuple[Array, Array, Mask, Mask]:
     """Grow cameras and shape from a window by resection and intersection.
 
     Frames come in as soon as they show enough known points, points as soon as known cameras determine them.
@@ -162,7 +162,7 @@ def _window_lengths(n_frames: int) -> list[int]:
     return [*lengths, n_frames]
 
 
-def _apart(count: Numbers, wanted: int, distance: int) -> list[int]:
+def _apart(count: Array, wanted: int, distance: int) -> list[int]:
     """Places of the largest counts, none closer than `distance` to another."""
     places: list[int] = []
     left = count.astype(np.float64)
@@ -173,7 +173,7 @@ def _apart(count: Numbers, wanted: int, distance: int) -> list[int]:
     return places
 
 
-def _full_table(observations: Observations, frames: Indices, members: Indices) -> Numbers:
+def _full_table(observations: Observations, frames: Indices, members: Indices) -> Array:
     """Positions `(2 len(frames), n_members)` of points seen from the first of these frames to the last."""
     listed, n_frames = observations.by_point, observations.n_frames
     # observations of a point are in the order of frames, so those of a stretch lie side by side
@@ -244,7 +244,7 @@ def _refine(observations: Observations, partial: _PartialStructure, rounds: int)
     partial.noise = _noise(part, partial.cameras, partial.shape)
 
 
-def _noise(part: Observations, cameras: Numbers, shape: Numbers) -> float:
+def _noise(part: Observations, cameras: Array, shape: Array) -> float:
     """Noise variance that is left by cameras and shape."""
     error = float(squared_error(part.by_point, cameras, shape).sum())
     return error / max(freedom(part), 0.05 * part.count)
@@ -257,19 +257,19 @@ def freedom(observations: Observations) -> float:
     return float(observations.numbers - 2 * frames - points + 12)
 
 
-def whitened(cameras: Numbers, shape: Numbers, points: Mask) -> tuple[Numbers, Numbers]:
+def whitened(cameras: Array, shape: Array, points: Mask) -> tuple[Array, Array]:
     """Whiten the shape, so that `points` have mean 0 and covariance I, and cameras to match."""
     return regauged(cameras, shape, *whitening(shape[points]))
 
 
-def whitening(shape: Numbers) -> tuple[Numbers, Numbers]:
+def whitening(shape: Array) -> tuple[Array, Array]:
     """Return the mean `(3,)` of points and a root `(3, 3)` of their covariance, longest axis first."""
     values, axes = np.linalg.eigh(np.cov(shape.T, bias=True))
-    change: Numbers = (axes * np.sqrt(np.maximum(values, 1e-12 * values[-1] + 1e-300)))[:, ::-1]
+    change: Array = (axes * np.sqrt(np.maximum(values, 1e-12 * values[-1] + 1e-300)))[:, ::-1]
     return shape.mean(axis=0), change
 
 
-def regauged(cameras: Numbers, shape: Numbers, mean: Numbers, change: Numbers) -> tuple[Numbers, Numbers]:
+def regauged(cameras: Array, shape: Array, mean: Array, change: Array) -> tuple[Array, Array]:
     """Return cameras and shape, with old shape = mean + change new shape."""
     moved = np.concatenate([cameras[..., :3] @ change, cameras[..., 3:]], axis=2)
     moved[..., 3] += cameras[..., :3] @ mean

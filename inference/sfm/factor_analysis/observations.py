@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
@@ -30,12 +30,12 @@ class SparseObservations(NamedTuple):
     edges: Indices
     own: Indices
     other: Indices
-    x: Numbers
-    y: Numbers
-    weight: Numbers
+    x: Array
+    y: Array
+    weight: Array
 
     @classmethod
-    def sorted_by(cls, own: Indices, n: int, other: Indices, x: Numbers, y: Numbers, weight: Numbers) -> Self:
+    def sorted_by(cls, own: Indices, n: int, other: Indices, x: Array, y: Array, weight: Array) -> Self:
         """Return the observations of `n` rows, which are sorted by row already."""
         edges = np.zeros(n + 1, np.int64)
         np.cumsum(np.bincount(own, minlength=n), out=edges[1:])
@@ -57,7 +57,7 @@ class SparseObservations(NamedTuple):
         return self.sorted_by(self.own[keep], len(own), other_kept, x, y, weight)
 
 
-def as_arrays(positions: ArrayLike, weights: ArrayLike | None) -> tuple[Numbers, Numbers]:
+def as_arrays(positions: ArrayLike, weights: ArrayLike | None) -> tuple[Array, Array]:
     """Return positions `(n_frames, n_points, 2)` and weights `(n_frames, n_points)`; else a `ValueError`."""
     where = np.asarray(positions, np.float64)
     if where.ndim != 3 or where.shape[2] != 2:
@@ -80,7 +80,7 @@ class Observations:
 
     by_frame: SparseObservations
     by_point: SparseObservations
-    centre: Numbers
+    centre: Array
     scale: float
     weight_unit: float
     observed_share: float = 1.0
@@ -159,7 +159,7 @@ class Observations:
         """How many coordinates were seen."""
         return 2 * self.count * self.observed_share
 
-    def scaled(self, cameras: Numbers) -> Numbers:
+    def scaled(self, cameras: Array) -> Array:
         """Return cameras `(n_frames, 2, 4)` given in px, in the units used in here."""
         scaled = cameras / self.scale
         scaled[..., 3] -= self.centre / self.scale

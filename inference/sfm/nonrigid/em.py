@@ -26,7 +26,7 @@ from scipy.sparse.linalg import spsolve
 from ....models.numerics.rotations import cross_matrices, exponential, logarithm, nearest_rotation
 from ...optimisation import Anderson, Damping, levenberg_marquardt
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 LEAST_NOISE = 3e-3
 """Of the spread of points: no film shows them better (0.15 px for 50). Below, what is left out is fitted."""
@@ -46,13 +46,13 @@ class Tracks:
     `pattern_of_frame` is which one a frame has.
     """
 
-    positions: Numbers
-    seen: Numbers
-    patterns: Numbers
+    positions: Array
+    seen: Array
+    patterns: Array
     pattern_of_frame: NDArray[np.int64]
 
     @classmethod
-    def of(cls, positions: Numbers) -> Self:
+    def of(cls, positions: Array) -> Self:
         """Return the tracks of positions that are NaN where not seen."""
         seen = ~np.isnan(positions[..., 0])
         patterns, pattern_of_frame = np.unique(seen.astype(np.float64), axis=0, return_inverse=True)
@@ -83,19 +83,19 @@ class State:
     step.
     """
 
-    bases: Numbers
-    rotations: Numbers
-    scales: Numbers
-    translations: Numbers
+    bases: Array
+    rotations: Array
+    scales: Array
+    translations: Array
     noise: float
-    damping: Numbers
+    damping: Array
 
     def begun(self, **changes: Any) -> Self:
         """Return the state with these changes, before the first step."""
         return replace(self, damping=np.full(len(self.scales), FIRST_DAMPING), **changes)
 
     @property
-    def seen_axes(self) -> Numbers:
+    def seen_axes(self) -> Array:
         """c R: `(n_frames, 2, 3)`, the part of the pose that is seen."""
         return self.scales[:, None, None] * self.rotations[:, :2]
 
@@ -108,14 +108,14 @@ class WeightPosterior:
     `(n_frames, 2, n_bases)` of bases as they are seen, over points.
     """
 
-    mean: Numbers
-    covariance: Numbers
-    log_likelihood: Numbers
-    products: Numbers
-    sums: Numbers
+    mean: Array
+    covariance: Array
+    log_likelihood: Array
+    products: Array
+    sums: Array
 
     @property
-    def extended(self) -> Numbers:
+    def extended(self) -> Array:
         """`(n_frames, n_bases)`: with the weight 1 of the mean shape in front."""
         return np.concatenate([np.ones((len(self.mean), 1)), self.mean], axis=1)
 
@@ -128,12 +128,12 @@ class PointSums:
     `(n_frames, 2, 1 + 3 n_bases)`, `squares` `(n_frames,)`.
     """
 
-    points: Numbers
-    positions: Numbers
-    squares: Numbers
+    points: Array
+    positions: Array
+    squares: Array
 
 
-def point_sums(tracks: Tracks, bases: Numbers) -> PointSums:
+def point_sums(tracks: Tracks, bases: Array) -> PointSums:
     """Return the sums for these bases."""
     n_bases, n_points = bases.shape[:2]
     flat = np.ones((n_points, 1 + 3 * n_bases))
@@ -179,7 +179,7 @@ def pose_step(state: State, sums: PointSums, posterior: WeightPosterior) -> tupl
     every = np.arange(6)
     diagonal = normal[:, every, every]
     normal[:, every, every] += state.damping[:, None] * diagonal + RIDGE * diagonal.max(axis=1)[:, None]
-    step: Numbers = np.linalg.solve(normal, pull[..., None])[..., 0].astype(np.float64)
+    step: Array = np.linalg.solve(normal, pull[..., None])[..., 0].astype(np.float64)
     moved = replace(moved_poses(state, step), damping=np.maximum(state.damping / 10, LEAST_DAMPING))
     reached = e_step(moved, sums)
     better = reached.log_likelihood >= posterior.log_likelihood
@@ -189,7 +189,7 @@ def pose_step(state: State, sums: PointSums, posterior: WeightPosterior) -> tupl
     )
 
 
-def moved_poses(state: State, step: Numbers) -> State:
+def moved_poses(state: State, step: Array) -> State:
     """Return the state after a step `(n_frames, 6)`, which is cut to `LONGEST_TURN` and `LONGEST_GROWTH`."""
     length = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
     turns = step[:, :3] * np.minimum(1, LONGEST_TURN / np.maximum(length, LONGEST_TURN))
@@ -201,7 +201,7 @@ def moved_poses(state: State, step: Numbers) -> State:
     )
 
 
-def pose_equations(state: State, sums: PointSums, posterior: WeightPosterior) -> tuple[Numbers, Numbers]:
+def pose_equations(state: State, sums: PointSums, posterior: WeightPosterior) -> tuple[Array, Array]:
     """Return curvature `(n_frames, 6, 6)` and gradient `(n_frames, 6)` of log likelihoods, times the noise.
 
     By turn (R <- exp([w]x) R), logarithm of scale and translation. The gradient is that of the likelihood
@@ -240,7 +240,7 @@ def pose_equations(state: State, sums: PointSums, posterior: WeightPosterior) ->
     return normal, pull
 
 
-def _uncertain_shape(sums: PointSums, posterior: WeightPosterior, n_bases: int) -> Numbers:
+def _uncertain_shape(sums: PointSums, posterior: WeightPosterior, n_bases: int) -> Array:
     """`(n_frames, 3, 3)`: the part of sum_j E[s_j s_j'] that comes from the covariance of the weights."""
     n, n_modes = posterior.mean.shape
     if not n_modes:
@@ -248,7 +248,7 @@ def _uncertain_shape(sums: PointSums, posterior: WeightPosterior, n_bases: int) 
     products = sums.points[:, 1:, 1:].reshape(-1, n_bases, 3, n_bases, 3)[:, 1:, :, 1:]
     by_modes = products.transpose(0, 1, 3, 2, 4).reshape(-1, n_modes**2, 9)
     flat = posterior.covariance.reshape(n, 1, n_modes**2)
-    summed: Numbers = np.matmul(flat, by_modes).reshape(n, 3, 3)
+    summed: Array = np.matmul(flat, by_modes).reshape(n, 3, 3)
     return summed
 
 
@@ -270,7 +270,7 @@ def chosen(first: NDArray[np.bool_], one: OfFrames, other: OfFrames, names: Iter
     return replace(other, **{name: mixed(name) for name in names})
 
 
-def basis_covariance(bases: Numbers, axes: Numbers) -> Numbers:
+def basis_covariance(bases: Array, axes: Array) -> Array:
     """Return the prior covariance `(n_bases, n_bases)` of a point's bases along any axis.
 
     Where an object hardly turns, its likelihood grows with its depth: whatever does not fit the model is
@@ -282,20 +282,20 @@ def basis_covariance(bases: Numbers, axes: Numbers) -> Numbers:
     scale = np.trace(seen) / 2
     n_points = bases.shape[1]
     product = np.einsum("kja,ab,ljb->kl", bases, seen / scale, bases, optimize=True)
-    covariance: Numbers = product / (2 * n_points)
+    covariance: Array = product / (2 * n_points)
     covariance[0, 1:] = covariance[1:, 0] = 0
     return covariance + np.eye(len(covariance)) * LEAST_NOISE**2
 
 
-def log_prior(bases: Numbers, covariance: Numbers) -> float:
+def log_prior(bases: Array, covariance: Array) -> float:
     """Return log density of the bases, tempered, less a constant."""
     squares = np.einsum("kja,lja->kl", bases, bases)
     return -0.5 * ALIKE * float(np.sum(np.linalg.inv(covariance) * squares))
 
 
 def shape_step(
-    state: State, tracks: Tracks, posterior: WeightPosterior, covariance: Numbers
-) -> tuple[State, Numbers]:
+    state: State, tracks: Tracks, posterior: WeightPosterior, covariance: Array
+) -> tuple[State, Array]:
     """Update bases by the normal equations of each point, then the noise (M-step).
 
     Returns the state and the prior's covariance in terms of the new modes.
@@ -368,13 +368,13 @@ def run_em(
     return state, history
 
 
-def _as_vector(state: State) -> Numbers:
+def _as_vector(state: State) -> Array:
     """All numbers of a state that EM changes; they are all about as large."""
     parts = (state.bases, state.rotations, np.log(state.scales), state.translations, np.log([state.noise]))
     return np.concatenate([part.reshape(-1) for part in parts])
 
 
-def _from_vector(vector: Numbers, like: State) -> State:
+def _from_vector(vector: Array, like: State) -> State:
     """The state of a vector, with the nearest rotations."""
     sizes = np.cumsum([like.bases.size, like.rotations.size, like.scales.size, like.translations.size])
     bases, rotations, scales, translations, noise = np.split(vector, sizes)
@@ -422,8 +422,8 @@ def smoothed(tracks: Tracks, state: State, on_iteration: Callable[[], None]) -> 
 
 
 def smooth_weights(
-    state: State, sums: PointSums, correlations: Numbers
-) -> tuple[WeightPosterior, Numbers, float]:
+    state: State, sums: PointSums, correlations: Array
+) -> tuple[WeightPosterior, Array, float]:
     """Smooth the weights: posterior given all frames, covariances with the frame before, log likelihood.
 
     Information is block tridiagonal: elimination forward, and back (Rauch, Tung and Striebel 1965).
@@ -457,7 +457,7 @@ def smooth_weights(
     return replace(alone, mean=means, covariance=covariances), cross, likelihood
 
 
-def _correlations(posterior: WeightPosterior, cross: Numbers) -> tuple[Numbers, Numbers]:
+def _correlations(posterior: WeightPosterior, cross: Array) -> tuple[Array, Array]:
     """Correlations of successive weights, and the modes (columns) in terms of those of `shape_step`."""
     away = posterior.mean - posterior.mean.mean(axis=0)
     squares = away[:, :, None] * away[:, None] + posterior.covariance
@@ -469,7 +469,7 @@ def _correlations(posterior: WeightPosterior, cross: Numbers) -> tuple[Numbers, 
     return np.clip(ratio, 0, MOST_CORRELATION), modes
 
 
-def second_differences(rotations: Numbers) -> Numbers:
+def second_differences(rotations: Array) -> Array:
     """Return second differences of rotations about the camera's axes, `(n_frames - 2, 3)` rad."""
     turns = logarithm(rotations[1:] @ rotations[:-1].transpose(0, 2, 1))
     return np.diff(turns, axis=0)
@@ -481,7 +481,7 @@ def _differences(n: int) -> sparse.csr_matrix:
     return sparse.csr_matrix(sparse.kron(rows, sparse.eye(3)))
 
 
-def _spread_of_turns(rotations: Numbers, normal: Numbers, spread: float | None) -> float:
+def _spread_of_turns(rotations: Array, normal: Array, spread: float | None) -> float:
     """Variance of second differences, expected under their posterior by the spread before; rad^2."""
     n = min(len(rotations), WINDOW)
     about, rest = normal[:n, :3, :3], normal[:n, 3:, 3:]
@@ -498,10 +498,10 @@ def _spread_of_turns(rotations: Numbers, normal: Numbers, spread: float | None) 
 def _turned(
     state: State,
     sums: PointSums,
-    correlations: Numbers,
+    correlations: Array,
     spread: float,
-    normal: Numbers,
-    pull: Numbers,
+    normal: Array,
+    pull: Array,
     damping: float,
 ) -> tuple[State, float]:
     """One step of all poses together, and the damping of the next."""

@@ -44,7 +44,7 @@ from .shape import (
     without_triangles,
 )
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 USUAL_DEPTH = 0.7  # of objects that hardly turn, in root mean squares of their width and height
@@ -55,7 +55,7 @@ TURNED_OVER = np.radians(15)  # poses that differ by so much are two ways of see
 TOLERANCE = 1e-5  # nats a coordinate, for what comes before the last climb
 
 
-def rigid_states(tracks: Tracks, positions: Numbers, on_iteration: Callable[[], None]) -> list[State]:
+def rigid_states(tracks: Tracks, positions: Array, on_iteration: Callable[[], None]) -> list[State]:
     """Return rigid motions: that of the factorisation, and one with smooth turns.
 
     Sudden turns of about 180 degrees explain a flat object's picture as well.
@@ -67,19 +67,19 @@ def rigid_states(tracks: Tracks, positions: Numbers, on_iteration: Callable[[], 
     return [rigid, run_em(tracks, smooth, RIGID_ITERATIONS, TOLERANCE, on_iteration)[0]]
 
 
-def shape_seen_from(positions: Numbers, rotations: Numbers) -> State:
+def shape_seen_from(positions: Array, rotations: Array) -> State:
     """Return the best rigid shape under given rotations; `positions` are complete and centred."""
     n_frames, n_points, _ = positions.shape
     axes = rotations[:, :2].reshape(-1, 3)
     rows = positions.transpose(0, 2, 1).reshape(-1, n_points)
-    shape: Numbers = np.asarray(np.linalg.lstsq(axes, rows)[0].T, np.float64)
+    shape: Array = np.asarray(np.linalg.lstsq(axes, rows)[0].T, np.float64)
     left = positions - shape @ rotations[:, :2].transpose(0, 2, 1)
     noise = max(float(np.mean(left**2)), LEAST_NOISE**2)
     damping = np.full(n_frames, FIRST_DAMPING)
     return State(shape[None].copy(), rotations, np.ones(n_frames), np.zeros((n_frames, 2)), noise, damping)
 
 
-def rigid_start(positions: Numbers) -> State:
+def rigid_start(positions: Array) -> State:
     """Return a rigid shape and its poses from factorisation `(n_frames, n_points, 2)`, NaN where not seen."""
     found = factorise(positions)
     metric = euclidean(found.cameras, found.shape, found.camera_covariance)
@@ -94,7 +94,7 @@ def rigid_start(positions: Numbers) -> State:
     return State(shape[None].copy(), rotations, scales, cameras[..., 3].copy(), noise, damping)
 
 
-def _usual_depth(cameras: Numbers, shape: Numbers) -> Numbers:
+def _usual_depth(cameras: Array, shape: Array) -> Array:
     """The shape as cameras see it on average, with a depth that they leave open, of usual size."""
     mean = cameras[..., :3].mean(axis=0)
     unseen = np.linalg.svd(mean)[2][2]
@@ -156,7 +156,7 @@ def with_smooth_turns(tracks: Tracks, state: State) -> State | None:
     return chosen_poses(turned_over, mirrored, state).begun()
 
 
-def _smoothest(likelihoods: Numbers, rotations: Numbers) -> NDArray[np.int64]:
+def _smoothest(likelihoods: Array, rotations: Array) -> NDArray[np.int64]:
     """Which of two rotations `(n_frames, 2, 3, 3)` each frame has; turns have standard deviation `SMOOTH`."""
     score, origins = likelihoods[0], []
     for before, now, likelihood in zip(rotations[:-1], rotations[1:], likelihoods[1:], strict=True):
@@ -170,9 +170,9 @@ def _smoothest(likelihoods: Numbers, rotations: Numbers) -> NDArray[np.int64]:
     return np.array(path[::-1])
 
 
-def _angles(one: Numbers, other: Numbers) -> Numbers:
+def _angles(one: Array, other: Array) -> Array:
     """Angles `(...,)` rad between rotations `(..., 3, 3)`."""
-    angles: Numbers = np.arccos(np.clip((np.sum(one * other, axis=(-2, -1)) - 1) / 2, -1, 1))
+    angles: Array = np.arccos(np.clip((np.sum(one * other, axis=(-2, -1)) - 1) / 2, -1, 1))
     return angles
 
 
@@ -185,7 +185,7 @@ LEAST_STRENGTH = 1e-6  # singular values below this share of the largest are rou
 RANDOM_STARTS, SEED = 4, 0
 
 
-def rotations_of_rank(positions: Numbers, ranks: set[int]) -> list[Numbers]:
+def rotations_of_rank(positions: Array, ranks: set[int]) -> list[Array]:
     """Return rotations `(n_frames, 3, 3)`, two for each rank, by the method of Levenberg and Marquardt.
 
     One starts from the three strongest columns, the other one is the best of some that start from random
@@ -210,16 +210,16 @@ def rotations_of_rank(positions: Numbers, ranks: set[int]) -> list[Numbers]:
 class _Corrected(NamedTuple):
     """A correction Q, rows `(n_frames, 2, 3)`, how they violate orthonormality, and the squares of that."""
 
-    correction: Numbers
-    rows: Numbers
-    violations: Numbers
+    correction: Array
+    rows: Array
+    violations: Array
     squares: float
 
 
-def _corrected(motion: Numbers, first: Numbers) -> _Corrected:
+def _corrected(motion: Array, first: Array) -> _Corrected:
     """Rows near orthonormality, `motion` `(n_frames, 2, r)` times Q, from a first Q `(r, 3)`."""
 
-    def at(correction: Numbers) -> _Corrected:
+    def at(correction: Array) -> _Corrected:
         rows = motion @ correction
         violations = _violations(rows)
         return _Corrected(correction, rows, violations, float(violations @ violations))
@@ -248,13 +248,13 @@ def _corrected(motion: Numbers, first: Numbers) -> _Corrected:
     )[0]
 
 
-def _violations(rows: Numbers) -> Numbers:
+def _violations(rows: Array) -> Array:
     """`(3 n_frames,)`: a a' - 1, b b' - 1, sqrt(2) a b'."""
     gram = rows @ rows.transpose(0, 2, 1)
     return np.concatenate([gram[:, 0, 0] - 1, gram[:, 1, 1] - 1, np.sqrt(2) * gram[:, 0, 1]])
 
 
-def _derivatives(motion: Numbers, rows: Numbers) -> Numbers:
+def _derivatives(motion: Array, rows: Array) -> Array:
     """`(3 n_frames, 3 r)`: of the violations by Q."""
     first, second = motion[:, 0, :, None], motion[:, 1, :, None]
     one, other = rows[:, 0, None], rows[:, 1, None]
@@ -262,7 +262,7 @@ def _derivatives(motion: Numbers, rows: Numbers) -> Numbers:
     return np.concatenate(parts).reshape(3 * len(rows), -1)
 
 
-def _rotations(rows: Numbers) -> Numbers:
+def _rotations(rows: Array) -> Array:
     """The rotations whose first two rows are nearest to `(n_frames, 2, 3)`."""
     whole = np.concatenate([rows, np.cross(rows[:, 0], rows[:, 1])[:, None]], axis=1)
     # the third row has no say in which are nearest: it is perpendicular to both
@@ -280,7 +280,7 @@ RANKS = (6, 9, 15, 24)  # of factorisations whose rotations are tried, beside th
 
 def search(
     tracks: Tracks,
-    positions: Numbers,
+    positions: Array,
     bases: int,
     most: int,
     iterations: int,
@@ -335,20 +335,20 @@ def _free_numbers(state: State) -> float:
     return state.bases.size - modes * (modes - 1) / 2
 
 
-def _filled(tracks: Tracks, state: State) -> Numbers:
+def _filled(tracks: Tracks, state: State) -> Array:
     """Positions about the middles of all points, those that were not seen as the state has them."""
     predicted = whole_shapes(tracks, state)[..., :2] + state.translations[:, None]
     complete = np.where(tracks.seen[..., None] > 0, tracks.positions, predicted)
-    centred: Numbers = complete - complete.mean(axis=1, keepdims=True)
+    centred: Array = complete - complete.mean(axis=1, keepdims=True)
     return centred
 
 
-def whole_shapes(tracks: Tracks, state: State) -> Numbers:
+def whole_shapes(tracks: Tracks, state: State) -> Array:
     """Return shapes `(n_frames, n_points, 3)` in the camera's axes, from the object's origin."""
     return shapes_of(state, e_step(state, point_sums(tracks, state.bases)))
 
 
-def shapes_of(state: State, posterior: WeightPosterior) -> Numbers:
+def shapes_of(state: State, posterior: WeightPosterior) -> Array:
     """Return the shapes for known weights."""
     shapes = np.tensordot(posterior.extended, state.bases, 1) @ state.rotations.transpose(0, 2, 1)
     return state.scales[:, None, None] * shapes
@@ -357,7 +357,7 @@ def shapes_of(state: State, posterior: WeightPosterior) -> Numbers:
 def _best_first(tracks: Tracks, states: Sequence[State]) -> list[tuple[float, State]]:
     """States with their log likelihoods, the likeliest first, each optimum only once."""
     different: list[tuple[float, State]] = []
-    shapes: list[Numbers] = []
+    shapes: list[Array] = []
     ranked = sorted(((log_likelihood(tracks, each), each) for each in states), key=lambda each: -each[0])
     for likelihood, state in ranked:
         shape = whole_shapes(tracks, state)
@@ -432,7 +432,7 @@ def learn_shape(
     return _in_pixels(observed, state, weights, history, unlike, bases, unit, middles, determined)
 
 
-def _check(positions: Numbers, bases: int) -> NDArray[np.bool_]:
+def _check(positions: Array, bases: int) -> NDArray[np.bool_]:
     """Refuse what cannot be learned from; `(n_frames,)` which frames can be."""
     if positions.ndim != 3 or positions.shape[2] != 2:
         raise ValueError(f"tracks: got {positions.shape}, expected (n_frames, n_points, 2) px")
@@ -458,7 +458,7 @@ def _check(positions: Numbers, bases: int) -> NDArray[np.bool_]:
     return determined
 
 
-def most_bases(positions: Numbers) -> int:
+def most_bases(positions: Array) -> int:
     """Return how many bases positions `(n_frames, n_points, 2)` can determine: each adds 3 to their rank."""
     n_frames, n_points = positions.shape[:2]
     return int(min(2 * n_frames, n_points - 1)) // 3
@@ -469,10 +469,10 @@ def _in_pixels(
     state: State,
     posterior: WeightPosterior,
     history: list[float],
-    others: list[tuple[float, Numbers]],
+    others: list[tuple[float, Array]],
     n_bases: int,
     unit: float,
-    middles: Numbers,
+    middles: Array,
     determined: NDArray[np.bool_],
 ) -> NonrigidShape:
     """The result in px and in the axes and order that `NonrigidShape` promises."""
@@ -499,7 +499,7 @@ def _in_pixels(
     poses = posed(rotations, translations, scales, weights)
     shapes = shapes_of(state, posterior)
 
-    def everywhere(values: Numbers) -> Numbers:
+    def everywhere(values: Array) -> Array:
         whole = np.full((len(determined), *values.shape[1:]), np.nan)
         whole[determined] = values
         return whole
@@ -550,7 +550,7 @@ class BasesChoice:
 
     bases: int
     candidates: tuple[int, ...]
-    errors: Numbers
+    errors: Array
 
 
 def choose_bases(
@@ -588,7 +588,7 @@ def choose_bases(
     return BasesChoice(candidates[chosen], tuple(candidates), np.sqrt(means))
 
 
-def withheld(positions: Numbers) -> NDArray[np.bool_]:
+def withheld(positions: Array) -> NDArray[np.bool_]:
     """Return which observed positions are withheld, `(n_frames, n_points)` bool."""
     seen = ~np.isnan(positions[..., 0])
     draws = np.where(seen, np.random.default_rng(SEED).random(seen.shape), 2.0)
@@ -608,7 +608,7 @@ SHARP = 0.1  # places are expected to this share of the object's size, or tracks
 ROUNDS = 3
 
 
-def learn_associated(positions: Numbers, bases: int, *, associate: bool) -> tuple[NonrigidShape, Indices]:
+def learn_associated(positions: Array, bases: int, *, associate: bool) -> tuple[NonrigidShape, Indices]:
     """Learn a shape from tracks `(n_frames, n_tracks, 2)` px, NaN where not seen.
 
     With `associate`, pairs of tracks that were never seen at once, of which each lies where the shape
@@ -630,7 +630,7 @@ def learn_associated(positions: Numbers, bases: int, *, associate: bool) -> tupl
     return shape, point
 
 
-def _long_enough(positions: Numbers) -> Indices:
+def _long_enough(positions: Array) -> Indices:
     """A point for each track that is seen in enough frames which show enough of the others."""
     seen = ~np.isnan(positions[..., 0])
     keeps = np.ones(seen.shape[1], np.bool_)
@@ -644,7 +644,7 @@ def _long_enough(positions: Numbers) -> Indices:
         keeps = enough
 
 
-def _merged(positions: Numbers, point: Indices) -> Numbers:
+def _merged(positions: Array, point: Indices) -> Array:
     """`(n_frames, n_points, 2)`: of each frame the track that shows the point, if there is one."""
     merged = np.full((len(positions), point.max() + 1, 2), np.nan)
     for track in np.flatnonzero(point >= 0):
@@ -653,7 +653,7 @@ def _merged(positions: Numbers, point: Indices) -> Numbers:
     return merged
 
 
-def _pairs(positions: Numbers, shape: NonrigidShape) -> list[tuple[int, int]]:
+def _pairs(positions: Array, shape: NonrigidShape) -> list[tuple[int, int]]:
     """Pairs of points that are one, the smaller number first; no point is in two of them."""
     seen = ~np.isnan(positions[..., 0]) & shape.frame_determined[:, None]
     apart = (seen.T.astype(np.float64) @ seen) > 0

@@ -9,12 +9,12 @@ from ....models.core.short_repr import short_repr
 from ....models.face.morphable_model import RIGID, MorphableModel, Poses
 from .em import ALIKE, basis_covariance
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 MIRRORED = np.array([1.0, 1.0, -1.0])
 
 
-def shape_error(estimate: Numbers, truth: Numbers) -> float:
+def shape_error(estimate: Array, truth: Array) -> float:
     """Return mean 3-D error of points over the mean standard deviation of the true ones: e3D.
 
     Gotardo and Martinez (2011) after Akhter et al. (2008): sum_tj |s_tj - s*_tj| / (n_frames n_points
@@ -39,25 +39,25 @@ def shape_error(estimate: Numbers, truth: Numbers) -> float:
     return float(np.linalg.norm(nearer_image(estimate[known], goal) - goal, axis=2).mean() / size)
 
 
-def nearer_image(shapes: Numbers, truth: Numbers) -> Numbers:
+def nearer_image(shapes: Array, truth: Array) -> Array:
     """Return the shapes about their centroids, or their mirror images in depth, all frames alike."""
     goal = about_centroids(truth)
     images = [about_centroids(shapes), about_centroids(shapes) * MIRRORED]
     return min(images, key=lambda image: float(np.linalg.norm(image - goal, axis=2).sum()))
 
 
-def about_centroids(shapes: Numbers) -> Numbers:
+def about_centroids(shapes: Array) -> Array:
     """Return shapes `(n_frames, n_points, 3)` about their centroids."""
-    about: Numbers = shapes - shapes.mean(axis=1, keepdims=True)
+    about: Array = shapes - shapes.mean(axis=1, keepdims=True)
     return about
 
 
-def without_triangles(bases: Numbers) -> MorphableModel:
+def without_triangles(bases: Array) -> MorphableModel:
     """Return a model of points without triangles."""
     return MorphableModel(bases, np.zeros((0, 3), np.int64))
 
 
-def frame_changes(bases: Numbers, poses: Poses) -> Numbers:
+def frame_changes(bases: Array, poses: Poses) -> Array:
     """Return derivatives `(n_frames, n_points, 3, 6 + n_modes)` px by pose and weights."""
     model = without_triangles(bases)
     by_morph = model.jacobian(poses, 3)
@@ -66,7 +66,7 @@ def frame_changes(bases: Numbers, poses: Poses) -> Numbers:
     return np.concatenate([by_morph[..., :3], growth, by_morph[..., 3:RIGID], along_weights], axis=3)
 
 
-def frame_covariances(bases: Numbers, poses: Poses, seen: NDArray[np.bool_], noise: float) -> Numbers:
+def frame_covariances(bases: Array, poses: Poses, seen: NDArray[np.bool_], noise: float) -> Array:
     """Return covariances `(n_frames, 6 + n_modes, 6 + n_modes)` of pose and weights, given the bases."""
     rows = frame_changes(bases, poses)[:, :, :2] * seen[..., None, None] / noise
     flat = rows.reshape(len(rows), -1, rows.shape[-1])
@@ -79,8 +79,8 @@ def frame_covariances(bases: Numbers, poses: Poses, seen: NDArray[np.bool_], noi
 
 
 def basis_covariances(
-    bases: Numbers, poses: Poses, weights: Numbers, spread: Numbers, seen: NDArray[np.bool_], noise: float
-) -> Numbers:
+    bases: Array, poses: Poses, weights: Array, spread: Array, seen: NDArray[np.bool_], noise: float
+) -> Array:
     """Return covariances `(n_points, 3 n_bases, 3 n_bases)` of the bases, given poses and weights."""
     axes = poses.sizes[:, None, None] * poses.rotations[:, :2]
     extended = np.concatenate([np.ones((len(weights), 1)), weights], axis=1)
@@ -141,20 +141,20 @@ class NonrigidShape:
         other optima of nearly equal likelihood, the likeliest first.
     """
 
-    bases: Numbers
-    weights: Numbers
-    details: Numbers
-    detail_weights: Numbers
-    rotations: Numbers
-    scales: Numbers
-    translations: Numbers
+    bases: Array
+    weights: Array
+    details: Array
+    detail_weights: Array
+    rotations: Array
+    scales: Array
+    translations: Array
     noise: float
     rmse: float
     log_likelihood: float
     history: tuple[float, ...]
     frame_determined: NDArray[np.bool_]
-    frame_covariances: Numbers
-    basis_covariances: Numbers
+    frame_covariances: Array
+    basis_covariances: Array
     rivals: tuple[Rival, ...] = ()
 
     @property
@@ -163,7 +163,7 @@ class NonrigidShape:
         return posed(self.rotations, self.translations, self.scales, self.weights)
 
     @property
-    def _whole(self) -> tuple[Numbers, Poses]:
+    def _whole(self) -> tuple[Array, Poses]:
         """Bases with details, and poses of them."""
         weights = np.concatenate([self.weights, self.detail_weights], axis=1)
         poses = posed(self.rotations, self.translations, self.scales, weights)
@@ -177,7 +177,7 @@ class NonrigidShape:
         """
         return float(np.sqrt(2) * self.rmse / np.nanmean(self.scales))
 
-    def shapes(self) -> Numbers:
+    def shapes(self) -> Array:
         """Return `(n_frames, n_points, 3)` px: positions, and depths behind the object's origin.
 
         With all details: the best that is known of the points. `model().positions(poses)` are without.
@@ -185,14 +185,14 @@ class NonrigidShape:
         bases, poses = self._whole
         return without_triangles(bases).positions(poses)
 
-    def shape_covariances(self) -> Numbers:
+    def shape_covariances(self) -> Array:
         """Return covariances `(n_frames, n_points, 3, 3)` px^2 of `shapes()`.
 
         Frames given bases, and bases given frames, to first order; without the noise of observations.
         """
         bases, poses = self._whole
         rows = frame_changes(bases, poses)
-        covariances: Numbers = rows @ self.frame_covariances[:, None] @ rows.transpose(0, 1, 3, 2)
+        covariances: Array = rows @ self.frame_covariances[:, None] @ rows.transpose(0, 1, 3, 2)
         n_bases, n_points, _ = bases.shape
         by_basis = self.basis_covariances.reshape(n_points, n_bases, 3, n_bases, 3)
         inner = np.einsum("nk,vkalb,nl->nvab", poses.morphs, by_basis, poses.morphs, optimize=True)
@@ -205,20 +205,20 @@ class NonrigidShape:
         return MorphableModel(self.bases, triangles_in_front(self.bases[0]))
 
 
-def posed(rotations: Numbers, translations: Numbers, scales: Numbers, weights: Numbers) -> Poses:
+def posed(rotations: Array, translations: Array, scales: Array, weights: Array) -> Poses:
     """Return poses with weights `(n_frames, n_modes)` of modes in units of the scale."""
     extended = np.pad(weights, ((0, 0), (1, 0)), constant_values=1)
     return Poses(rotations, translations, scales[:, None] * extended)
 
 
-def convex(shape: Numbers) -> bool:
+def convex(shape: Array) -> bool:
     """Return whether a shape `(n_points, 3)` is nearer to the viewer in its middle than at its margin."""
     centred = shape - shape.mean(axis=0)
     outwards = np.sum(centred[:, :2] ** 2, axis=1)
     return bool(np.sum(centred[:, 2] * (outwards - outwards.mean())) >= 0)
 
 
-def triangles_in_front(shape: Numbers) -> NDArray[np.int64]:
+def triangles_in_front(shape: Array) -> NDArray[np.int64]:
     """Return Delaunay triangles `(n_triangles, 3)` of a shape `(n_points, 3)` as seen from the front.
 
     Their normals (cross products of edges) have z < 0. Points on a line are a `ValueError`.

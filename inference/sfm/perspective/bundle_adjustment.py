@@ -20,7 +20,7 @@ from ....models.camera.perspective_camera import NEAREST, PerspectiveCameras
 from ....models.core.short_repr import short_repr
 from ....models.numerics.rotations import exponential
 from ...optimisation import Damping, levenberg_marquardt
-from ..factor_analysis.observations import Numbers, SparseObservations
+from ..factor_analysis.observations import Array, SparseObservations
 from .kernels import (
     CAMERA,
     eliminated,
@@ -53,7 +53,7 @@ class StudentNoise:
     freedom: float
 
     @classmethod
-    def of_errors(cls, squares: Numbers, weight: Numbers) -> "StudentNoise":
+    def of_errors(cls, squares: Array, weight: Array) -> "StudentNoise":
         """Return the noise under which squared distances `(n,)` px^2 of such weights are likeliest."""
         middle = float(np.median(weight * squares))
 
@@ -71,7 +71,7 @@ class StudentNoise:
         )
         return of_freedom(float(found.x))
 
-    def rescaled(self, squares: Numbers, weight: Numbers) -> "StudentNoise":
+    def rescaled(self, squares: Array, weight: Array) -> "StudentNoise":
         """Return the likeliest variance for these degrees of freedom, by EM; arguments as of `of_errors`."""
         weighted, variance = weight * squares, self.variance
         for _ in range(MOST_ROUNDS):
@@ -82,21 +82,21 @@ class StudentNoise:
                 break
         return replace(self, variance=variance)
 
-    def weights(self, squares: Numbers, weight: Numbers) -> Numbers:
+    def weights(self, squares: Array, weight: Array) -> Array:
         """Return the weights `(n,)` of observations in iteratively reweighted least squares."""
         return weight * (self.freedom + 2) / (self.freedom + weight * squares / self.variance)
 
-    def agrees(self, squares: Numbers, weight: Numbers) -> NDArray[np.bool_]:
+    def agrees(self, squares: Array, weight: Array) -> NDArray[np.bool_]:
         """Return which observations are inliers: of `HARDLY` or more of the weight of a perfect fit."""
         return weight * squares <= (1 / HARDLY - 1) * self.freedom * self.variance
 
-    def log_likelihood(self, squares: Numbers, weight: Numbers) -> float:
+    def log_likelihood(self, squares: Array, weight: Array) -> float:
         """Return log density of errors `(n,)` px^2."""
         unlikely = np.log1p(weight * squares / (self.freedom * self.variance)).sum()
         scale = len(squares) * np.log(2 * np.pi * self.variance) - np.log(weight).sum()
         return -float(scale + 0.5 * (self.freedom + 2) * unlikely)
 
-    def precision(self, squares: Numbers, weight: Numbers, parameters: float) -> float:
+    def precision(self, squares: Array, weight: Array, parameters: float) -> float:
         """Return the information, 1/px^2, of a coordinate of weight 1 about its mean.
 
         By Huber's formula for M-estimators ("Robust Statistics", 1981, section 7.6): with psi the derivative
@@ -120,15 +120,15 @@ GAUGE = 7  # numbers of a shape's place, turn and size, which no film shows
 class Sums(NamedTuple):
     """What `normal_equations` gives."""
 
-    cameras: Numbers
-    camera_vector: Numbers
-    border: Numbers
+    cameras: Array
+    camera_vector: Array
+    border: Array
     corner: float
     corner_vector: float
-    points: Numbers
-    point_vector: Numbers
-    mixed: Numbers
-    mixed_border: Numbers
+    points: Array
+    point_vector: Array
+    mixed: Array
+    mixed_border: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,12 +136,12 @@ class Bundle:
     """Cameras and points `(n_points, 3)`, the noise about what they predict, and log likelihood."""
 
     cameras: PerspectiveCameras
-    shape: Numbers
+    shape: Array
     noise: StudentNoise
     log_likelihood: float
 
 
-def about(by_point: SparseObservations, principal: Numbers) -> SparseObservations:
+def about(by_point: SparseObservations, principal: Array) -> SparseObservations:
     """Return observations in px from the principal point `(2,)`."""
     return by_point._replace(x=by_point.x - principal[0], y=by_point.y - principal[1])
 
@@ -153,16 +153,16 @@ def freedom(listed: SparseObservations, *, focal_known: bool) -> int:
     return int(CAMERA * n_frames + 3 * n_points - GAUGE + (not focal_known))
 
 
-def squares_of(listed: SparseObservations, cameras: PerspectiveCameras, shape: Numbers) -> Numbers:
+def squares_of(listed: SparseObservations, cameras: PerspectiveCameras, shape: Array) -> Array:
     """Return squared residuals `(n,)` px^2."""
-    squares: Numbers = squared_distances(listed, *cameras.arrays, shape, NEAREST, BEHIND)
+    squares: Array = squared_distances(listed, *cameras.arrays, shape, NEAREST, BEHIND)
     return squares
 
 
 def adjust(
     listed: SparseObservations,
     cameras: PerspectiveCameras,
-    shape: Numbers,
+    shape: Array,
     *,
     focal_known: bool,
     most_steps: int = 100,
@@ -202,23 +202,21 @@ def adjust(
     )[0]
 
 
-def retriangulated(listed: SparseObservations, bundle: Bundle) -> Numbers:
+def retriangulated(listed: SparseObservations, bundle: Bundle) -> Array:
     """Triangulate points `(n_points, 3)` again, where that makes them likelier."""
     noise, shape = bundle.noise, bundle.shape.copy()
     triangulate(listed, *bundle.cameras.arrays, shape, noise.variance, noise.freedom, NEAREST, BEHIND)
     return shape
 
 
-def sums_of(
-    listed: SparseObservations, weights: Numbers, cameras: PerspectiveCameras, shape: Numbers
-) -> Sums:
+def sums_of(listed: SparseObservations, weights: Array, cameras: PerspectiveCameras, shape: Array) -> Sums:
     """Return normal equations at the weights `(n,)` of observations."""
     return Sums(*normal_equations(listed, weights, *cameras.arrays, shape, NEAREST))
 
 
 def reduced(
     listed: SparseObservations, sums: Sums, damping: float, *, focal_known: bool
-) -> tuple[Numbers, Numbers, Numbers]:
+) -> tuple[Array, Array, Array]:
     """Return the reduced normal equations of cameras and q `(6 n_frames + 1, ...)`, points eliminated."""
     n_frames = len(sums.cameras)
     matrix, vector = np.zeros((CAMERA * n_frames + 1,) * 2), np.zeros(CAMERA * n_frames + 1)
@@ -244,7 +242,7 @@ def reduced(
 
 def _moved(
     listed: SparseObservations, sums: Sums, damping: float, at: Bundle, focal_known: bool
-) -> tuple[PerspectiveCameras, Numbers] | None:
+) -> tuple[PerspectiveCameras, Array] | None:
     """Cameras and shape after a step; `None` if the normal equations are not positive definite."""
     matrix, vector, inverses = reduced(listed, sums, damping, focal_known=focal_known)
     diagonal = np.diag(matrix)
@@ -281,9 +279,9 @@ class BundleCovariance:
     `(n_points, 3, 3)`; both `(n_points, 3, 6 n_frames + 1)`, the last number 1 / focal length.
     """
 
-    cameras: Numbers
-    points: Numbers
-    points_and_cameras: Numbers
+    cameras: Array
+    points: Array
+    points_and_cameras: Array
 
     @property
     def curvature_deviation(self) -> float:
@@ -292,7 +290,7 @@ class BundleCovariance:
 
 
 def covariance_of(
-    listed: SparseObservations, bundle: Bundle, prior: Numbers, *, focal_known: bool
+    listed: SparseObservations, bundle: Bundle, prior: Array, *, focal_known: bool
 ) -> BundleCovariance:
     """Return the covariance at the optimum, from the information of all observations (Laplace).
 
@@ -335,7 +333,7 @@ def covariance_of(
 
 def _of_cameras(
     listed: SparseObservations, sums: Sums, cameras: PerspectiveCameras, *, focal_known: bool
-) -> tuple[Numbers, Numbers]:
+) -> tuple[Array, Array]:
     """Covariance of all cameras and 1 / focal length, and of points given those."""
     matrix, _, inverses = reduced(listed, sums, 0.0, focal_known=focal_known)
     matrix = np.tril(matrix) + np.tril(matrix, -1).T
@@ -344,13 +342,13 @@ def _of_cameras(
     gauge, _ = np.linalg.qr(size[:, None] * gauge_of(cameras))
     values, axes = np.linalg.eigh(matrix / size[:, None] / size + HELD * gauge @ gauge.T)
     axes /= size[:, None]
-    whole: Numbers = (axes / np.maximum(values, OPEN)) @ axes.T
+    whole: Array = (axes / np.maximum(values, OPEN)) @ axes.T
     if focal_known:
         whole[-1, :] = whole[:, -1] = 0
     return whole, inverses
 
 
-def gauge_of(cameras: PerspectiveCameras) -> Numbers:
+def gauge_of(cameras: PerspectiveCameras) -> Array:
     """Return the gauge directions `(6 n_frames + 1, 7)` of cameras and q: turn, growth and shift."""
     n_frames, rotations = len(cameras.scales), cameras.rotations
     changes = np.zeros((n_frames, CAMERA, GAUGE))
@@ -364,9 +362,9 @@ def gauge_of(cameras: PerspectiveCameras) -> Numbers:
     return np.concatenate([changes.reshape(-1, GAUGE), np.zeros((1, GAUGE))])
 
 
-def predicted(bundle: Bundle, covariance: BundleCovariance) -> tuple[Numbers, Numbers]:
+def predicted(bundle: Bundle, covariance: BundleCovariance) -> tuple[Array, Array]:
     """Return positions `(n_frames, n_points, 2)` px of all points, and their covariances px^2."""
     positions, _ = bundle.cameras.seen(bundle.shape)
     known = covariance.cameras, covariance.points, covariance.points_and_cameras
-    covariances: Numbers = prediction_covariances(*bundle.cameras.arrays, bundle.shape, *known)
+    covariances: Array = prediction_covariances(*bundle.cameras.arrays, bundle.shape, *known)
     return positions, covariances

@@ -21,7 +21,7 @@ from ....models.core.short_repr import short_repr
 from ....models.numerics.rotations import exponential
 from ..affine_camera import Euclidean, euclidean
 from ..factor_analysis.factorisation import NEAR, projected, variable_projection
-from ..factor_analysis.observations import Numbers, Observations, SparseObservations, determined
+from ..factor_analysis.observations import Array, Observations, SparseObservations, determined
 from .bundle_adjustment import (
     Bundle,
     BundleCovariance,
@@ -55,9 +55,7 @@ STEPS = 12  # of bundle adjustment while it grows
 FOCAL_FREE = 5  # frames from which the focal length is estimated, too; fewer hardly show it
 
 
-def grown(
-    places: Numbers, focal: float, *, focal_known: bool
-) -> tuple[PerspectiveCameras, Numbers, Mask] | None:
+def grown(places: Array, focal: float, *, focal_known: bool) -> tuple[PerspectiveCameras, Array, Mask] | None:
     """Grow a structure as far as it goes; `None` if no pair of frames shows enough.
 
     Places `(n_frames, n_points, 2)` are px from the principal point, NaN where nothing was seen; `focal` px
@@ -75,7 +73,7 @@ def grown(
 class _Growth:
     """Cameras and points so far."""
 
-    def __init__(self, places: Numbers, focal: float, focal_known: bool) -> None:
+    def __init__(self, places: Array, focal: float, focal_known: bool) -> None:
         self._places = places
         self._seen: Mask = np.isfinite(places[..., 0])
         self._focal_known = focal_known
@@ -92,7 +90,7 @@ class _Growth:
         self._adjusted = 2
         self._level = 0
 
-    def result(self) -> tuple[PerspectiveCameras, Numbers, Mask]:
+    def result(self) -> tuple[PerspectiveCameras, Array, Mask]:
         """Return the structure that has grown; see `grown`."""
         known = np.flatnonzero(self._frames)
         nearest = known[np.abs(np.arange(len(self._frames))[:, None] - known).argmin(axis=1)]
@@ -131,7 +129,7 @@ class _Growth:
                     scores.append((float(np.sqrt(both.sum()) * np.median(moved)), one, other))
         return [(one, other) for _, one, other in sorted(scores, reverse=True)[:MOST_PAIRS]]
 
-    def _two_views(self, one: int, other: int) -> tuple[Numbers, Numbers, Numbers, float] | None:
+    def _two_views(self, one: int, other: int) -> tuple[Array, Array, Array, float] | None:
         """How the second view lies to the first."""
         both = np.flatnonzero(self._seen[one] & self._seen[other])
         curvature = self._cameras.curvature
@@ -157,7 +155,7 @@ class _Growth:
         score = float(np.minimum(angles, WIDE).sum())
         return _float(rotation), _float(translation[:, 0]), _float(np.median(points, axis=0)), score
 
-    def _place(self, frame: int, rotation: Numbers, translation: Numbers) -> None:
+    def _place(self, frame: int, rotation: Array, translation: Array) -> None:
         cameras = self._cameras
         cameras.rotations[frame] = rotation
         cameras.scales[frame] = cameras.focal / translation[2]
@@ -257,14 +255,14 @@ class _Growth:
         return part, listed, points
 
 
-def _float(values: ArrayLike) -> Numbers:
+def _float(values: ArrayLike) -> Array:
     return np.asarray(values, np.float64)
 
 
-def _angles(one: Numbers, other: Numbers) -> Numbers:
+def _angles(one: Array, other: Array) -> Array:
     """Angles `(n,)` rad between vectors `(n, 3)`."""
     sine = np.linalg.norm(np.cross(one, other), axis=1)
-    angles: Numbers = np.arctan2(sine, np.sum(one * other, axis=1))
+    angles: Array = np.arctan2(sine, np.sum(one * other, axis=1))
     return angles
 
 
@@ -280,14 +278,14 @@ class AffineFit:
     `frames` and `points` are those which the observations determine; others are not fitted.
     """
 
-    cameras: Numbers
-    shape: Numbers
+    cameras: Array
+    shape: Array
     frames: NDArray[np.bool_]
     points: NDArray[np.bool_]
     log_likelihood: float
 
 
-def affine_fit(positions: ArrayLike, weights: ArrayLike, cameras: Numbers, shape: Numbers) -> AffineFit:
+def affine_fit(positions: ArrayLike, weights: ArrayLike, cameras: Array, shape: Array) -> AffineFit:
     """Make observations likelier, by weighted least squares whose weights follow from the round before.
 
     Arguments and errors are those of `factorise` and a start; frames may fall into sets that share no
@@ -313,7 +311,7 @@ def affine_fit(positions: ArrayLike, weights: ArrayLike, cameras: Numbers, shape
     return best
 
 
-def _refitted(positions: Numbers, weights: Numbers, cameras: Numbers) -> tuple[Numbers, Numbers]:
+def _refitted(positions: Array, weights: Array, cameras: Array) -> tuple[Array, Array]:
     observations = Observations.from_arrays(positions, weights)
     found = variable_projection(
         observations, observations.scaled(cameras), damping=NEAR, tolerance=PRECISION, most_steps=MOST_STEPS
@@ -323,7 +321,7 @@ def _refitted(positions: Numbers, weights: Numbers, cameras: Numbers) -> tuple[N
     return moved, found.shape
 
 
-Start = tuple[PerspectiveCameras, Numbers]
+Start = tuple[PerspectiveCameras, Array]
 
 FOCAL_STARTS = (0.8, 1.5, 3.0)  # focal lengths to grow with, in widths of the picture: 64 to 19 degrees
 AFFINE_STARTS = (1.0, 2.0)  # and those for an affine structure, which may need them for either mirror image
@@ -333,9 +331,7 @@ MOST_ROUNDS = 6  # of bundle adjustment and new points, at the end
 SETTLED = 3.0  # nats: a round that gains less is the last
 
 
-def affine_starts(
-    metric: Euclidean, principal: Numbers, width: float, focal: float | None
-) -> Iterable[Start]:
+def affine_starts(metric: Euclidean, principal: Array, width: float, focal: float | None) -> Iterable[Start]:
     """Return an affine structure and its mirror image, before cameras of several focal lengths."""
     shifts = metric.cameras[..., 3] - principal
     focals = [focal] if focal is not None else [factor * width for factor in AFFINE_STARTS]
@@ -345,7 +341,7 @@ def affine_starts(
         yield (start, metric.shape) if curvature >= 0 else (start.mirrored(), metric.shape @ MIRROR)
 
 
-def grown_starts(places: Numbers, principal: Numbers, width: float, focal: float | None) -> Iterable[Start]:
+def grown_starts(places: Array, principal: Array, width: float, focal: float | None) -> Iterable[Start]:
     """Return structures that grow from two views, with several focal lengths."""
     focals = [focal] if focal is not None else [factor * width for factor in FOCAL_STARTS]
     tried = [grown(places - principal, each, focal_known=focal is not None) for each in focals]
@@ -399,7 +395,7 @@ class Lens:
     focal: float | None = None
 
     @property
-    def principal(self) -> Numbers:
+    def principal(self) -> Array:
         """`(2,)` px, the middle of the picture."""
         return np.array([self.size[1] - 1, self.size[0] - 1]) / 2
 
@@ -433,10 +429,10 @@ class PerspectiveStructure:
 
     size: tuple[int, int]
     cameras: PerspectiveCameras
-    shape: Numbers
-    shape_covariance: Numbers
-    positions: Numbers
-    covariances: Numbers
+    shape: Array
+    shape_covariance: Array
+    positions: Array
+    covariances: Array
     frame_determined: Mask
     noise: StudentNoise
     log_likelihood: float
@@ -458,7 +454,7 @@ class PerspectiveStructure:
             return True
         return (self.cameras.curvature / self.curvature_deviation) ** 2 > math.log(self.observations)
 
-    def agrees(self, positions: Numbers, weights: Numbers) -> Mask:
+    def agrees(self, positions: Array, weights: Array) -> Mask:
         """Return which positions `(n_frames, n_points)` are observed and no outliers."""
         squares = np.sum((positions - self.positions) ** 2, axis=2)
         return (weights > 0) & self.noise.agrees(np.where(weights > 0, squares, 0), weights)
@@ -482,7 +478,7 @@ class PerspectiveStructure:
 
 
 def perspective_structure(
-    positions: Numbers, weights: Numbers, affine: AffineFit, lens: Lens
+    positions: Array, weights: Array, affine: AffineFit, lens: Lens
 ) -> PerspectiveStructure | None:
     """Find cameras, focal length and shape; `None` if no start is found.
 
@@ -551,7 +547,7 @@ def _upright(bundle: Bundle, points: Mask) -> Bundle:
 
 def _in_all_frames(
     bundle: Bundle, covariance: BundleCovariance, observed: Mask
-) -> tuple[PerspectiveCameras, Numbers, Numbers]:
+) -> tuple[PerspectiveCameras, Array, Array]:
     """Cameras of all frames, positions of all points in them, and how uncertain these are."""
     positions, covariances = predicted(bundle, covariance)
     if observed.all():
