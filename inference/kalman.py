@@ -107,7 +107,7 @@ class PointStates:
 
     @classmethod
     def at_rest(cls, positions: ArrayLike, variance: ArrayLike, speed: float) -> Self:
-        """Points of which nobody knows how they move: as they begin.
+        """Return new points, with unknown velocities.
 
         Positions `(n_points, 2)` px have this variance px^2 (one for all, or `(n_points,)`), velocities the
         standard deviation `speed` px/s, along each coordinate.
@@ -208,11 +208,11 @@ def smooth(filtered: PointStates, times: ArrayLike, acceleration: ArrayLike) -> 
 
 
 def cavity(smoothed: PointStates, information: ArrayLike, vector: ArrayLike) -> tuple[Array, Array]:
-    """What all other frames (and the prior) say of each position: smoothed, divided by its own measurement.
+    """Return the information of all other frames and the prior about each position.
 
-    This is a chain's message to the feature node (mu_{X -> F}, RSMCM Algorithm 2). Where the others add less
-    than rounding can tell from the measurement, they say nothing. Given the measurements of `filter_tracks`,
-    it is information `(n_frames, n_points, 2, 2)` 1/px^2 and vector `(n_frames, n_points, 2)` 1/px; shapes
+    The smoothed state divided by its own measurement is a chain's message to the feature node (mu_{X -> F},
+    RSMCM Algorithm 2). Where the others add less than rounding, it is 0. Given the measurements of
+    `filter_tracks`, it is information `(n_frames, n_points, 2, 2)` 1/px^2 and vector `(n_frames, n_points, 2)` 1/px; shapes
     that do not fit are a `ValueError`.
     """
     _checked_states(smoothed, 2)

@@ -100,7 +100,7 @@ class Condensation:
         return moved, np.where(self.body.allowed(moved), posture, -np.inf)
 
     def _log_likelihood(self, poses: BodyPoses, message: PartMessage, feature: BodyParts) -> Array:
-        """What the image and other chains say of poses."""
+        """Log likelihood of poses given the image and the other chains' messages."""
         log_factors = np.zeros(len(poses))
         if message.stacked.informative.any():
             log_factors += message.log_values(self.body.parts(poses))

@@ -42,7 +42,7 @@ HALF_HIDDEN = 0.5
 """Heights: standard deviation of what an observation is off by that does not show an object wholly."""
 
 MIN_WORTH = 1e-9
-"""Of an observation that says nothing: it is left out as if its noise were that much greater."""
+"""Of an observation without weight: its noise is divided by this, which leaves it out."""
 
 
 @short_repr

@@ -6,8 +6,8 @@ Of the map p_t (six numbers, px; see `AffineMap`) and the scene's picture:
     mu_{C -> F}(p) = N(p; predicted), together with the picture by which the frame is found
 
 The pixels' evidence registers the frame with that picture and returns the likelihood of the map; with it
-the image is the scene's, so that all other chains of the pixels see a camera that stands still. Theirs
-say what is background, and the picture is updated there alone: objects that stand for long do not steer it.
+the image is the scene's, so that all other chains of the pixels see a camera that stands still. The
+picture is updated where their messages expect background alone: objects that stand for long do not steer it.
 """
 
 import math

@@ -90,7 +90,7 @@ class FactorStructure:
     """Batch chain of shape and motion over `PointTracks`: cameras M_t, points S_i, RSMCM eq. (18) to (20).
 
     The message to a point is N(M_t (S_i, 1), P_ti) with P_ti the covariance that shape and cameras leave and
-    the features' own scatter; it says by `same_as` which tracks it takes for one point. Variances of what
+    the features' own scatter; `same_as` groups the tracks of one point. Variances of what
     comes in count up to a common factor that is learned. Frames are taken to be evenly spaced: a step of eq.
     (19) is one from frame to frame. Places are right with a probability that is learned, or else outliers;
     see `factorise_robustly`.

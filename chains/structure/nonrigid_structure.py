@@ -53,7 +53,7 @@ class NonrigidStructure:
 
     The message to a point is its expected place, and the covariance that pose, weights and bases leave, with
     the features' own scatter, in every frame that shows four points or more; whether the point is seen there
-    or not. It says by `same_as` which tracks it takes for one point.
+    or not. `same_as` groups the tracks of one point.
 
     Parameters
     ----------
@@ -99,9 +99,9 @@ class NonrigidStructure:
         covariances = shape.shape_covariances()[..., :2, :2]
         covariances[..., [0, 1], [0, 1]] += trajectory.scatter + LEAST_SCATTER * shape.noise**2
         posed = shape.frame_determined
-        said = iter(
+        messages = iter(
             point_messages(
                 trajectory.identities, trajectory.point_of_track, positions[posed], covariances[posed]
             )
         )
-        return [next(said) if known else feature.uniform() for known in posed]
+        return [next(messages) if has_pose else feature.uniform() for has_pose in posed]

@@ -225,7 +225,7 @@ class Registration:
     Parameters
     ----------
     motion, information, vector
-        updated with the frame, and what that says, as `CameraMotion.update` takes it.
+        updated with the frame, and the frame's information, as `CameraMotion.update` takes it.
     cameras, leverages, means, covariances
         for every known point the camera that the others show `(n, 2, 4)`, the variance (px^2, in u and in v)
         that its uncertainty gives the point, and where the point should be therefore: `(n, 2)` px and `(n,
@@ -404,7 +404,7 @@ def _joint(motion: CameraMotion, spreads: Array) -> Array:
 def _with_learned_noise(
     structure: Structure, registration: Registration, elapsed: float, time: float
 ) -> Structure:
-    """With what a frame says of the noise of positions and of the camera's motion."""
+    """The structure with noise of positions and of the camera's motion updated by a frame."""
     places, count = registration.places, len(registration.places)
     off = registration.positions - registration.means[places] + structure.offsets[places]
     total = registration.covariances[places] + isotropic(
@@ -634,9 +634,9 @@ class RecursiveStructure:
     show (its cavity; where none is seen, the camera's motion) and P_i the covariance that this camera and
     S_i leave.
 
-    Until the points' motion determines a shape the chain says nothing, so before a static camera, a flat
-    scene, or fewer than six points it never does. A camera that gets lost (other scene, nothing known in
-    sight) is the end of the shape, and a new one begins.
+    Until the points' motion determines a shape its message is uniform: with a static camera, a flat scene, or
+    fewer than six points always. When the camera is lost (another scene, no point of the shape in sight), the
+    shape ends and a new one begins.
 
     Parameters
     ----------
@@ -668,7 +668,7 @@ class RecursiveStructure:
         """Return the densities of all points' positions (mu_{S -> F}); uniform as long as there is no shape.
 
         All points depend on one camera, which a message of independent points cannot hold: each gets its own
-        marginal, given what its cavity says of the other points.
+        marginal, given its cavity's information about the other points.
         """
         structure = state.structure
         if structure is None or not len(structure):

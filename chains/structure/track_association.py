@@ -1,11 +1,11 @@
-"""Which tracks show the same point: partial tracks that the shape says are one become one.
+"""Association of partial tracks: tracks that show the same point by the shape become one.
 
 A point that was lost and found again has several tracks. The RSMCM paper (§4.3) lets the shape decide which
 belong together, but gives no equations; these are ours. Cameras and points of all tracks, each a point of its
-own, have a joint posterior, under noise that is in part drift. Pairs of which it says that they are at one
-place are taken for one, the surest first, and the posterior is conditioned on that, so that each union makes
-the next one surer. What is ambiguous waits until it no longer is. At the end every track is tested against
-every point, without its own part in it, and is kept where it surely belongs.
+own, have a joint posterior, under noise that is in part drift. Pairs that are probably at one place are
+united, the surest first, and the posterior is conditioned on that, so that each union makes the next one
+surer. Ambiguous pairs wait until they no longer are. At the end every track is tested against every point,
+without its own observations, and is kept where it surely belongs.
 """
 
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ Indices = NDArray[np.int64]
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99)  # of the variance, that may be drift
 MEMORIES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0, 20.0)  # frames in which drift may be forgotten
 STEPS, PRECISION = 50, 1e-3  # of the variance of the noise: at most so many, to this share
-MOST_RESIDUALS = 10_000  # of more, those of every n-th point say variances to a hundredth or two
+MOST_RESIDUALS = 10_000  # of more, those of every n-th point give variances to 1 or 2 %
 ROUNDING = 1e-12  # share of the squares of positions below which errors are rounding
 
 
@@ -256,7 +256,7 @@ MARGINS = (3.0, 1.5, 0.0)  # nats by which a union has to be likelier than what 
 MOST_ROUNDS = 6
 SOFT_ROUNDS = 4
 ITERATIONS, LAST_ITERATIONS = 50, 500  # of EM after each change of who shows what, and at the end
-SURE = 0.99  # probability from which a track is said to show a point
+SURE = 0.99  # probability from which a track is assigned to a point
 DETERMINED = 0.15  # share of the spread of all points to which one has to be known in all frames
 MOSTLY = 0.5  # share of the tracks from which being the only one of a point is what is to be expected
 LEAST_VIEWS = 2  # frames of a track that is a point of its own: fewer leave its depth open
@@ -325,7 +325,7 @@ class _Association:
         self._log_new = np.inf
         """Log prior odds of a new point against a certain one of those that there may be."""
 
-    # --- what the present cameras say ---
+    # --- given the present cameras ---
 
     @property
     def _cameras(self) -> Array:
@@ -423,7 +423,7 @@ class _Association:
         self._regroup(point)
 
     def _regroup(self, point: Indices) -> None:
-        """Number the points anew, in the order of their first tracks, and fit again."""
+        """Renumber the points in the order of their first tracks, and fit again."""
         _, first, number = np.unique(point, return_index=True, return_inverse=True)
         self._point = np.argsort(np.argsort(first))[number]
         self._refit(certain(self._point, self._point.max() + 1))
@@ -488,7 +488,7 @@ class _Association:
             membership = membership @ certain(number, len(kept))
 
     def _determined(self, membership: csr_array, noise: CorrelatedNoise) -> NDArray[np.bool_]:
-        """Whether tracks say where each point is, in every frame."""
+        """Whether tracks determine each point, in every frame."""
         information, _, _, _ = noise.information(self._tracks, self._cameras)
         _, covariance = self._population()
         whole = np.linalg.inv(covariance) + pooled(membership, information)
@@ -502,7 +502,7 @@ class _Association:
         membership = self._membership
         point = membership.argmax(axis=1)
         sure = membership.max(axis=1).toarray() > SURE
-        # of points that are alike tracks are never sure: the one that says most stays with its point
+        # of points that are alike tracks are never sure: the one with most information stays with its point
         anchors = membership.multiply(self._counts[:, None]).tocsr().argmax(axis=0)
         own = point[anchors] == np.arange(membership.shape[1])
         sure[anchors[own]] = True
@@ -513,11 +513,11 @@ class _Association:
         unsure = (point < 0) & (self._counts >= LEAST_VIEWS)
         alone = np.count_nonzero(np.bincount(point[point >= 0]) == 1)
         if alone + np.count_nonzero(unsure) > MOSTLY * len(point):
-            # where most tracks are the only ones of their points, so is one of which nothing is sure
+            # where most tracks are the only ones of their points, so is an unsure one
             n_points = membership.shape[1] + np.count_nonzero(unsure)
             point[unsure] = np.arange(membership.shape[1], n_points)
             membership = certain(point, n_points)
-            self._fit = self._apart  # its cameras have heard all of them
+            self._fit = self._apart  # its cameras were fitted to all of them
         self._positions, self._weights = self._all
         self._refit(membership, LAST_ITERATIONS)
         return self._fit, point

@@ -256,9 +256,9 @@ class DiscreteChain:
     Parameters
     ----------
     transition
-        `(k, k)`, rows of sum 1, of a step or as a function of `dt`: `lambda dt: expm(dt * rates)`, say.
+        `(k, k)`, rows of sum 1, of a step or as a function of `dt`, as `lambda dt: expm(dt * rates)`.
     message_of
-        what probabilities `(k,)` say of a feature node: `message_of(probabilities, feature)`. `None` for
+        message of probabilities `(k,)` to a feature node: `message_of(probabilities, feature)`. `None` for
         `Categorical` nodes, with tables p(F | X) by `emission`.
     log_likelihood
         nats `(k,)`: log of the integral of p(F | X) times a message at a feature node, for each state:
@@ -326,7 +326,7 @@ class DiscreteChain:
         return DiscreteState(state.probabilities @ self._transition(dt))
 
     def message(self, state: DiscreteState, feature: FeatureNode[Any], incoming: Incoming) -> Any:
-        """Return what the prediction, and what other features say, mean for the feature (mu_{X -> F}).
+        """Return the message of the prediction, given the other features (mu_{X -> F}).
 
         Of features that are not categorical it has the integral 1.
         """
@@ -350,7 +350,7 @@ class DiscreteChain:
     def _weighted(
         self, state: DiscreteState, incoming: Incoming, without: Named | None = None
     ) -> tuple[Array, float]:
-        """Return probabilities given what features say, and the log of how much they fit."""
+        """Return probabilities given the features, and the log of their likelihood."""
         log_factors = np.zeros(len(state.probabilities))
         for feature, message in _messages(incoming):
             if without is None or feature.name != without.name:
@@ -397,7 +397,7 @@ def _probabilities(table: Array, name: str, shape: tuple[int, ...]) -> Array:
 class ParticleState:
     """Weighted particles."""
 
-    particles: Array  # (n, ...), or rows of another kind, say poses
+    particles: Array  # (n, ...), or an object with rows, as poses
     log_weights: Array  # (n,), of weights that sum to 1
     random: np.random.Generator  # of the draws to come
     log_evidence: float = 0.0  # nats: log of the mean likelihood of the last update
@@ -447,8 +447,8 @@ class ParticleChain:
         draws of p(X' | X): `transition(particles, dt, random)` gives particles, or these and `(n,)` log
         factors of their weights.
     message_of
-        what particles with weights `(n,)` of sum 1 say of a feature node:
-        `message_of(particles, weights, feature)`, a message of integral 1.
+        message of particles with weights `(n,)` of sum 1 to a feature node, of integral 1:
+        `message_of(particles, weights, feature)`.
     log_likelihood
         nats `(n,)`: log of the integral of p(F | X) times a message at a feature node, for each particle:
         `log_likelihood(particles, message, feature)`.
@@ -459,8 +459,8 @@ class ParticleChain:
     count
         number of particles.
     resampling_share
-        particles are drawn anew in proportion to their weights before a step in which fewer than this share
-        of them is effective; 1 for always.
+        particles are resampled in proportion to their weights before a step in which fewer than this share of
+        them is effective; 1 for always.
     seed
         of the random numbers.
     """
@@ -508,7 +508,7 @@ class ParticleChain:
         return ParticleState(moved, log_weights, random)
 
     def message(self, state: ParticleState, feature: FeatureNode[Any], incoming: Incoming) -> Any:
-        """Return what particles, weighted by the other features, say of the feature (mu_{X -> F})."""
+        """Return the message of the particles, weighted by the other features (mu_{X -> F})."""
         others = [(node, message) for node, message in _messages(incoming) if node.name != feature.name]
         if others:
             state = state.reweighed(self._log_factors(state, others))

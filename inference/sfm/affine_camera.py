@@ -45,7 +45,7 @@ class Euclidean:
     Parameters
     ----------
     determined, reason
-        whether the motion determines it, and one line that says why not. If not, `shape` and `cameras` are
+        whether the motion determines it, and one line with the reason if not. Then `shape` and `cameras` are
         those given, `transform` is the identity, and scales and rotations are NaN.
     transform
         `(3, 3)`: shape = given shape @ transform.T.
@@ -76,7 +76,7 @@ def euclidean(cameras: ArrayLike, shape: ArrayLike, camera_covariance: ArrayLike
 
     Scaled orthography: each camera may have its own scale. The symmetric matrix Q = G G^T with u Q v = 0 and
     u Q u = v Q v for the rows u, v of all frames is found by linear least squares, made positive definite,
-    then refined so that relative errors are weighted as the cameras' uncertainty says.
+    then refined so that relative errors are weighted by the cameras' uncertainty.
 
     Parameters
     ----------

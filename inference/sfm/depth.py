@@ -43,7 +43,7 @@ TRIMMED_STEPS = 5
 ROUNDING = 1e-12  # variance, in squares of the tracks' extent, that is none
 FOCAL_LENGTHS = (0.7, 3.0)  # in the tracks' extent: where the search for a camera that turns begins
 SHORTEST, LONGEST = 0.4, 100.0  # in the tracks' extent: wider, a camera that turns explains planes, too
-MOST_LOOKED_AT = 8  # pairs of pictures from which the motion is told where no track says it
+MOST_LOOKED_AT = 8  # pairs of pictures from which the motion is estimated where there are no tracks
 FEATURES = 500
 FEWEST_MATCHES = 10
 
@@ -125,7 +125,7 @@ def far_pairs(seen: NDArray[np.bool_]) -> list[tuple[int, int]]:
 def variance_over_shape(places: Array, residuals: Array, most: float = MOST) -> float:
     """Return the variance about homographies over that about a shape in depth; NaN if unknown.
 
-    Where homographies do as well, what was taken for depth is something else. Places `(n_frames, n_points,
+    Where homographies do as well, the fitted depth is something else. Places `(n_frames, n_points,
     2)` px are NaN where not seen, residuals are what the shape leaves; of a pair of pictures `most` of the
     points count.
     """
@@ -254,7 +254,7 @@ def depth(positions: ArrayLike, weights: ArrayLike | None, factorisation: Factor
     part = observations.only(frames, points)
     needed = float(2 * frames.sum() + points.sum() - 2 * RANK) * float(np.log(2 * part.count))
     left = freedom(part)
-    if left <= 0:  # everything is fitted, and nothing is left to tell noise by
+    if left <= 0:  # everything is fitted, and nothing is left to estimate the noise from
         return Depth(0.0, needed)
     cameras = observations.scaled(factorisation.cameras)
     fitted = partial(variable_projection, part, damping=NEAR, tolerance=PRECISION, most_steps=MOST_STEPS)

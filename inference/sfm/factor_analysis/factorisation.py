@@ -143,7 +143,7 @@ def _in_gauge(
 
 
 LOOSEST = 100.0  # standard deviation, in spreads of the shape, of a direction that is left open
-HALF = 0.5  # a point that is known to this share of the spread of all has its say in what that spread is
+HALF = 0.5  # points known to this share of the spread of all count in that spread
 
 
 def around_start(
@@ -360,7 +360,7 @@ def _without_filled(fit: Factorisation, weights: Array, half: Mask, missing: Mas
     information = np.linalg.inv(fit.shape_covariance[points])
     information -= np.einsum("tic,tcjk->ijk", counted, second, optimize=True)
     shape_covariance = fit.shape_covariance.copy()
-    # it is what the prior and all that was seen say, but for rounding
+    # it is the posterior given the prior and all observations, but for rounding
     values, axes = np.linalg.eigh(0.5 * (information + information.transpose(0, 2, 1)))
     values = np.maximum(values, 1 / LOOSEST**2)
     shape_covariance[points] = (axes / values[:, None, :]) @ axes.transpose(0, 2, 1)
@@ -609,10 +609,10 @@ def _roughly(
 def _renewed(where: Array, weights: Array, coherence: bool, fit: Factorisation) -> Factorisation:
     """The better one of a fit and of that which is grown from positions that are trusted."""
     try:
-        anew = _roughly(where, weights, coherence, "grow")
+        regrown = _roughly(where, weights, coherence, "grow")
     except ValueError:  # they are too few, or fall apart
         return fit
-    return min(fit, anew, key=lambda each: each.noise_variance)
+    return min(fit, regrown, key=lambda each: each.noise_variance)
 
 
 def _noise(squares: Array, right: Array, numbers: Indices, *, first: bool) -> float:

@@ -22,7 +22,7 @@ CANDIDATES = 4  # so many windows of each length are judged closely
 VIEWS = 3  # frames that show a point, for it to come in
 ROUNDS, LAST_ROUNDS = 3, 10  # of refinement, after frames or points came in, and at the end
 RIDGE = 1e-9
-FORESIGHT = 3.0  # variance up to which frames are foreseen together, of that of the best one
+FORESIGHT = 3.0  # variance up to which frames are predicted together, over that of the best one
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def grown(observations: Observations, *, coherent: bool) -> tuple[Array, Array, 
     """Grow cameras and shape from a window by resection and intersection.
 
     Frames come in as soon as they show enough known points, points as soon as known cameras determine them.
-    What is known is refined after every round; with coherence by the smoother, which also foresees the next
+    What is known is refined after every round; with coherence by the smoother, which also predicts the next
     cameras where growing would end otherwise. Where no window shows six points throughout, the mean-filled
     matrix has to do.
     """
@@ -115,7 +115,7 @@ def grown(observations: Observations, *, coherent: bool) -> tuple[Array, Array, 
         if not coherent or known.frames.all():
             break
         _refine(observations, known, LAST_ROUNDS)
-        # with coherence, frames come in that the motion of the known ones foresees best
+        # with coherence, frames come in that the motion of the known ones predicts best
         variance = np.where(known.frames, np.inf, np.einsum("tjj->t", known.camera_covariance))
         known.frames |= variance <= FORESIGHT * variance.min()
         alone = False

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 LEAST_NOISE = 3e-3
 """Of the spread of points: no film shows them better (0.15 px for 50). Below, what is left out is fitted."""
 
-ALIKE = 10.0  # so many frames of a video say as much as one by itself; power of the bases' prior
+ALIKE = 10.0  # so many frames of a video count as one independent frame; power of the bases' prior
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
 LONGEST_TURN, LONGEST_GROWTH = 0.3, 0.3  # of one step: rad, and change of the logarithm of scale
 RIDGE = 1e-9  # of the mean information on a point: points that frames leave open stay where they are
@@ -274,7 +274,7 @@ def basis_covariance(bases: Array, axes: Array) -> Array:
     """Return the prior covariance `(n_bases, n_bases)` of a point's bases along any axis.
 
     Where an object hardly turns, its likelihood grows with its depth: whatever does not fit the model is
-    best explained by deep shapes that turn by a trifle. The prior says that a basis is about as deep as it
+    best explained by deep shapes that turn by a trifle. By the prior a basis is about as deep as it
     is wide; it is taken to the power `ALIKE`, since successive frames err alike. The mean is independent of
     the modes.
     """
@@ -393,7 +393,7 @@ def log_likelihood(tracks: Tracks, state: State) -> float:
     return float(e_step(state, point_sums(tracks, state.bases)).log_likelihood.sum())
 
 
-SMOOTH_FRAMES = 5  # fewer say nothing about differences of differences
+SMOOTH_FRAMES = 5  # fewer have too few second differences
 ITERATIONS = 40
 DAMPING = Damping(1e-4, most=1e6)
 MOST_STEPS = 20  # that are tried, with more and more damping

@@ -50,7 +50,7 @@ Indices = NDArray[np.int64]
 USUAL_DEPTH = 0.7  # of objects that hardly turn, in root mean squares of their width and height
 RIGID_ITERATIONS = 60
 SMOOTH = np.radians(5)  # standard deviation of a turn from frame to frame, where it is doubtful which way
-DOUBT = 100.0  # of a deforming object the likelihood of a rigid one says so many times less than it seems
+DOUBT = 100.0  # the likelihood of a rigid object is divided by this for a deforming one
 TURNED_OVER = np.radians(15)  # poses that differ by so much are two ways of seeing the same picture
 TOLERANCE = 1e-5  # nats a coordinate, for what comes before the last climb
 
@@ -265,7 +265,7 @@ def _derivatives(motion: Array, rows: Array) -> Array:
 def _rotations(rows: Array) -> Array:
     """The rotations whose first two rows are nearest to `(n_frames, 2, 3)`."""
     whole = np.concatenate([rows, np.cross(rows[:, 0], rows[:, 1])[:, None]], axis=1)
-    # the third row has no say in which are nearest: it is perpendicular to both
+    # the third row does not enter: it is perpendicular to both
     return nearest_rotation(whole)
 
 
@@ -292,7 +292,7 @@ def search(
     Gives the likeliest state, the history of its last climb, and others that are nearly as likely.
     A model with few modes explains finer deformations by turns of the object; the likelihood then prefers
     wrong poses to true ones. Modes that do not pay by the criterion of Hannan and Quinn (1979) are taken
-    away at the end. There will be `bases` at least, and the tracks can tell `most` apart.
+    away at the end. There will be `bases` at least, and the tracks determine `most`.
     """
 
     def climbed(state: State, rounds: int) -> State:
@@ -395,7 +395,7 @@ def learn_shape(
     iterations, tolerance
         of the last climb: at most so many, until one gains less than so many nats a coordinate.
     smooth
-        frames are successive: weights and turns are smoothed at the end, by as much as the tracks tell.
+        frames are successive: weights and turns are smoothed at the end, by as much as the tracks allow.
         Covariances, history and log likelihood are of frames by themselves.
     on_iteration
         is called after every iteration.
@@ -405,7 +405,7 @@ def learn_shape(
     ValueError
         if tracks have another shape, infinities, or half positions; there are fewer than 3 frames with 4
         points (5 for `smooth`), or points seen in fewer than 3 of them; or bases are fewer than 2, or more
-        than the tracks can tell apart, min(2 n_frames, n_points - 1) / 3.
+        than the tracks determine, min(2 n_frames, n_points - 1) / 3.
     """
     positions = np.array(tracks, np.float64)
     determined = _check(positions, bases)
@@ -564,7 +564,7 @@ def choose_bases(
     A tenth of all positions, drawn at random once for all candidates, is withheld and predicted by shapes
     learned from the rest (the one-standard-error rule of Hastie, Tibshirani and Friedman 2009, section 7.10,
     with differences to the best candidate, paired by blocks of frames). `candidates` are 2 to 8 by default,
-    as far as the tracks can tell so many apart; other arguments and errors are those of `learn_shape`.
+    as far as the tracks determine so many; other arguments and errors are those of `learn_shape`.
     """
     positions = np.array(tracks, np.float64)
     hidden = withheld(positions)
@@ -604,7 +604,7 @@ ALIKE = 3.0
 """Mean squared distance of a coordinate from where the other track expects it, in units of what is stated. It
 is 1 for one point; 3 is the 95 % point of the mean of two squares, as few as are free where errors are alike
 over time."""
-SHARP = 0.1  # places are expected to this share of the object's size, or tracks cannot be told apart
+SHARP = 0.1  # places are expected to this share of the object's size, or tracks cannot be distinguished
 ROUNDS = 3
 
 
@@ -638,7 +638,7 @@ def _long_enough(positions: Array) -> Indices:
         frames = seen[:, keeps].sum(axis=1) >= LEAST_POINTS
         enough = keeps & (seen[frames].sum(axis=0) >= LEAST_FRAMES)
         if not enough.any():
-            return np.arange(len(keeps))  # it is for `learn_shape` to say what is missing
+            return np.arange(len(keeps))  # `learn_shape` raises the error
         if (enough == keeps).all():
             return np.where(keeps, np.cumsum(keeps) - 1, -1)
         keeps = enough

@@ -111,7 +111,7 @@ class NonrigidShape:
     j])) + translation_t, of which x and y are seen, z points away from the viewer. Finer modes, `details`,
     are added in the same way. The first basis has root mean square distance 1 from its centroid, the origin,
     over x and y; weights are standard normal; the mean of all rotations is the identity. Which of the two
-    mirror images in depth it is, orthography cannot tell: it is the one that is convex towards the viewer,
+    mirror images in depth it is, is open in orthography: it is the one that is convex towards the viewer,
     as a face is.
 
     Parameters
@@ -120,7 +120,7 @@ class NonrigidShape:
         `(n_bases, n_points, 3)`: mean shape, and modes in the order of their size; `(n_frames, n_bases -
         1)`.
     details, detail_weights
-        `(n_details, n_points, 3)` and `(n_frames, n_details)`: finer modes, as many as the tracks tell.
+        `(n_details, n_points, 3)` and `(n_frames, n_details)`: finer modes, as many as the tracks determine.
     rotations, scales, translations
         `(n_frames, 3, 3)`, `(n_frames,)` px, `(n_frames, 2)` px.
     noise, rmse

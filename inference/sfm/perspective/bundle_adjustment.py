@@ -113,7 +113,7 @@ class StudentNoise:
 
 DAMPING = Damping(1e-3, least=1e-9, most=1e9)
 STILL = 3  # steps in a row that hardly gain: one may be short because it was damped
-BEHIND = 1e6  # px^2, that stands for a point behind a camera, and the largest that is told apart
+BEHIND = 1e6  # px^2, that stands for a point behind a camera, and the largest that is distinguished
 GAUGE = 7  # numbers of a shape's place, turn and size, which no film shows
 
 
@@ -299,7 +299,7 @@ def covariance_of(
     """
     squares = squares_of(listed, bundle.cameras, bundle.shape)
     precision = bundle.noise.precision(squares, listed.weight, freedom(listed, focal_known=focal_known))
-    # on the whole as Huber has it; an outlier, whose place depends on nothing, says nothing of cameras
+    # on the whole as Huber has it; an outlier, whose position depends on nothing, does not inform cameras
     counted = bundle.noise.weights(squares, listed.weight)
     counted *= precision * listed.weight.mean() / counted.mean()
     sums = sums_of(listed, counted, bundle.cameras, bundle.shape)
