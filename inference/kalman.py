@@ -212,8 +212,8 @@ def cavity(smoothed: PointStates, information: ArrayLike, vector: ArrayLike) -> 
 
     The smoothed state divided by its own measurement is a chain's message to the feature node (mu_{X -> F},
     RSMCM Algorithm 2). Where the others add less than rounding, it is 0. Given the measurements of
-    `filter_tracks`, it is information `(n_frames, n_points, 2, 2)` 1/px^2 and vector `(n_frames, n_points, 2)` 1/px; shapes
-    that do not fit are a `ValueError`.
+    `filter_tracks`, it is information `(n_frames, n_points, 2, 2)` 1/px^2, vector `(n_frames, n_points, 2)`
+    1/px; shapes that do not fit are a `ValueError`.
     """
     _checked_states(smoothed, 2)
     own_information, own_vector = _checked_measurements(information, vector, smoothed.mean.shape[:-1])

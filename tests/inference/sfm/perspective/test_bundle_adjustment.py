@@ -127,7 +127,7 @@ def test_optimum_is_that_of_scipy() -> None:
         errors = residuals(listed, *moved(found.cameras, found.shape, scale * step)).reshape(2, -1)
         squares = np.sum(errors**2, axis=0)
         costs = (noise.freedom + 2) * np.log1p(squares / (noise.freedom * noise.variance))
-        return (errors * np.sqrt(costs / squares)).reshape(-1)
+        return (errors * np.sqrt(costs / np.maximum(squares, 1e-30))).reshape(-1)
 
     start = 1e-3 * np.random.default_rng(1).normal(size=len(scale))
     reached = least_squares(root_costs, start, max_nfev=40)
