@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logsumexp
 
 from .checks import shown
 from .frame import Frame
@@ -32,6 +31,8 @@ class CategoricalMessage:
     @property
     def log_mass(self) -> float:
         """Log of the sum of the weights."""
+        from scipy.special import logsumexp  # slow to import
+
         return float(logsumexp(self.log_weights))
 
     def probabilities(self) -> NDArray[np.float64]:

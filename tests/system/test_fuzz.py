@@ -106,6 +106,7 @@ FAULTS: dict[Callable[[Path], None], str] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is bounded and measured on Linux only")
 def test_every_fault_is_seen() -> None:
     """And the ones after it are read as if nothing had been."""
