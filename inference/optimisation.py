@@ -21,7 +21,7 @@ Place = TypeVar("Place")
 
 @dataclass(frozen=True)
 class Damping:
-    """How much is added to the diagonal of the normal equations, as a share of it.
+    """Damping of the normal equations: what is added to their diagonal, as a share of it.
 
     It falls by a factor after a step that was taken, to `least`, and rises after one that was refused; from
     `most` on no more are tried.
@@ -43,7 +43,7 @@ def levenberg_marquardt(
     most_steps: int,
     settled_steps: int = 1,
 ) -> tuple[Place, float]:
-    """Lower an error step by step, as far as it goes; the best place, and the damping of the next step.
+    """Minimise an error step by step; return the best place, and the damping of the next step.
 
     Parameters
     ----------
@@ -79,14 +79,14 @@ MEMORY = 8  # steps that are kept
 
 
 class Anderson:
-    """Anderson acceleration of x <- g(x): where g(x) - x would vanish, by the last steps."""
+    """Anderson acceleration of x <- g(x): extrapolation to where g(x) - x vanishes, from the last steps."""
 
     def __init__(self) -> None:
         self._places: list[Numbers] = []
         self._steps: list[Numbers] = []
 
     def propose(self, place: Numbers, image: Numbers) -> Numbers:
-        """Where to go on, after `image` = g(`place`); the image itself the first time."""
+        """Return the next place, after `image` = g(`place`); the image itself the first time."""
         self._places.append(place.reshape(-1).copy())
         self._steps.append((image - place).reshape(-1))
         del self._places[: -MEMORY - 1], self._steps[: -MEMORY - 1]
@@ -102,5 +102,5 @@ class Anderson:
         return image - (share @ (moves + changes)).reshape(image.shape)
 
     def forget(self) -> None:
-        """Begin again, after a proposal that proved to be none."""
+        """Forget all steps, after a proposal that was refused."""
         del self._places[:-1], self._steps[:-1]

@@ -52,7 +52,7 @@ class PredictionErrors:
     first, second, cross
         P_1, P_2 and P_12, mean mu mu^T of the errors of g. A bias counts as error.
     process
-        Sigma_0, by which the feature differs from g, which nobody can predict.
+        Sigma_0, by which the feature differs from g; it cannot be predicted.
     observation
         Sigma_v.
     """
@@ -132,7 +132,7 @@ class PredictionErrors:
 
 
 def cost(stated: Numbers, error: Numbers, process: Numbers, observation: Numbers) -> Numbers:
-    """C(q), eq. (16) and (A.2) with its signs put right, `(...)` nats.
+    """Return C(q) of eq. (16) and (A.2), with corrected signs, `(...)` nats.
 
     `stated` is the noise Sigma_i of the prediction, `error` the second moment P_i of what its mean is off
     by, `process` Sigma_0, `observation` Sigma_v; all `(..., d, d)`.
@@ -148,7 +148,7 @@ def cost(stated: Numbers, error: Numbers, process: Numbers, observation: Numbers
 
 
 def product_of(first: Numbers, second: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-    """Covariance of the product of two Gaussians, and the weights of their means, all `(..., d, d)`."""
+    """Return the covariance of two Gaussians' product and the weights of their means, all `(..., d, d)`."""
     of_first = transposed(_solve(first + second, second))
     return symmetric(of_first @ first), of_first, np.eye(first.shape[-1]) - of_first
 
@@ -163,18 +163,18 @@ def _of_the_observation(prediction: Numbers, observation: Numbers) -> Numbers:
 
 
 def log_determinant(matrix: Numbers) -> Numbers:
-    """`(...)`, of `(..., d, d)`; minus infinity for a singular one."""
+    """Return log determinants `(...)` of `(..., d, d)`; minus infinity for a singular one."""
     value: Numbers = np.linalg.slogdet(matrix)[1]
     return value
 
 
 def transposed(matrix: Numbers) -> Numbers:
-    """The last two axes exchanged."""
+    """Return the matrices with the last two axes exchanged."""
     return np.swapaxes(matrix, -1, -2)
 
 
 def symmetric(matrix: Numbers) -> Numbers:
-    """The symmetric part; takes rounding off."""
+    """Return the symmetric part."""
     return 0.5 * (matrix + transposed(matrix))
 
 
@@ -243,7 +243,7 @@ class RecordedPredictions:
         return len(self.observed)
 
     def rows(self, chosen: NDArray[Any]) -> "RecordedPredictions":
-        """Some of the predictions, by number or by a mask."""
+        """Return some of the predictions, by number or by a mask."""
         arrays: dict[str, Any] = {part.name: getattr(self, part.name) for part in fields(self)}
         return replace(self, **{name: array[chosen] for name, array in arrays.items() if array is not None})
 
@@ -263,7 +263,7 @@ class Interval(Generic[Bounded]):
 
 @dataclass(frozen=True, eq=False)
 class StatedComparison:
-    """What the chains do with the covariances that they state, which need not be the best ones.
+    """Measures of predictions with the covariances that the chains state.
 
     Parameters
     ----------
@@ -284,7 +284,7 @@ class StatedComparison:
 
 
 class Judged:
-    """A gain from so many independent groups."""
+    """A gain, estimated from independent groups."""
 
     groups: int
     gain: Interval[float]
@@ -299,7 +299,7 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Judged):
-    """What recorded predictions of two chains say about combining them.
+    """Whether combining two chains pays, from their recorded predictions.
 
     Parameters
     ----------
@@ -311,7 +311,7 @@ class Comparison(Judged):
     errors
         the same as a model, with the mean observation noise.
     rms_first, rms_second
-        root mean squared error of either prediction, per coordinate, the observation's noise taken off.
+        root mean squared error of either prediction, per coordinate, without the observation's noise.
     correlation, bearable_correlation
         of the errors, and that at which combining stops paying (infinite if it always pays).
     gain_first, gain_second, gain
@@ -373,7 +373,7 @@ def compare_predictions(
         the predictions.
     groups
         `(n,)` integers: rows of one group (a track, or a stretch of frames) may have related errors,
-        different groups are taken for independent. Whole groups are resampled.
+        different groups count as independent. Whole groups are resampled.
     random, resamples
         of the bootstrap; seeded with 0 if not given.
 
@@ -432,7 +432,7 @@ class GroupSums:
         return len(self.rows)
 
     def resampled(self, random: np.random.Generator, resamples: int) -> Numbers:
-        """`(1 + resamples, k)`: means over all rows, and over the rows of as many groups drawn at random."""
+        """Return `(1 + resamples, k)` means over all rows, and over the rows of resampled groups."""
         table = np.column_stack([self.rows, self.sums])
         totals = [table.sum(axis=0, keepdims=True)]
         at_once = max(1, WEIGHTS_AT_ONCE // self.count)
@@ -448,7 +448,7 @@ class GroupSums:
 
 
 def group_sums(values: Numbers, labels: NDArray[np.generic]) -> GroupSums:
-    """Sums of `values` `(n, k)` over the rows of each label `(n,)`; a `ValueError` for fewer than two."""
+    """Return sums of `values` `(n, k)` over rows of each label `(n,)`; a `ValueError` for fewer than two."""
     _, place, rows = np.unique(labels, return_inverse=True, return_counts=True)
     if len(rows) < 2:
         raise ValueError(f"groups: got {len(rows)} of {len(labels)} rows, expected two or more")
@@ -503,7 +503,7 @@ def _summarised(means: Numbers) -> StatedComparison:
 
 
 def interval_of(samples: Numbers) -> Interval[float]:
-    """Of a number: the first of the samples, with quantiles of the others."""
+    """Return the first of the samples, with quantiles of the others."""
     low, high = np.quantile(samples[1:], ENDS)
     return Interval(float(samples[0]), float(low), float(high))
 
@@ -538,7 +538,7 @@ def _check_positive(name: str, covariances: Numbers) -> None:
 
 @dataclass(frozen=True, eq=False)
 class ScoreComparison(Judged):
-    """What recorded log densities of two chains and of their product say about combining them.
+    """Whether combining two chains pays, from log densities of both and of their product.
 
     Parameters
     ----------

@@ -57,14 +57,14 @@ def save(path: str | Path, values: Mapping[str, Any], kinds: Mapping[str, Any]) 
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """What a file holds, read and checked once: `values` are JSON that refers to the `arrays`."""
+    """Content of a file, checked: `values` are JSON that refers to the `arrays`."""
 
     path: Path
     values: dict[str, Any]
     arrays: Arrays
 
     def plain(self, name: str) -> Any:
-        """A value that is plain JSON, whatever the others are; `None` if there is none of that name."""
+        """Return a value that is plain JSON, whatever the others are; `None` if there is none."""
         return self.values.get(name)
 
 
@@ -88,7 +88,7 @@ def read(path: str | Path) -> Contents:
 
 
 def load(file: str | Path | Contents, kinds: Mapping[str, Any]) -> dict[str, Any]:
-    """The values that `save` wrote with the same `kinds`.
+    """Read the values that `save` wrote with the same `kinds`.
 
     A `ValueError` in one line names the file if it is broken, of another format, or holds other things; an
     `OSError` says if it cannot be opened.

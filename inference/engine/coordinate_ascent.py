@@ -1,7 +1,7 @@
 """Algorithm 2 of the RSMCM paper, coordinate ascent over whole sequences, for any number of chains.
 
 Nothing of a frame is kept but what chains keep in their trajectories and what was searched for: frames are
-asked for one after the other, forwards, in every pass, and so are messages that chains work out when asked.
+read one after the other, forwards, in every pass, and so are messages that chains compute on demand.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -51,7 +51,7 @@ class TimeSlices:
         self._read: dict[str, tuple[int, ...]] = {}  # numbers of all that it was worked out from
 
     def copy(self) -> "TimeSlices":
-        """The same, to go on from without changing these."""
+        """Return a copy whose changes leave this one as it is."""
         other = TimeSlices(self.model, self.frames)
         for name in ("trajectories", "sent", "_evidence", "_smoothed", "_read"):
             setattr(other, name, dict(getattr(self, name)))
@@ -59,7 +59,7 @@ class TimeSlices:
         return other
 
     def saved(self) -> dict[str, Any]:
-        """Everything but the messages, which follow from the trajectories."""
+        """Return everything but the messages, which follow from the trajectories."""
         return {
             "trajectories": self.trajectories,
             "evidence": {name: self._evidence.get(name) for name in self.model.features},
@@ -70,7 +70,7 @@ class TimeSlices:
 
     @classmethod
     def restored(cls, model: MultiChain, frames: Sequence[Frame], saved: Mapping[str, Any]) -> "TimeSlices":
-        """The slices of which `saved` was kept; a `ValueError` if they are of another number of frames."""
+        """Return the slices that `saved` describes; a `ValueError` for another number of frames."""
         slices = cls(model, frames)
         slices.trajectories = saved["trajectories"]
         evidence = {name: messages for name, messages in saved["evidence"].items() if messages is not None}
@@ -86,7 +86,7 @@ class TimeSlices:
         return slices
 
     def ascend(self) -> tuple[str, ...]:
-        """One round: every chain to which something new is said or shown gets its best trajectory."""
+        """Optimise the trajectory of every chain whose inputs have changed, and return their names."""
         smoothed = []
         for name, chain in self.model.chains.items():
             if self._read.get(name) == self._inputs(name):
@@ -119,7 +119,7 @@ class TimeSlices:
             self.sent[chain, feature] = messages
 
     def _inputs(self, chain: str) -> tuple[int, ...]:
-        """Numbers of all that the chain's trajectory depends on: messages, and evidence that others found."""
+        """Version numbers of the chain's inputs: messages, and evidence of other chains' searches."""
         features = self.model.features_of[chain]
         messages = [
             self._smoothed.get(other, 0)
@@ -134,18 +134,18 @@ class TimeSlices:
         return (*messages, *searches)
 
     def objective(self) -> float:
-        """See `Round`."""
+        """Return the objective; see `Round`."""
         total = sum(trajectory.log_prior for trajectory in self.trajectories.values())
         for feature in self.model.features:
             total += sum(self.belief(feature, time).log_mass for time in range(len(self.frames)))
         return float(total)
 
     def belief(self, feature: str, time: int) -> Any:
-        """Product of all that is known of a feature in a frame."""
+        """Return the product of all messages to a feature in a frame."""
         return self.messages(feature, time) * self.evidence(feature, time)
 
     def messages(self, feature: str, time: int, without: str | None = None) -> Any:
-        """Product of the chains' messages."""
+        """Return the product of the chains' messages."""
         factors = []
         for name in self.model.senders[feature]:
             if name != without and (name, feature) in self.sent:
@@ -156,7 +156,7 @@ class TimeSlices:
         return reduce(mul, factors) if factors else self.model.features[feature].uniform()
 
     def evidence(self, feature: str, time: int) -> Any:
-        """What was seen last, or what is seen where all messages so far have mass."""
+        """Return the evidence of the last search, or search where all messages so far have mass."""
         if feature in self._found:
             return reduce(mul, (found[time] for found in self._found[feature].values()))
         node = self.model.features[feature]
@@ -168,13 +168,13 @@ class TimeSlices:
         return seen[time]
 
     def search(self, feature: str, time: int, prior: Any) -> Any:
-        """What is seen where `prior` has mass."""
+        """Return the evidence where `prior` has mass."""
         frame, node = self.frames[time], self.model.features[feature]
         return node.uniform() if frame.missing else node.evidence(frame, prior)
 
 
 class _IncomingOverTime(PerFrame[BatchIncoming]):
-    """What reaches a chain at all times."""
+    """Messages that reach a chain, one entry a frame."""
 
     def __init__(self, slices: TimeSlices, chain: str) -> None:
         self._slices, self._chain = slices, chain
@@ -218,7 +218,7 @@ class _BatchIncoming(BatchIncoming):
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """How far the ascent has come.
+    """Report of one round of coordinate ascent.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ class Round:
         are the exact p(F | X): log densities of the trajectories, and log mass of the product at every
         feature and frame. NaN where rounds are not compared.
     smoothed
-        names of the chains that were worked out anew; a chain that would hear the same again is not.
+        names of the chains that were optimised; a chain whose inputs have not changed is not.
     """
 
     number: int
@@ -250,7 +250,7 @@ class Solution:
     rounds
         report of every round, the best of which this is.
     converged
-        whether the ascent ended by itself and not at its wall.
+        whether the objective stopped rising before `most_rounds`.
     """
 
     def __init__(
@@ -269,7 +269,7 @@ class Solution:
 
     @property
     def objective(self) -> float:
-        """The highest that was reached."""
+        """Highest objective of all rounds."""
         return max(report.objective for report in self.rounds)
 
     @overload
@@ -291,7 +291,7 @@ class Solution:
     @overload
     def messages(self, chain: Named | str, feature: str) -> Sequence[Any]: ...
     def messages(self, chain: Named | str, feature: Named | str) -> Sequence[Any]:
-        """What the chain says of the feature, for each frame, also where nobody hears it (no feedback)."""
+        """Return the chain's messages to the feature, one a frame, also without feedback."""
         return self._slices.sent[name_of(chain), name_of(feature)]
 
     @overload
@@ -299,26 +299,27 @@ class Solution:
     @overload
     def evidence(self, feature: str) -> list[Any]: ...
     def evidence(self, feature: Named | str) -> list[Any]:
-        """What the frames say of the feature."""
+        """Return the evidence at the feature, one a frame."""
         return [self._slices.evidence(name_of(feature), time) for time in range(len(self.frames))]
 
 
 class CoordinateAscent:
-    """Coordinate ascent (Algorithm 2): chain after chain gets its best trajectory, the others held fixed.
+    """Coordinate ascent (Algorithm 2): optimise one chain's trajectory after the other.
 
     Chains have their turn in the order of `MultiChain.chains`. The first round is the feed-forward pipeline:
-    a chain hears only those before it. A chain that would hear the same again is left alone. When chains
-    approximate, the objective can fall; the best round is what is kept.
+    a chain receives messages of those before it only. A chain whose inputs have not changed is skipped. When
+    chains approximate, the objective can fall; the best round is kept. Loops make no difference: given all
+    trajectories, features do not depend on each other, so that the objective is the same on any graph.
 
     Parameters
     ----------
     model
         chains with `smooth` and `messages`, as they are now: later connections need a new engine.
     most_rounds
-        wall on the number of rounds.
+        greatest number of rounds.
     tolerance
         share of the objective's size by which it has to rise for the ascent to go on; `None` for rounds that
-        are not compared: the last one is taken, and no pass over the film is spent on the objective.
+        are not compared: the last one is the result, and no pass over the film computes the objective.
 
     Raises
     ------
@@ -342,7 +343,7 @@ class CoordinateAscent:
         return f"CoordinateAscent({self.model})"
 
     def run(self, frames: Iterable[Frame | NDArray[np.uint8] | None], dt: float = 1 / 25) -> Solution:
-        """Go on until the objective rises no more, or to the wall.
+        """Run rounds until the objective rises no more, at most `most_rounds`.
 
         Parameters
         ----------
@@ -366,7 +367,7 @@ class CoordinateAscent:
         dt: float = 1 / 25,
         after: Solution | None = None,
     ) -> Iterator[Solution]:
-        """As `run`, with the best solution so far after every round.
+        """Run as `run` does, and give the best solution so far after every round.
 
         `after` is a solution of the same frames (see `load`) to go on from, as if it had never been left.
         """

@@ -33,7 +33,7 @@ Method = TypeVar("Method", bound=Callable[..., Any], covariant=True)
 
 
 class Speaker(Chain[Any], Protocol[Method]):
-    """A chain, as a type checker has to see it to know what it says to which feature.
+    """A chain, as type checkers see it to infer the type of its messages to a feature.
 
     With `message` as a property, its type is looked for among the overloads of the chain's method.
     """
@@ -76,15 +76,15 @@ class MultiChain:
         feature: FeatureNode[MessageType],
         feedback: bool = True,
     ) -> Self:
-        """Let the chain speak to the feature node and hear from it; the order of connections changes nothing.
+        """Connect the chain to the feature node, both ways; the order of connections changes nothing.
 
         Parameters
         ----------
         chain, feature
             new ones, or ones that are part of the model already.
         feedback
-            `False` cuts the message from the chain to the feature: the chain reads what others say there,
-            and no one learns what it predicts (a feed-forward pipeline).
+            `False` cuts the message from the chain to the feature: the chain reads the messages of others
+            there, and its predictions reach no other chain (a feed-forward pipeline).
 
         Returns
         -------
@@ -97,8 +97,8 @@ class MultiChain:
             if `chain` or `feature` lacks what its protocol asks for, its name is no text, or the chain has
             no port for such a feature.
         ValueError
-            if the two are connected already, a name is taken by another object, the chain's port is taken by
-            another feature, or another chain says already what only one may say there.
+            if the two are connected already, another object has the name, the chain's port has another
+            feature, or another chain sends already what only one may send there.
         """
         require("chain", chain, Chain, BatchChain)
         require("feature", feature, FeatureNode)
@@ -118,7 +118,7 @@ class MultiChain:
                 if self._port(other, feature.name).sole == port.sole:
                     raise ValueError(
                         f"connect: got {chain.name!r} for the {port.sole} of {feature.name!r}, which "
-                        f"{other!r} says already, expected one chain to say it"
+                        f"{other!r} sends already, expected one chain to send it"
                     )
         self.graph.add_node(chain.name, kind="chain", node=chain)
         self.graph.add_node(feature.name, kind="feature", node=feature)
@@ -144,12 +144,12 @@ class MultiChain:
 
     @property
     def names(self) -> str:
-        """All chains, and the features on which they meet, to be read."""
+        """Names of all chains and features, as a text."""
         return f"{', '.join(self.chains)} on {', '.join(self.features)}"
 
     @cached_property
     def chains(self) -> dict[str, Any]:
-        """Chains by name, in the order in which they have their turn.
+        """Chains by name, in the order of their turns.
 
         That is the order of what they want in their cavities, those with a cut message last; ties go by
         name.
@@ -183,7 +183,7 @@ class MultiChain:
 
     @cached_property
     def cavities(self) -> dict[tuple[str, str], Cavity]:
-        """What each chain wants to find at a feature before it speaks there."""
+        """Cavity of each chain at each of its features."""
         return {
             (name, feature): self._port(name, feature).cavity
             for name in self._nodes("chain")
@@ -196,26 +196,26 @@ class MultiChain:
         return {name: type(node.uniform()) for name, node in self.features.items()}
 
     def copy(self) -> "MultiChain":
-        """The same chains and features; further connections of one do not show in the other."""
+        """Return a model of the same chains and features, to be connected further on its own."""
         other = MultiChain()
         other.graph = self.graph.copy()
         return other
 
     def components(self) -> list[list[str]]:
-        """Features that influence each other: the parts that remain when cut edges are removed."""
+        """Return the groups of features that remain connected without the cut edges."""
         edges = [(name, feature) for feature in self.features for name in self.senders[feature]]
         parts = nx.connected_components(nx.Graph(edges))
         return sorted([name for name in self.features if name in part] for part in parts)
 
     def wrong_message(self, sender: str, feature: str, message: object) -> TypeError:
-        """The error about a message that is none of the feature's `message_kinds`."""
+        """Return the error about a message of another class than the feature's."""
         return TypeError(
             f"message from {sender!r} to {feature!r}: got {type(message).__name__}, "
             f"expected {self.message_kinds[feature].__name__}"
         )
 
     def unknown(self, name: str) -> KeyError:
-        """The error about a name that is neither a chain's nor a feature's."""
+        """Return the error about a name that is neither a chain's nor a feature's."""
         names = ", ".join([*self.chains, *self.features])
         return KeyError(f"{name}: not part of the model, expected one of {names}")
 
@@ -232,7 +232,7 @@ class MultiChain:
 
     @property
     def has_loops(self) -> bool:
-        """Whether messages depend on each other in a circle, so that they are sent in sweeps.
+        """Whether messages depend on each other in a circle, and are sent in sweeps.
 
         Chains and features that form a loop do, unless a cut edge (`feedback=False`) opens it.
         """
@@ -281,7 +281,7 @@ class MultiChain:
         draw(self, path)
 
     def _free_port(self, chain: Any, feature: Named) -> Port:
-        """The chain's port for the feature, which no other feature has taken."""
+        """The chain's port for the feature, unless another feature has it."""
         declared = chain.ports
         if not (isinstance(declared, tuple) and all(isinstance(port, Port) for port in declared)):
             raise TypeError(f"ports of {chain.name!r}: got {declared!r}, expected a tuple of Port(...)")
@@ -308,7 +308,7 @@ class MultiChain:
         return {name: data["node"] for name, data in self.graph.nodes.items() if data["kind"] == kind}
 
     def _dependencies(self) -> "nx.DiGraph[Step]":
-        """Which messages must have been sent before which: a chain passes on what its other features know."""
+        """Which messages depend on which: a chain's message depends on those to its other features."""
         needs: nx.DiGraph[Step] = nx.DiGraph()
         for feature in self.features:
             needs.add_node((IMAGE, feature))
@@ -347,7 +347,7 @@ def require_frames(frames: object, dt: float) -> None:
 
 
 def as_frame(item: Frame | NDArray[np.uint8] | None, time: float, number: int) -> Frame:
-    """A frame as it is, or that of a plain image."""
+    """Return a frame as it is, or that of a plain image."""
     return (
         item if isinstance(item, Frame) else Frame(None if item is None else np.asarray(item), time, number)
     )

@@ -1,4 +1,4 @@
-"""What chains, feature nodes and messages promise each other: all that an engine knows of them."""
+"""Protocols of chains, feature nodes and messages: all that the engines use of them."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,8 +23,7 @@ class Message(Protocol):
 
     Products are commutative and associative, and the node's `uniform()`, the constant 1, is neutral. They
     are not normalised: beliefs are, when something is read from them. What a chain predicts integrates to 1.
-    An engine multiplies the same factors only once in a time slice, so that a message may keep what it works
-    out.
+    An engine multiplies the same factors only once in a time slice, so that a message may cache results.
     """
 
     @property
@@ -36,7 +35,7 @@ class Message(Protocol):
 
 
 class SettlingMessage(Message, Protocol):
-    """What a message can offer beside, for models with loops; each of these is optional.
+    """Optional methods of messages, for models with loops; each may be left out.
 
     `normalised` is needed where the scale holds what a chain's other features say: it would grow with every
     sweep. Without powers it is not damped; without `distance` it has settled when the log mass of the belief
@@ -55,7 +54,7 @@ class SettlingMessage(Message, Protocol):
 
 
 class Named(Protocol):
-    """A chain or a feature node, as far as a model tells it by its name."""
+    """A chain or a feature node, which has a unique name in a model."""
 
     @property
     def name(self) -> str:
@@ -64,7 +63,7 @@ class Named(Protocol):
 
 
 class FeatureNode(Named, Protocol[MessageType]):
-    """A latent feature of the scene, F, on which chains meet; `MessageType` is what they exchange there."""
+    """A latent feature F of the scene, on which chains meet; they exchange messages of `MessageType`."""
 
     @property
     def searches(self) -> bool:
@@ -72,11 +71,11 @@ class FeatureNode(Named, Protocol[MessageType]):
         ...
 
     def uniform(self) -> MessageType:
-        """The constant 1, identity of the message product."""
+        """Return the constant 1, identity of the message product."""
         ...
 
     def evidence(self, frame: Frame, prior: MessageType, /) -> MessageType:
-        """phi(I, F), the likelihood of the frame, which is not missing, worked out where `prior` has mass.
+        """Return phi(I, F), the likelihood of a frame that is not missing, where `prior` has mass.
 
         `prior` only says where to search and is not part of the answer.
         """
@@ -84,12 +83,12 @@ class FeatureNode(Named, Protocol[MessageType]):
 
 
 class Cavity(IntEnum):
-    """What a chain finds in a feature's own entry of `incoming` when it speaks to that feature.
+    """Content of a feature's entry of `incoming` when a chain computes its message to that feature.
 
     It may use that to decide where a mixture is projected onto the feature's form, never as information,
-    which would be counted twice. In a time slice those speak first that need the least; ties go by name. At
-    a feature that is searched for in the image (`FeatureNode.searches`) who wants to hear it is asked once
-    before, with what has been said by then: from where it predicts the feature, the image is searched.
+    which would be counted twice. In a time slice the chains that need the least send first; ties go by name.
+    At a feature that is searched for in the image (`FeatureNode.searches`), chains that need the evidence are
+    called once before, with the messages sent by then: the image is searched where they predict the feature.
     """
 
     NOTHING = 0
@@ -112,7 +111,7 @@ class Port:
     kind
         class of the feature node.
     cavity
-        what the chain wants to find there before it speaks.
+        what the chain needs there before it sends its message.
     optional
         whether a model is complete when the chain is not connected to such a node.
     many
@@ -135,7 +134,7 @@ class Incoming:
     `incoming[PixelLabels]` and `incoming[pixels]` are the product of the evidence and of all other chains'
     messages at that node. Its two parts are `incoming.evidence(PixelLabels)`, what the image says, and
     `incoming.others(PixelLabels)`, what the other chains say. `incoming.get(ObjectBoxes)` is `None` where the
-    chain is connected to none. Iteration gives the nodes. What is not asked for is not worked out.
+    chain is connected to none. Iteration gives the nodes. Products are computed on demand.
 
     Parameters
     ----------
@@ -181,7 +180,7 @@ class Incoming:
         return {node.name: cast(MessageType, self._message_at(node)) for node in self._matching(kind)}
 
     def once(self, function: Callable[..., Result], *arguments: object) -> Result:
-        """`function(*arguments)` of a pure function, worked out once in a time slice.
+        """Return `function(*arguments)` of a pure function, computed once in a time slice.
 
         Arguments are the same if they are the very same objects, functions if they are equal (no lambdas).
         """
@@ -193,7 +192,7 @@ class Incoming:
         return result
 
     def node(self, key: type | Named, /) -> Named:
-        """The feature node that the chain is connected to, or the one of that kind; else a `KeyError`."""
+        """Return the node that the chain is connected to, or the one of that kind; else a `KeyError`."""
         matching = self._matching(key)
         if len(matching) != 1:
             names = ", ".join(node.name for node in self._nodes) or "none"
@@ -229,7 +228,7 @@ class Incoming:
 class Chain(Named, Protocol[State]):
     """A hidden state with its own dynamics, which predicts and observes feature nodes.
 
-    A chain holds parameters and nothing else: what it knows is in its states, what it works out for one time
+    A chain holds parameters and nothing else: its knowledge is in its states, what it computes for one time
     slice goes through `incoming.once`. States are values: no method changes the state it is given, and one
     that draws random numbers draws from a copy (`copy.deepcopy(state.random)`) and puts that into the state
     it returns. Whatever a method gives depends on its arguments alone.
@@ -241,18 +240,18 @@ class Chain(Named, Protocol[State]):
         ...
 
     def initial(self, frame: Frame, /) -> State:
-        """Prior state at the first frame that has an image.
+        """Return the prior state at the first frame that has an image.
 
         Its return annotation says how a saved state is read back.
         """
         ...
 
     def predict(self, state: State, dt: float, /) -> State:
-        """mu_{X(t-1) -> X(t)}: the state `dt` seconds on; in two steps it is the same as in one."""
+        """Predict the state `dt` seconds ahead (mu_{X(t-1) -> X(t)}); two steps equal one."""
         ...
 
     def message(self, state: State, feature: Never, incoming: Incoming, /) -> Message:
-        """mu_{X -> F}: the integral over X of prediction, p(F | X) and the *other* features' `incoming`.
+        """Return mu_{X -> F}: the integral over X of prediction, p(F | X) and *other* features' `incoming`.
 
         It keeps its scale: without other features, or with uniform ones, it integrates to 1. The feature's
         own entry is what the chain's port asks for (see `Cavity`). A chain of several kinds of feature
@@ -261,12 +260,12 @@ class Chain(Named, Protocol[State]):
         ...
 
     def update(self, state: State, incoming: Incoming, /) -> State:
-        """p(X | I), in proportion to the prediction times all of `incoming`."""
+        """Return p(X | I), in proportion to the prediction times all of `incoming`."""
         ...
 
 
 class Trajectory(Protocol):
-    """What a batch chain believes of its state at all times."""
+    """Estimate of a batch chain's states at all times."""
 
     @property
     def log_prior(self) -> float:
@@ -277,7 +276,7 @@ class Trajectory(Protocol):
 @short_repr
 @dataclass(frozen=True)
 class Smoothed(Generic[TrajectoryType]):
-    """What a batch chain makes of a sequence.
+    """Result of a batch chain for a sequence.
 
     Parameters
     ----------
@@ -285,7 +284,7 @@ class Smoothed(Generic[TrajectoryType]):
         the best one.
     evidence
         by feature node, for each frame: what a search of its own found (see `BatchIncoming.search`). It is
-        the evidence for everybody until the chain searches again; what several chains find is multiplied.
+        the evidence for all chains until the chain searches again; evidence of several chains is multiplied.
     """
 
     trajectory: TrajectoryType
@@ -293,7 +292,7 @@ class Smoothed(Generic[TrajectoryType]):
 
 
 class BatchIncoming(Incoming, ABC):
-    """What reaches a batch chain at one time, while all other chains are held where they are.
+    """Messages that reach a batch chain at one time, while all other chains are fixed.
 
     `incoming[f]`, `incoming.evidence(f)` and `incoming.others(f)` are those of filtering.
     """
@@ -312,7 +311,7 @@ class BatchIncoming(Incoming, ABC):
     def search(
         self, feature: type[FeatureNode[MessageType]] | FeatureNode[MessageType], prior: MessageType, /
     ) -> MessageType:
-        """Evidence at the feature where `prior` has mass.
+        """Search for the feature where `prior` has mass, and return the evidence.
 
         A chain that knows better than the others where to search does it itself, and returns what it goes by
         with its trajectory (see `Smoothed`).
@@ -330,7 +329,7 @@ class BatchChain(Named, Protocol[TrajectoryType]):
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: TrajectoryType | None = None, /
     ) -> Smoothed[TrajectoryType]:
-        """Best trajectory given `incoming_over_time`, one entry for each frame in order of time.
+        """Return the best trajectory given `incoming_over_time`, one entry for each frame in order of time.
 
         `current` is the chain's trajectory of the round before, to start from. The return annotation says
         how a saved trajectory is read back.
@@ -340,7 +339,7 @@ class BatchChain(Named, Protocol[TrajectoryType]):
     def messages(
         self, trajectory: TrajectoryType, feature: Never, incoming_over_time: Sequence[BatchIncoming], /
     ) -> Sequence[Message]:
-        """mu_{X -> F} for each frame: what the trajectory says of the feature.
+        """Return mu_{X -> F} for each frame, given the trajectory.
 
         `incoming_over_time` is what the trajectory goes by: a chain whose state is too large to be kept for
         every frame works it out again, forwards, when messages are asked for.
@@ -349,7 +348,7 @@ class BatchChain(Named, Protocol[TrajectoryType]):
 
 
 def name_of(key: Named | str) -> str:
-    """Name of a chain or feature node, or the name itself."""
+    """Return the name of a chain or feature node, or the name itself."""
     return key if isinstance(key, str) else str(key.name)
 
 
@@ -377,7 +376,7 @@ def _members(protocol: type) -> list[str]:
 
 
 class PerFrame(Sequence[Result]):
-    """One thing a frame, which is worked out when it is asked for."""
+    """Sequence with one entry a frame, computed on demand."""
 
     @abstractmethod
     def _at(self, number: int) -> Result: ...
@@ -392,7 +391,7 @@ class PerFrame(Sequence[Result]):
 
 
 class LazyFrames(Sequence[Frame]):
-    """Frames in order of time that are made when they are asked for, best one after the other.
+    """Frames in order of time, made on demand, best one after the other.
 
     A mark of sequences that `CoordinateAscent` must not hold: it asks for each frame once in a pass,
     forwards.
@@ -400,4 +399,4 @@ class LazyFrames(Sequence[Frame]):
 
     @abstractmethod
     def time(self, index: int, /) -> float:
-        """`Frame.time` of a frame, without making it."""
+        """Return `Frame.time` of a frame, without making it."""

@@ -35,7 +35,7 @@ BELOW_1 = Bound(lambda value: 0 <= value < 1, "0 to less than 1")
 @short_repr
 @dataclass(frozen=True, eq=False)
 class RunState:
-    """All that a run needs to go on: a value that can be kept, branched from, saved and loaded.
+    """State of a run, from which it continues: a value that can be kept, branched from, saved and loaded.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class RunState:
 
     @staticmethod
     def kinds(chains: Mapping[str, Any]) -> dict[str, Any]:
-        """What the state of these chains (or classes of chains) by name consists of, for `checkpoint`."""
+        """Return the types of these chains' states by name, for `checkpoint`."""
         states = {}
         for name, chain in chains.items():
             hints = get_type_hints(chain.initial)
@@ -64,7 +64,7 @@ class RunState:
         return {"states": states, "number": int, "time": float, "shape": tuple[int, ...] | None}
 
     def saved(self) -> dict[str, Any]:
-        """Everything, as a record of these kinds."""
+        """Return the state as a record of these kinds."""
         return {
             "states": dict(self.states) or None,
             "number": self.number,
@@ -74,12 +74,12 @@ class RunState:
 
     @classmethod
     def restored(cls, saved: Mapping[str, Any]) -> "RunState":
-        """The state of which `saved` was kept."""
+        """Return the state that `saved` describes."""
         return cls(**{**saved, "states": saved["states"] or {}})
 
 
 class Belief:
-    """What is known after a frame.
+    """Posterior after a frame.
 
     `belief[chain]` or `belief["name"]` is the posterior state of a chain, `belief[feature]` or
     `belief["name"]` the product of all messages that reach a feature node. As long as all frames were
@@ -90,7 +90,7 @@ class Belief:
     frame
         the frame.
     state
-        from which the run can go on.
+        from which the run can continue.
     """
 
     def __init__(self, frame: Frame, state: RunState, time_slice: TimeSlice | None) -> None:
@@ -130,7 +130,7 @@ class Belief:
 
     @cached_property
     def log_evidence(self) -> float:
-        """log p(I_t | I_1..t-1), worked out when asked for; 0 before the first image.
+        """log p(I_t | I_1..t-1), computed on demand; 0 before the first image.
 
         At each feature that chains speak to, it is the log of the integral of the product with the image
         less that without it: models can be compared, whatever the scale of their messages. Features that
@@ -142,16 +142,16 @@ class Belief:
         return 0.0 if self._slice is None else self._slice.log_evidence()
 
     def message(self, chain: Named | str, feature: FeatureNode[MessageType]) -> MessageType:
-        """What the chain said to the feature before it heard the image; a `KeyError` if nothing."""
+        """Return the chain's message to the feature; a `KeyError` if there is none."""
         return self._sent(name_of(chain), feature)
 
     def evidence(self, feature: FeatureNode[MessageType]) -> MessageType:
-        """What the frame shows of the feature, uniform where missing; a `KeyError` if nothing is believed."""
+        """Return the evidence at the feature, uniform in a missing frame; a `KeyError` without a belief."""
         return feature.uniform() if self.frame.missing else self._sent(IMAGE, feature)
 
     def _sent(self, sender: str, feature: FeatureNode[MessageType]) -> MessageType:
         if self._slice is None:
-            raise KeyError(f"{feature.name}: nothing is said before the first frame that is not missing")
+            raise KeyError(f"{feature.name}: there is no message before the first frame that is not missing")
         message: MessageType = self._slice.sent(sender, feature.name)
         return message
 
@@ -164,7 +164,7 @@ class Belief:
     def __getitem__(self, key: Named | str, /) -> object:
         name = name_of(key)
         if self._slice is None:
-            raise KeyError(f"{name}: nothing is believed before the first frame that is not missing")
+            raise KeyError(f"{name}: there is no belief before the first frame that is not missing")
         if name in self.state.states:
             return self.state.states[name]
         if name in self._slice.model.features:
@@ -222,10 +222,10 @@ class RecursiveBP:
         return f"RecursiveBP({self.model})"
 
     def step(self, state: RunState, frame: Frame) -> Belief:
-        """Take in one frame.
+        """Filter one frame.
 
         The first frame with an image or points is met with the chains' initial states, later ones with
-        predictions. A missing frame brings no evidence: chains predict, hear each other, and go on.
+        predictions. A missing frame brings no evidence: chains predict and exchange messages.
 
         Parameters
         ----------
@@ -277,7 +277,7 @@ class RecursiveBP:
         dt: float = 1 / 25,
         state: RunState | None = None,
     ) -> Iterator[Belief]:
-        """Take in frames one after the other, and give the belief after each.
+        """Filter frames one after the other, and give the belief after each.
 
         Parameters
         ----------
@@ -286,7 +286,7 @@ class RecursiveBP:
         dt
             seconds from one plain image to the next.
         state
-            to go on from; from the beginning where it is left out.
+            to continue from; from the beginning where it is left out.
 
         Raises
         ------
@@ -336,26 +336,26 @@ class RecursiveBP:
 
 
 def _require_states(method: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> None:
-    """Make sure that chains gave a state for each one: a forgotten `return` is said in words."""
+    """Raise a `TypeError` where a chain gave no state, for want of a `return`."""
     for name, state in after.items():
         if state is None and before[name] is not None:
             raise TypeError(f"chain {name!r}: {method} gave None, expected a state")
 
 
 class ForwardPass(PerFrame[MessageType]):
-    """What a filter says in each frame, worked out when it is asked for.
+    """Messages of a filter, one a frame, computed on demand.
 
-    Asked for forwards, a frame costs one step of the filter; asked for an earlier frame, it begins again. It
-    holds one state and one belief, however long the sequence is.
+    In order of time, a frame costs one step of the filter; for an earlier frame it starts again. It holds one
+    state and one belief, however long the sequence is.
 
     Parameters
     ----------
     engine, start
-        of the filter, and its state before the first frame.
+        the filter, and its state before the first frame.
     incoming_over_time
-        whose frames it takes in.
+        whose frames it filters.
     read
-        what is said in a frame, given the belief after it.
+        the message in a frame, given the belief after it.
     """
 
     def __init__(

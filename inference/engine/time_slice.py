@@ -12,7 +12,7 @@ from .protocols import Cavity, Incoming, Message, Named, Results
 
 @dataclass(eq=False)
 class Sent:
-    """A message, worked out from the factors `incoming` by feature when it is first multiplied."""
+    """A message, computed from the factors `incoming` by feature when it is first multiplied."""
 
     sender: str
     feature: str
@@ -26,7 +26,7 @@ Factors = tuple[Sent, ...]
 
 @dataclass(frozen=True)
 class Sweeps:
-    """How often messages of a loop are sent; see `RecursiveBP`."""
+    """Limits of the sweeps over a loop; see `RecursiveBP`."""
 
     damping: float
     most: int
@@ -75,7 +75,7 @@ class TimeSlice:
                 self._settle(group)
 
     def incoming(self, chain: str) -> Incoming:
-        """Return all that reaches the chain except for its own messages, worked out."""
+        """Return the messages that reach the chain, without its own, computed."""
         factors = {name: self._factors(name, chain) for name in self.model.features_of[chain]}
         for feature, those in factors.items():
             self._multiply(feature, those)
@@ -149,7 +149,7 @@ class TimeSlice:
         self._sent[sender, feature] = Sent(sender, feature, incoming)
 
     def _incoming_of(self, chain: str, feature: str) -> dict[str, Factors]:
-        """What a chain goes by when it speaks to a feature, by feature; at that one, see `Cavity`."""
+        """Factors on which a chain's message to a feature depends; at that feature, see `Cavity`."""
         incoming = {name: self._factors(name, chain) for name in self.model.features_of[chain]}
         before = self._sent.get((chain, feature))
         if before is not None:  # in a loop: those that spoke before it at first
@@ -204,7 +204,7 @@ class TimeSlice:
         return 0.0 if masses[0] == masses[1] else abs(masses[1] - masses[0])
 
     def _forget(self, replaced: set[Sent]) -> None:
-        """Let go what was worked out with messages that have been replaced."""
+        """Drop what was computed from messages that have been replaced."""
         old = [key for key in self._products if not replaced.isdisjoint(key[1])]
         gone = [*(sent.message for sent in replaced), *(self._products.pop(key) for key in old)]
         for sent in replaced:
@@ -225,7 +225,7 @@ class TimeSlice:
         return float(log_mass - self._multiply(feature, predicted).log_mass) if log_mass > -inf else -inf
 
     def _given(self, chain: str, feature: str, seen: Sequence[str]) -> Sent:
-        """What the chain would send if the image showed no feature of its component but those `seen`.
+        """The chain's message if the image showed only those features of its component that are `seen`.
 
         What it found in its own cavity, and what it reads through cut edges, stays as it is.
         """
@@ -240,7 +240,7 @@ class TimeSlice:
         return sent if incoming == sent.incoming else Sent(chain, feature, incoming)
 
     def _ahead(self, feature: str) -> Factors:
-        """Where the image is to be searched: what was said by now, and what others predict without it."""
+        """Where to search the image: messages sent by now, and predictions of the other chains."""
         predicted = [
             Sent(name, feature, {other: self._factors(other, name) for other in self.model.features_of[name]})
             for name in self.model.senders[feature]
@@ -249,7 +249,7 @@ class TimeSlice:
         return (*self._factors(feature), *predicted)
 
     def _factors(self, feature: str, without: str | None = None) -> Factors:
-        """What the feature has been sent by now, but for one chain's message."""
+        """Messages sent to the feature by now, except for one chain's."""
         return self._present(
             (name, feature) for name in (IMAGE, *self.model.senders[feature]) if name != without
         )
@@ -271,7 +271,7 @@ class TimeSlice:
         return self._products[key]
 
     def _message(self, sent: Sent) -> Any:
-        """The message that was sent."""
+        """The message, computed the first time."""
         if sent.message is None:
             node = self.model.features[sent.feature]
             if sent.sender == IMAGE:
@@ -309,7 +309,7 @@ class _WithoutImage(TimeSlice):
 
 
 class _Incoming(Incoming):
-    """Products of factors at a chain's feature nodes, each worked out when it is asked for."""
+    """Products of factors at a chain's feature nodes, computed on demand."""
 
     def __init__(self, time_slice: TimeSlice, factors: Mapping[str, Factors]) -> None:
         self._slice, self._factors = time_slice, factors

@@ -99,7 +99,7 @@ class GivenKeypoints:
 
     @classmethod
     def named(cls, points: Array) -> Self:
-        """Points `(n, 15, 3)`: x, y px and score of each of `POINTS`; without a score above 0 not found.
+        """Return key points from `(n, 15, 3)` x, y px and score of each of `POINTS`; score 0 is not detected.
 
         Of the face's, the head's centre is made. Eyes and ears are at half the head's height: the head is
         taken to be between the middles of both. The nose is less exact, and counts where there is nothing

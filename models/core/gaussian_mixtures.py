@@ -40,7 +40,7 @@ class GaussianMixtures:
 
     @classmethod
     def uniform(cls, n_parts: int) -> Self:
-        """The constant 1."""
+        """Return the constant 1."""
         one = (n_parts, 1)
         return cls(
             np.zeros(one),
@@ -59,7 +59,7 @@ class GaussianMixtures:
         log_flat: ArrayLike | None = None,
         labels: Sequence[ArrayLike] | None = None,
     ) -> Self:
-        """Mixtures with different numbers of components.
+        """Return mixtures with different numbers of components.
 
         `log_weights` `(n,)`, `means` `(n, 2)` px, `covariances` `(n, 2, 2)` px^2 and `labels` `(n,)` are one
         array for each part, n may be 0; `log_flat` `(n_parts,)` is the log weight of a flat component of each
@@ -111,27 +111,27 @@ class GaussianMixtures:
         )._pruned()
 
     def take(self, parts: Sequence[int] | NDArray[np.intp]) -> Self:
-        """Mixtures of some of the parts, in that order."""
+        """Return mixtures of some of the parts, in that order."""
         return self._each(lambda values: values[np.asarray(parts)])
 
     @classmethod
     def stacked(cls, mixtures: "Sequence[GaussianMixtures]") -> Self:
-        """The parts of several, one after the other."""
+        """Return the parts of several mixtures, one after the other."""
         most = max(each.log_weights.shape[1] for each in mixtures)
         return cls._joined([each._filled(most) for each in mixtures], 0)
 
     def pooled(self, n_parts: int, log_weights: Array) -> Self:
-        """Sums of several mixtures of the same `n_parts`, which are stacked here, with a log weight each."""
+        """Return sums of several stacked mixtures of the same `n_parts`, with a log weight each."""
 
         def side_by_side(values: NDArray[Any]) -> NDArray[Any]:
-            """`(k * n_parts, n, ...)` as `(n_parts, k * n, ...)`."""
+            """Return `(k * n_parts, n, ...)` as `(n_parts, k * n, ...)`."""
             each = values.reshape(-1, n_parts, *values.shape[1:]).swapaxes(0, 1)
             return each.reshape(n_parts, -1, *values.shape[2:])
 
         return replace(self, log_weights=self.log_weights + log_weights[:, None])._each(side_by_side)
 
     def proper(self, log_mass: float, means: Array, covariances: Array) -> Self:
-        """Mixtures in which a Gaussian stands for every flat component.
+        """Return mixtures with a Gaussian in place of every flat component.
 
         `log_mass` is by how much its log weight is more: log of the area, px^2, over which the flat one
         counts.
@@ -146,7 +146,7 @@ class GaussianMixtures:
         )
 
     def blended(self, other: Self, share: float) -> Self:
-        """Densities: this one, or with probability `share` the other one; both proper, each counted as 1."""
+        """Return this density, or with probability `share` the other one; both proper."""
         own, more = (each.log_weights - each.log_masses[:, None] for each in (self, other))
         one = replace(self, log_weights=own + np.log1p(-share))
         return self._joined([one, replace(other, log_weights=more + np.log(share))], 1)
@@ -163,7 +163,7 @@ class GaussianMixtures:
         return np.where(improper, np.inf, log_sums(self.log_weights))
 
     def log_values(self, points: Array) -> Array:
-        """`(n, n_parts)` logs of the functions at `points`, `(n, n_parts, 2)` px."""
+        """Return `(n, n_parts)` logs of the functions at `points`, `(n, n_parts, 2)` px."""
         peaks, sums = np.empty((2, len(points), self.n_parts))
         sums_of_densities(points, *self._middles, peaks, sums)
         values = peaks + np.log(sums)
@@ -171,7 +171,7 @@ class GaussianMixtures:
         return values
 
     def log_joint_values(self, points: Array, log_hypotheses: Array) -> Array:
-        """`(n,)` logs of a sum over hypotheses of the product of their functions at `points` `(n, k, 2)` px.
+        """Return `(n,)` logs of the sum over hypotheses of products of functions at `points` `(n, k, 2)` px.
 
         These mixtures are those of the k parts of each hypothesis, `(h,)` log weights, one after the other.
         """
@@ -202,14 +202,14 @@ class GaussianMixtures:
         )
 
     def log_overlaps(self, means: Array, covariances: Array) -> Array:
-        """`(n_parts, n)` logs of the integrals of the functions times Gaussian densities, n a part."""
+        """Return `(n_parts, n)` logs of the integrals of the functions times Gaussian densities."""
         step = means[:, :, None] - self.means[:, None]
         overlap = _log_density(step, covariances[:, :, None] + self.covariances[:, None])
         overlap = np.where(self.flat[:, None], 0.0, overlap)
         return log_sums(self.log_weights[:, None] + overlap)
 
     def moments(self, area: float, centre: ArrayLike) -> tuple[Array, Array]:
-        """Means `(n_parts, 2)` px and covariances `(n_parts, 2, 2)` px^2."""
+        """Return means `(n_parts, 2)` px and covariances `(n_parts, 2, 2)` px^2."""
         weights = self.log_weights + np.where(self.flat, np.log(area), 0.0)
         share = np.exp(weights - log_sums(weights)[:, None])
         means = np.where(self.flat[..., None], np.asarray(centre, np.float64), self.means)
@@ -262,7 +262,7 @@ def _log_density(steps: Array, covariances: Array) -> Array:
 
 
 def log_sums(values: Array, axis: int = -1) -> Array:
-    """log sum exp of `values` along an axis; infinite where one is, minus infinity where all are.
+    """Return log sum exp of `values` along an axis; infinite where one is, minus infinity where all are.
 
     scipy's `logsumexp`, which does more, takes ten times as long for a few hundred numbers.
     """
@@ -326,7 +326,7 @@ def sums_of_densities(points, heights, means, precisions, peaks, sums):
 def sums_over_hypotheses(points, log_weights, heights, means, precisions, logs):
     """Log of a sum over hypotheses of the products of `sums_of_densities` of all parts, into `logs` `(n,)`.
 
-    Points `(n, n_parts, 2)` are taken in blocks, so that loops over them are vector code and all stays in the
+    Points `(n, n_parts, 2)` are processed in blocks: loops over them are vector code, and all stays in the
     nearest cache. `log_weights` `(h,)` are finite; the rest is as of `sums_of_densities`, for the `n_parts`
     mixtures of each hypothesis, one after the other.
     """

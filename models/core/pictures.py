@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 
 def grey_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """`(height, width)` uint8, rows contiguous, of a grey or a BGR picture `(height, width, 3)`."""
+    """Return the grey picture `(height, width)` uint8, rows contiguous, of a grey or BGR one."""
     grey = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
     return np.ascontiguousarray(grey)
 
@@ -24,7 +24,7 @@ FARTHEST = 10_000  # px
 
 
 def as_bgr(image: Picture) -> Picture:
-    """A copy `(height, width, 3)` of a picture that may be grey."""
+    """Return a BGR copy `(height, width, 3)` of a picture that may be grey."""
     copy = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
     return np.asarray(copy, np.uint8)
 

@@ -1,4 +1,4 @@
-"""What dataclasses share: a `repr` of one line, selection and joining of rows, pickles of fields alone.
+"""Helpers of dataclasses: `repr` of one line, selection and joining of rows, pickles of fields only.
 
 Arrays are shown by dtype and shape, collections by their length, parameters where they were set.
 """
@@ -18,7 +18,7 @@ SMALL = 4  # numbers in an array that are shown
 
 
 def short_repr(kind: Kind) -> Kind:
-    """Decorator of classes for a `repr` of one line, without the fields that have their defaults.
+    """Give a class a `repr` of one line, without the fields that have their defaults.
 
     It goes over `@dataclass`. Of a class that is none, all public attributes count as fields.
     """
@@ -27,7 +27,7 @@ def short_repr(kind: Kind) -> Kind:
 
 
 def brief(value: object) -> str:
-    """A few characters for one value."""
+    """Return a few characters for one value."""
     match value:
         case np.ndarray():
             if value.size <= SMALL:
@@ -92,20 +92,20 @@ def _name(value: object) -> str:
 
 
 class Rows:
-    """A dataclass of arrays, which have a row for each of the same things."""
+    """A dataclass of arrays with one row for each item."""
 
     def only(self, kept: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Self:
-        """Those of which `kept` is true, or at these places, in order."""
+        """Return the rows where `kept` is true, or at these places, in order."""
         return type(self)(*(getattr(self, field.name)[kept] for field in fields(self)))  # type: ignore[arg-type]
 
     def joined(self, others: Iterable[Self]) -> Self:
-        """These and some more."""
+        """Return these rows followed by others."""
         every, names = (self, *others), [field.name for field in fields(self)]  # type: ignore[arg-type]
         return type(self)(*(np.concatenate([getattr(each, name) for each in every]) for name in names))
 
 
 class PickledByFields:
-    """A dataclass of which fields alone are pickled, and not what its cached properties keep."""
+    """A dataclass whose pickle holds its fields only, without cached properties."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rsmcm.chains import AdaptiveBackground, BlobTracker, MixtureBackground, PointTracker
 from rsmcm.inference import MultiChain, Port, RecursiveBP
 from rsmcm.inference.engine.graph import IMAGE
-from rsmcm.models import ObjectBoxes, PixelLabels, PointTracks
+from rsmcm.models import Categorical, ObjectBoxes, PixelLabels, PointTracks
 
 from ...support.discrete import CavityChain, random_model
 
@@ -99,8 +99,9 @@ def test_ports_are_a_tuple_of_ports(monkeypatch: pytest.MonkeyPatch, ports: obje
 
 @pytest.mark.parametrize("name", [None, "", 3])
 def test_a_name_is_a_text(name: Any) -> None:
-    with pytest.raises(TypeError, match=f"name of PixelLabels: got {name!r}, expected a text"):
-        MultiChain().connect(BlobTracker(), PixelLabels(name))
+    chain = random_model(random(), PAIR).chains["a"]
+    with pytest.raises(TypeError, match=f"name of Categorical: got {name!r}, expected a text"):
+        MultiChain().connect(chain, Categorical(name, 2))
 
 
 def test_any_name_of_a_feature_will_do() -> None:
@@ -123,10 +124,10 @@ def test_a_chain_meets_one_feature_of_a_kind_unless_it_says_otherwise() -> None:
 def test_one_chain_says_what_only_one_can() -> None:
     pixels, points = PixelLabels(), PointTracks()
     model = MultiChain().connect(AdaptiveBackground(), pixels).connect(PointTracker(), points)
-    second = "got 'mixture' for the background of 'pixels', which 'background' says already"
+    second = "got 'mixture' for the background of 'pixels', which 'background' sends already"
     with pytest.raises(ValueError, match=second):
         model.connect(MixtureBackground(name="mixture"), pixels)
-    with pytest.raises(ValueError, match="for the appearance of 'points', which 'tracker' says already"):
+    with pytest.raises(ValueError, match="for the appearance of 'points', which 'tracker' sends already"):
         model.connect(PointTracker(name="second"), points)
     model.connect(MixtureBackground(name="mixture"), pixels, feedback=False)  # it only reads
 
