@@ -50,10 +50,10 @@ test: $(TEST)
 	$(BIN)/python -m pytest -n 2 -m "not slow"
 
 test-slow: $(TEST)
-	$(BIN)/python -m pytest -n 2 -m slow --maxfail 1
+	$(BIN)/python -m pytest -n 2 -m slow --maxfail 1 --hypothesis-profile long
 
 test-all: $(TEST)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --hypothesis-profile long
 
 test-versions: $(DEV)
 	$(NOX)

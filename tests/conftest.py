@@ -23,11 +23,12 @@ from .support.browser import Browser, browsing
 
 seed_shift.install()
 
-# A busy machine, or the first call of a compiled loop, says nothing about what is tested.
-settings.register_profile(
-    "any-machine", max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow]
-)
-settings.load_profile("any-machine")
+# A busy machine, or the first call of a compiled loop, may take long.
+for profile, examples in (("quick", 20), ("long", 100)):
+    settings.register_profile(
+        profile, deadline=None, suppress_health_check=[HealthCheck.too_slow], max_examples=examples
+    )
+settings.load_profile("quick")
 
 
 @pytest.fixture(scope="session", autouse=True)
