@@ -38,6 +38,7 @@ from ..chains.points import point_tracker
 from ..chains.structure.recursive_structure import RecursiveStructure
 from ..inference import Belief, MultiChain, RecursiveBP, RunState
 from ..inference.engine import checkpoint
+from ..inference.engine.graph import require_later
 from ..models.core.checks import Array, Bound, Count, Positive, checked, shown
 from ..models.core.frame import BoundingBox, Frame, GivenBoxes, GivenKeypoints, GivenPoints
 from ..models.core.short_repr import short_repr
@@ -50,6 +51,7 @@ from .background.application import build_model, read_frame_result
 from .background.parameters import with_defaults
 from .exports.coco import object_masks
 from .exports.for_supervision import to_supervision
+from .face.application import SMALL_EVERY
 from .io.tracks import TrackedObject
 
 if TYPE_CHECKING:
@@ -164,7 +166,9 @@ class Tracker(ABC, Generic[Start, Result]):
         run = self._state.run
         if time is None:
             time = run.time + self._interval if run.number else 0.0
-        return Frame(image, time, run.number + 1, **given)
+        frame = Frame(image, time, run.number + 1, **given)
+        require_later(frame, run.time, run.number)
+        return frame
 
     def _step(self, frame: Frame) -> Belief:
         assert self._engine is not None
@@ -366,13 +370,14 @@ class FaceTracker(Tracker[FaceStart, TrackedFace | None]):
     @checked
     def __init__(
         self,
-        detector: Path | None = None,
+        detector: str | Path | None = None,
         model: MorphableModel | None = None,
         experts: Count = 20,
         seed: int = 0,
         frame_rate: Positive = 25.0,
     ) -> None:
-        self._detector, self._experts, self._seed = detector, experts, seed
+        self._detector = None if detector is None else Path(detector)
+        self._experts, self._seed = experts, seed
         self._model = face_model() if model is None else model
         super().__init__(frame_rate, experts=experts, seed=seed)
 
@@ -423,8 +428,11 @@ class FaceTracker(Tracker[FaceStart, TrackedFace | None]):
     def _find(self, frame: Frame, box: ArrayLike | None, landmarks: ArrayLike | None) -> FaceStart | None:
         if landmarks is not None:
             return start_from_landmarks(self._model, np.array(landmarks, np.float64))
-        expected = "box, landmarks, or a model file of YuNet as detector"
-        found = find_face(frame, default_faces(self._detector, expected)) if box is None else size_of(box)
+        if box is None:
+            faces = default_faces(self._detector, "box, landmarks, or a model file of YuNet as detector")
+            found = find_face(frame, faces, small=frame.number % SMALL_EVERY == 1)
+        else:
+            found = size_of(box)
         return None if found is None else start_from_box(self._model, found)
 
     def _build(self, start: FaceStart | None) -> RecursiveBP | None:
@@ -500,12 +508,13 @@ class BodyTracker(Tracker[SavedPerson, TrackedBody | None]):
     @checked
     def __init__(
         self,
-        detector: Path | None = None,
+        detector: str | Path | None = None,
         samples: Count = 1000,
         seed: int = 0,
         frame_rate: Positive = 25.0,
     ) -> None:
-        self._detector, self._samples, self._seed = detector, samples, seed
+        self._detector = None if detector is None else Path(detector)
+        self._samples, self._seed = samples, seed
         super().__init__(frame_rate, samples=samples, seed=seed)
 
     @checked

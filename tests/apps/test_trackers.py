@@ -188,6 +188,8 @@ def test_until_there_is_a_face_or_a_person_there_is_no_result() -> None:
         assert tracker.update(None) is None
         assert tracker.update(IMAGE) is None
         assert tracker.state.run.number == 2
+        with pytest.raises(ValueError, match="time"):
+            tracker.update(IMAGE, time=0.0)
     assert len(ObjectTracker().update(None)) == len(PointTracker().update(None)) == 0
 
 
