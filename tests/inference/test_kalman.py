@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.inference.kalman import PointStates, cavity, filter_tracks, predict, smooth, update
@@ -95,7 +95,6 @@ def joint(tracks: Tracks, point: int, without: int | None = None) -> tuple[Numbe
     return mean.reshape(n_frames, 4), blocks
 
 
-@settings(max_examples=40)
 @given(st.integers(0, 2**32), st.sampled_from([0.0, 0.3, 1.0]))
 def test_smoother_and_cavity_equal_a_dense_gaussian(seed: int, seen: float) -> None:
     tracks = Tracks(seed, n_frames=6, n_points=2, seen=seen)
@@ -123,22 +122,6 @@ def test_frame_by_frame_is_the_same_as_all_at_once() -> None:
         np.testing.assert_allclose(states.covariance, filtered.covariance[t], rtol=1e-10, atol=1e-10)
 
 
-def test_one_acceleration_serves_all_points() -> None:
-    states = Tracks(2).prior
-    one, each = predict(states, 0.1, 7.0), predict(states, 0.1, np.full(37, 7.0))
-    np.testing.assert_array_equal(one.covariance, each.covariance)
-
-
-def test_no_information_changes_nothing() -> None:
-    states = Tracks(3).prior
-    after = update(states, np.zeros((37, 2, 2)), np.zeros((37, 2)))
-    np.testing.assert_array_equal(after.mean, states.mean)
-    np.testing.assert_array_equal(after.covariance, 0.5 * (states.covariance + states.covariance.mT))
-    smoothed = PointStates(states.mean[None], states.covariance[None])
-    information, _ = cavity(smoothed, np.zeros((1, 37, 2, 2)), np.zeros((1, 37, 2)))
-    np.testing.assert_allclose(np.linalg.inv(information[0]), states.position_covariance, rtol=1e-9)
-
-
 def test_measurements_of_one_direction_only() -> None:
     states = PointStates.at_rest([[10.0, 20.0]], 4.0, 3.0)
     along = np.array([0.6, 0.8])
@@ -147,23 +130,6 @@ def test_measurements_of_one_direction_only() -> None:
     np.testing.assert_allclose(after.position[0], [10, 20] + gain * (25 - 22) * along, rtol=1e-12)
     spread = 4 * np.eye(2) - 4 * gain * np.outer(along, along)
     np.testing.assert_allclose(after.position_covariance[0], spread, rtol=1e-9)
-
-
-def test_a_point_is_followed_back_to_before_it_was_seen() -> None:
-    """A point that begins late and moves evenly; the prior is as broad as to leave that alone."""
-    times = np.arange(40) / 10
-    places = np.array([300.0, 50.0]) + times[:, None] * [40.0, -25.0]
-    seen = (times > 2.05)[:, None]
-    information = np.where(seen[:, :, None, None], 100 * np.eye(2), 0.0)
-    prior = PointStates.at_rest([[0.0, 0.0]], 1e4**2, 1e3)
-    filtered = filter_tracks(
-        prior, times, information, np.where(seen[..., None], 100 * places[:, None], 0.0), 1e-3
-    )
-    smoothed = smooth(filtered, times, 1e-3)
-    np.testing.assert_allclose(smoothed.position[:, 0], places, atol=0.01)
-    deviations = np.sqrt(smoothed.covariance[:, 0, 0, 0])
-    assert (np.diff(deviations[:20]) < 0).all()
-    assert deviations[0] < 0.3
 
 
 EXTREMES = [1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e12]
@@ -185,7 +151,6 @@ def measured(strong: float, weak: float, angle: float) -> tuple[Numbers, Numbers
     return information, information @ [300.0, 200.0]
 
 
-@settings(max_examples=200)
 @given(
     st.sampled_from(EXTREMES),
     st.sampled_from(EXTREMES),
@@ -205,7 +170,6 @@ def test_filtered_covariances_stay_positive_definite(
     assert smallest_eigenvalue(filtered.covariance) > 0
 
 
-@settings(max_examples=200)
 @given(
     st.sampled_from([1e-4, 1.0, 1e3, 1e8]),
     st.sampled_from([0.1, 10.0, 1e3]),

@@ -37,11 +37,6 @@ def test_ornstein_uhlenbeck_is_van_loans_integral(dt: float) -> None:
     np.testing.assert_allclose(motion.noise, noise, rtol=1e-9, atol=1e-16)
 
 
-def test_noise_is_continuous_where_the_series_ends() -> None:
-    below, above = (ornstein_uhlenbeck_velocity(dt, 1.0).noise for dt in (np.nextafter(0.01, 0), 0.01))
-    np.testing.assert_allclose(below, above, rtol=1e-11)
-
-
 @pytest.mark.parametrize(
     "motion",
     [

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from rsmcm.inference.optimisation import Damping, levenberg_marquardt
 
@@ -36,7 +36,6 @@ def hardly(before: Numbers, after: Numbers) -> bool:
     return bool(np.abs(after - before).max() < 1e-12)
 
 
-@settings(max_examples=20)
 @given(st.tuples(st.floats(-3, 3), st.floats(-3, 3)))
 def test_the_minimum_of_rosenbrock_is_found_from_anywhere(start: tuple[float, float]) -> None:
     """It is at (1, 1); scipy's solver stands still where it begins within rounding of (0, 0)."""

@@ -3,15 +3,13 @@
 import copy
 import json
 import os
-import sys
-import typing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
@@ -112,7 +110,6 @@ def assert_same(one: Any, other: Any) -> None:
 
 
 @given(TREES)
-@settings(max_examples=60, deadline=None)
 def test_a_tree_comes_back_bit_for_bit(tmp_path_factory: pytest.TempPathFactory, tree: Tree) -> None:
     path = tmp_path_factory.getbasetemp() / "tree.npz"
     checkpoint.save(path, {"tree": tree}, {"tree": Tree})
@@ -125,14 +122,6 @@ def test_numpy_scalars_stay_what_they_are(tmp_path: Path) -> None:
     value = {"x": np.float64(0.1), "n": np.int32(3)}
     checkpoint.save(path, value, {"x": float, "n": int})
     assert_same(checkpoint.load(path, {"x": float, "n": int}), value)
-
-
-def test_the_file_needs_no_pickle_and_names_its_arrays(tmp_path: Path) -> None:
-    path = tmp_path / "tree.npz"
-    checkpoint.save(path, {"part": Part(np.arange(3), 1, 0.5)}, {"part": Part})
-    with np.load(path, allow_pickle=False) as members:
-        assert set(members.files) == {"skeleton", "part/array", "digest"}
-        assert json.loads(str(members["skeleton"]))["values"]["part"]["score"] == 0.5
 
 
 @pytest.mark.parametrize(
@@ -159,19 +148,6 @@ def test_what_could_not_be_read_back_is_not_written(tmp_path: Path, value: Any, 
     with pytest.raises((TypeError, ValueError)):
         checkpoint.save(tmp_path / "x.npz", {"x": value}, {"x": kind})
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.skipif(sys.version_info < (3, 12), reason="Python 3.12 brought the `type` statement")
-def test_aliases_stand_for_what_they_name(tmp_path: Path) -> None:
-    first, second = TypeVar("first"), TypeVar("second")
-    swapped = typing.TypeAliasType("swapped", tuple[second, first], type_params=(first, second))
-    several = typing.TypeAliasType("several", list[swapped[int, str]])
-    values: dict[str, Any] = {"one": ("a", 1), "more": [("b", 2)]}
-    kinds = {"one": swapped[int, str], "more": several}
-    checkpoint.save(tmp_path / "x.npz", values, kinds)
-    assert checkpoint.load(tmp_path / "x.npz", kinds) == values
-    with pytest.raises(ValueError, match=r"one/0: got '1', expected str"):
-        checkpoint.save(tmp_path / "x.npz", {**values, "one": (1, "a")}, kinds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +187,7 @@ def walking() -> RecursiveBP:
 FRAMES = [image(3), None, image(7), image(1), image(2)]
 
 
-@pytest.mark.parametrize("at", range(1, len(FRAMES)))
+@pytest.mark.parametrize("at", [1, 3])
 def test_a_saved_run_goes_on_as_if_never_interrupted(tmp_path: Path, at: int) -> None:
     whole = list(walking().run(FRAMES))
     path = tmp_path / "run.npz"
@@ -231,13 +207,6 @@ def test_a_saved_run_goes_on_as_if_never_interrupted(tmp_path: Path, at: int) ->
     assert [path.name for path in tmp_path.iterdir()] == ["run.npz"]
 
 
-def test_a_run_without_an_image_yet_can_be_saved(tmp_path: Path) -> None:
-    (belief,) = walking().run([None])
-    walking().save(tmp_path / "run.npz", belief.state)
-    state, about = walking().load(tmp_path / "run.npz")
-    assert (state.states, state.number, state.time, state.shape, about) == ({}, 1, 0.0, None, {})
-
-
 def saved(path: Path) -> Path:
     *_, belief = walking().run(FRAMES)
     walking().save(path, belief.state)
@@ -249,7 +218,7 @@ def test_broken_bytes_are_never_read_as_something_else(tmp_path: Path) -> None:
     content = path.read_bytes()
     expected = walking().load(path)[0]
     random = np.random.default_rng(0)
-    for position in random.integers(len(content), size=300):
+    for position in random.integers(len(content), size=60):
         broken = bytearray(content)
         broken[position] ^= 1 << random.integers(8)
         path.write_bytes(broken)
@@ -265,7 +234,7 @@ def test_broken_bytes_are_never_read_as_something_else(tmp_path: Path) -> None:
         assert "\n" not in message
 
 
-@pytest.mark.parametrize("keep", [0, 1, 10, 100, 1000, -1, -30])
+@pytest.mark.parametrize("keep", [0, 100, -1])
 def test_truncated_files_are_named(tmp_path: Path, keep: int) -> None:
     path = saved(tmp_path / "run.npz")
     path.write_bytes(path.read_bytes()[:keep])
@@ -311,30 +280,6 @@ def test_a_chain_without_a_declared_state_cannot_be_saved(tmp_path: Path) -> Non
     state = engine.step(RunState(), Frame(image(1), 0.0, 1)).state
     with pytest.raises(TypeError, match="'walk': initial has no return annotation"):
         engine.save(tmp_path / "run.npz", state)
-
-
-class HandsOn:
-    """Has nothing of its own: all is looked up in what it wraps."""
-
-    def __init__(self, node: Any) -> None:
-        self._node = node
-
-    @property  # type: ignore[misc]
-    def __class__(self) -> Any:
-        return self._node.__class__
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._node, name)
-
-
-def test_a_wrapper_that_hands_on_to_a_chain_is_one(tmp_path: Path) -> None:
-    path = saved(tmp_path / "run.npz")
-    wrapped: Any = HandsOn(RandomWalk())
-    door: Any = HandsOn(Categorical("door", 3))
-    engine = RecursiveBP(MultiChain().connect(wrapped, door))
-    state, _ = engine.load(path)
-    engine.save(tmp_path / "again.npz", state)
-    assert (tmp_path / "again.npz").read_bytes() == path.read_bytes()
 
 
 def test_a_failed_write_leaves_the_older_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -180,14 +180,6 @@ def test_without_feedback_one_round_is_all() -> None:
     assert len(solution.messages("calm", level)) == N_FRAMES  # spoken, though nobody hears it
 
 
-def test_wall_on_the_rounds() -> None:
-    level = Level()
-    engine = CoordinateAscent(MultiChain().connect(SMOOTH, level).connect(CALM, level), 2, 1e-15)
-    solution = engine.run(FRAMES)
-    assert not solution.converged
-    assert len(solution.rounds) == 2
-
-
 def test_missing_frames_bring_no_evidence() -> None:
     level = Level()
     frames = [Frame(None, frame.time, frame.number) if frame.number == 4 else frame for frame in FRAMES]
@@ -306,16 +298,6 @@ def test_frames_that_are_read_again_are_not_held() -> None:
     assert found.objective == held.objective
     for chain in (SMOOTH, CALM):
         np.testing.assert_array_equal(found[chain].values, held[chain].values)
-
-
-def test_plain_images_are_frames() -> None:
-    images: list[Any] = [np.zeros((4, 4), np.uint8)] * 3
-    images[1] = None
-    solution = CoordinateAscent(
-        MultiChain().connect(Quadratic("calm", np.eye(3), np.zeros(3), 1.0), Level())
-    ).run(images, dt=0.5)
-    assert [frame.time for frame in solution.frames] == [0.0, 0.5, 1.0]
-    assert solution.frames[1].missing
 
 
 def test_bad_models_and_frames() -> None:

@@ -23,13 +23,6 @@ def random() -> np.random.Generator:
     return np.random.default_rng(0)
 
 
-def test_connections_are_edges_of_a_networkx_graph() -> None:
-    model = random_model(random(), PAIR)
-    assert set(map(frozenset, model.graph.edges)) == {frozenset(edge) for edge in [*PAIR, (IMAGE, "f")]}
-    assert list(model.chains) == ["a", "b"]
-    assert list(model.features) == ["f"]
-
-
 def test_a_pair_is_connected_once() -> None:
     model = random_model(random(), PAIR)
     with pytest.raises(ValueError, match="'a' and 'f' are connected already"):
@@ -42,11 +35,6 @@ def test_a_name_is_used_once(name: str) -> None:
     other = random_model(random(), [(name, "h")])
     with pytest.raises(ValueError, match=f"'{name}' is taken"):
         model.connect(other.chains[name], model.features["f"])
-
-
-def test_the_name_of_the_image_is_reserved() -> None:
-    with pytest.raises(ValueError, match="'image' is taken"):
-        random_model(random(), [(IMAGE, "f")])
 
 
 def test_the_two_ends_have_different_names() -> None:
@@ -102,12 +90,6 @@ def test_a_name_is_a_text(name: Any) -> None:
     chain = random_model(random(), PAIR).chains["a"]
     with pytest.raises(TypeError, match=f"name of Categorical: got {name!r}, expected a text"):
         MultiChain().connect(chain, Categorical(name, 2))
-
-
-def test_any_name_of_a_feature_will_do() -> None:
-    pixels, boxes = PixelLabels(name="x"), ObjectBoxes(name="y")
-    model = MultiChain().connect(BlobTracker(), boxes).connect(BlobTracker(name="more"), pixels)
-    assert model.features == {"x": pixels, "y": boxes}
 
 
 def test_a_chain_meets_one_feature_of_a_kind_unless_it_says_otherwise() -> None:

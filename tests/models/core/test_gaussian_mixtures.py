@@ -50,38 +50,13 @@ def grid(reach: float, step: float) -> tuple[Array, float]:
     return np.repeat(places[:, None], 2, axis=1), step**2
 
 
-def test_values_are_those_of_the_sum_of_densities() -> None:
-    mean, covariance = np.array([3.0, -2.0]), np.array([[9.0, 2.0], [2.0, 4.0]])
-    given_one = GaussianMixtures.of_parts(
-        [[np.log(0.3), np.log(2.0)]], [[mean, -mean]], [[covariance, 2 * covariance]], [np.log(1e-3)]
-    )
-    at = points(1, n_parts=1)
-    expected = (
-        0.3 * multivariate_normal(mean, covariance).pdf(at[:, 0])
-        + 2.0 * multivariate_normal(-mean, 2 * covariance).pdf(at[:, 0])
-        + 1e-3
-    )
-    np.testing.assert_allclose(given_one.log_values(at)[:, 0], np.log(expected), rtol=1e-12)
-
-
 @given(SEEDS)
-@settings(max_examples=50, deadline=None)
 def test_product_is_that_of_the_values(seed: int) -> None:
     a, b, at = mixtures(seed), mixtures(seed + 1), points(seed)
     np.testing.assert_allclose((a * b).log_values(at), a.log_values(at) + b.log_values(at), rtol=1e-9)
 
 
 @given(SEEDS)
-@settings(max_examples=50, deadline=None)
-def test_products_commute_and_associate(seed: int) -> None:
-    a, b, c = (mixtures(seed + more, most=2) for more in range(3))
-    at = points(seed)
-    np.testing.assert_allclose((a * b).log_values(at), (b * a).log_values(at), rtol=1e-9)
-    np.testing.assert_allclose(((a * b) * c).log_values(at), (a * (b * c)).log_values(at), rtol=1e-9)
-
-
-@given(SEEDS)
-@settings(max_examples=30, deadline=None)
 def test_uniform_is_neutral_to_the_last_bit(seed: int) -> None:
     a, one = mixtures(seed), GaussianMixtures.uniform(2)
     for product in (a * one, one * a):
@@ -93,15 +68,8 @@ def test_uniform_is_neutral_to_the_last_bit(seed: int) -> None:
         np.testing.assert_array_equal(product.labels, a.labels)
 
 
-def test_uniform_is_one_everywhere() -> None:
-    one = GaussianMixtures.uniform(2)
-    np.testing.assert_array_equal(one.log_values(points(0)), 0.0)
-    assert not one.informative.any()
-    assert np.isinf(one.log_masses).all()
-
-
 @given(SEEDS)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_masses_are_integrals(seed: int) -> None:
     """The grid reaches 10 standard deviations; sums over one that is a quarter as fine as the narrowest
     Gaussian are exact to rounding."""
@@ -111,14 +79,6 @@ def test_masses_are_integrals(seed: int) -> None:
     integrals = logsumexp(wide.log_values(places), axis=0) + np.log(area)
     np.testing.assert_allclose(wide.log_masses, integrals, atol=1e-6)
     np.testing.assert_allclose(proper.log_masses, logsumexp(proper.log_values(places), axis=0), atol=1e-3)
-
-
-def test_masses_within_an_area_count_flat_components_over_it() -> None:
-    one = GaussianMixtures.of_parts(
-        [[0.0], []], [np.zeros((1, 2)), []], [[np.eye(2)], []], [np.log(0.01), np.log(0.5)]
-    )
-    assert np.isinf(one.log_masses).all()
-    np.testing.assert_allclose(log_masses_within(one, 200.0), np.log([1 + 2.0, 100.0]))
 
 
 def test_moments_are_those_on_a_grid() -> None:
@@ -140,7 +100,6 @@ def test_moments_are_those_on_a_grid() -> None:
 
 
 @given(SEEDS)
-@settings(max_examples=30, deadline=None)
 def test_overlaps_are_integrals_of_products(seed: int) -> None:
     """Of a product with one Gaussian, whose mass is known otherwise; and of only a flat component."""
     one = mixtures(seed)
@@ -159,18 +118,7 @@ def test_overlaps_are_integrals_of_products(seed: int) -> None:
     np.testing.assert_allclose(flat.log_overlaps(means, covariances), [[0.5] * 5, [-2.0] * 5])
 
 
-def test_an_overlap_is_the_sum_over_a_grid() -> None:
-    one = mixtures(4, spread=10.0)
-    mean, covariance = np.array([4.0, -6.0]), np.array([[30.0, 8.0], [8.0, 20.0]])
-    places, area = grid(100, 1.0)
-    density = multivariate_normal(mean, covariance).pdf(places[:, 0])
-    expected = np.log((np.exp(one.log_values(places)) * density[:, None]).sum(axis=0) * area)
-    found = one.log_overlaps(np.tile(mean, (2, 1, 1)), np.tile(covariance, (2, 1, 1, 1)))
-    np.testing.assert_allclose(found[:, 0], expected, atol=1e-6)
-
-
 @given(SEEDS)
-@settings(max_examples=30, deadline=None)
 def test_a_gaussian_stands_for_what_was_flat(seed: int) -> None:
     """As much of it as counts in the given area; nothing else changes."""
     one, at = mixtures(seed), points(seed)
@@ -193,7 +141,6 @@ def test_a_gaussian_stands_for_what_was_flat(seed: int) -> None:
 
 
 @given(SEEDS, st.floats(0.01, 0.99))
-@settings(max_examples=30, deadline=None)
 def test_blended_densities_are_the_mixture_of_both(seed: int, share: float) -> None:
     """Whatever their masses were."""
     a, b, at = mixtures(seed, flat=False), mixtures(seed + 1, flat=False), points(seed)
@@ -219,15 +166,6 @@ def test_labels_survive_products() -> None:
         assert by_label[7] > 100 * by_label[2]
 
 
-def test_parts_do_not_mix() -> None:
-    a, b = mixtures(5), mixtures(6)
-    for part in range(2):
-        alone, together = a.take([part]) * b.take([part]), (a * b).take([part])
-        at = points(7, n_parts=1)
-        np.testing.assert_allclose(alone.log_values(at), together.log_values(at), rtol=1e-12)
-    np.testing.assert_array_equal(a.take([1, 0]).means, a.means[::-1])
-
-
 def test_long_products_keep_what_is_heavy_and_what_is_flat() -> None:
     random = np.random.default_rng(0)
     count = 12
@@ -251,7 +189,6 @@ def test_long_products_keep_what_is_heavy_and_what_is_flat() -> None:
 
 
 @given(SEEDS)
-@settings(max_examples=30, deadline=None)
 def test_covariances_of_products_stay_positive_definite(seed: int) -> None:
     random = np.random.default_rng(seed)
 

@@ -1,7 +1,7 @@
 """Compiled values and products of mixtures against the same formulas in plain numpy."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
@@ -38,7 +38,6 @@ def plain_values(one: GaussianMixtures, points: Array) -> Array:
 
 
 @given(SEEDS)
-@settings(max_examples=30, deadline=None)
 def test_values_are_those_of_plain_arrays(seed: int) -> None:
     one = mixtures(seed, 45)
     points = np.random.default_rng(seed).normal(300, 150, (40, 3, 2))
@@ -60,7 +59,6 @@ def test_a_part_without_any_weight_is_minus_infinity() -> None:
 
 
 @given(SEEDS)
-@settings(max_examples=30, deadline=None)
 def test_products_are_those_of_plain_arrays(seed: int) -> None:
     a, b = mixtures(seed, 4), mixtures(seed + 1, 4)
     product = a * b  # few enough that nothing is left out
