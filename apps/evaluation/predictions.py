@@ -26,7 +26,7 @@ from ...models.numerics.evenly_spaced import evenly_spaced
 FILE = "predictions.npz"
 FORMAT = "rsmcm predictions 1"
 EXPECTED = "expected the predictions of a run"
-MOST_ROWS = 50_000
+MOST_ROWS = 50_000  # of a pair in a file: some 10 MB
 LARGEST, LEAST_VARIANCE = 1e14, 1e-14
 """Of what is recorded: squares of px that no picture has."""
 

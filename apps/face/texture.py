@@ -15,7 +15,7 @@ from ..io.files import write_image
 Numbers = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-TEXTURE_HEIGHT = 480
+TEXTURE_HEIGHT = 480  # px
 FRONT = np.zeros((1, 3))
 """Rotation vector, rad."""
 

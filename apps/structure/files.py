@@ -17,7 +17,7 @@ from ...models.files import write_atomically
 from ..evaluation.predictions import PairRecord, PairRecorder
 from ..io.files import write_json
 
-GREY = 128
+GREY = 128  # grey level of points without a colour
 VERTEX = np.dtype(
     [
         ("x", "<f4"),
