@@ -4,10 +4,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from rsmcm.apps.evaluation.structure import StructureScores
+from rsmcm.apps.evaluation.structure import StructureScores, score_structure
 from rsmcm.apps.experiments import run_experiment
 from rsmcm.apps.experiments import structure as experiment
 from rsmcm.apps.experiments.structure import DUAL_COHERENT, METHODS, ORACLE, SINGLE, SINGLE_COHERENT, Cell
+from rsmcm.apps.scenes import cylinder
 
 from ...support.reconstructions import write_film
 
@@ -37,15 +38,20 @@ def test_claims_hold_where_they_should() -> None:
     assert sum(verdict == "short" for verdict in poor.values()) == 4
 
 
-def test_the_methods_on_one_sequence() -> None:
-    """What is wanted of medians over 20 sequences holds on this one, with some room."""
-    scores = experiment.scores(Cell(0.06, 0.1, 0.5), seed=0)
-    assert list(scores) == list(METHODS)
+def test_the_methods_on_one_short_sequence() -> None:
+    """How much better both chains are is a matter of 20 sequences, and of the experiment."""
+    truth = cylinder(n_points=20, n_frames=36, p_loose=0.06, p_drift=0.1, seed=0)
+    recovered = experiment.recover(truth)
+    assert list(recovered) == list(METHODS)
+    scores = {
+        name: score_structure(each.positions, each.shape, each.point_of_track, truth)
+        for name, each in recovered.items()
+    }
     dual, oracle = scores[DUAL_COHERENT], scores[ORACLE]
-    assert dual.reprojection_error < 2 * oracle.reprojection_error
-    assert dual.reprojection_error < 0.2 * scores[SINGLE_COHERENT].reprojection_error
-    assert dual.purity >= 0.9
-    assert dual.n_points <= 46
+    assert oracle.reprojection_error < 1.02 * min(each.reprojection_error for each in scores.values())
+    assert dual.reprojection_error < 0.8 * scores[SINGLE_COHERENT].reprojection_error
+    assert dual.purity >= 0.75
+    assert 16 <= dual.n_points <= 26
 
 
 @pytest.mark.usefixtures("in_this_process")
@@ -62,7 +68,7 @@ def test_tables_and_pictures_of_turning_objects(
     printed = capsys.readouterr().out
     assert "film: median length of tracks, over stand-alone" in printed
     assert "film: reprojection error, over stand-alone" in printed
-    assert [line.split()[1] for line in printed.splitlines()[2:4]] == ["stand-alone", "dual-chain"]
+    assert [line.split()[1] for line in printed.splitlines()[3:5]] == ["stand-alone", "dual-chain"]
     assert {"index.html", "film-stand-alone.png", "film-dual-chain.png"} <= {
         path.name for path in out.iterdir()
     }
