@@ -53,8 +53,8 @@ class BodyDynamics:
         p(r | r') = N(r; r', place^2 dt)
         p(n | n') = N(n; k n', neck^2 (1 - k^2)),    k = exp(-dt / neck_time)
         p(o | o') = N(o; l o', s^2 (1 - l^2)),       l = exp(-dt / torso_time),  s = (lean, turn, lean)
-        p(arm | arm') = (1 - j) vMF(upper; upper', K) vMF(fore; fore', K') + j usual(arm),
-                        j = 1 - exp(-jumps dt)
+        p(arm | arm') = (1 - j) vMF(upper; upper', K) vMF(fore; fore', K') + j usual(arm)
+        j = 1 - exp(-jumps dt)
 
     A direction has the mean of a Brownian motion on the sphere, in any number of steps: the von Mises-Fisher
     density with that mean stands for it, which has no poles and is drawn from exactly. Jumps are more
