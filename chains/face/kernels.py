@@ -23,6 +23,7 @@ from ...models.numerics.compiled import (
     inlined,
     logarithm,
     own_array,
+    put,
 )
 
 Map = NDArray[np.float32]
@@ -291,7 +292,8 @@ def predict(mean, variance, lasting, returned, noises, most, new_mean, new_varia
         before, after = variance[d], new_variance[d]
         for i in range(len(before)):
             after[i] = min(before[i] + change[i], most)
-        new_mean[d] = mean[d]
+        for level in range(mean.shape[1]):
+            put(mean[d, level], new_mean[d, level])
         if len(lasting.mean):
             where, looks, its_mean = lasting.mean[d], lasting.looks[d], new_mean[d, 0]
             for i in range(len(before)):
@@ -406,8 +408,8 @@ def compare_with_maps(grey, mean, variance, region, noise, least, ratio, trust, 
                 in_row += known * nats
             total += in_row
             if top <= y < top + rows:
-                ratio[m, y - top] = line[left : left + columns]
-                trust[m, y - top] = share[left : left + columns]
+                put(line[left : left + columns], ratio[m, y - top])
+                put(share[left : left + columns], trust[m, y - top])
         everywhere[m] = total
 
 
@@ -695,12 +697,15 @@ def advance(active, tried, belief, prior, precision, climb, pace, going, followi
             climb.energy[d] = energy
             for i in range(dimension):
                 climb.gradient[d, i] = belief.gradient[m, i] + precision[i] * change[i]
-                climb.curvature[d, i] = belief.curvature[m, i]
+                put(belief.curvature[m, i], climb.curvature[d, i])
                 climb.curvature[d, i, i] += precision[i]
-            climb.rows[d] = belief.rows[m]
-            climb.poses.rotations[d] = tried.rotations[m]
-            climb.poses.translations[d] = tried.translations[m]
-            climb.poses.morphs[d] = tried.morphs[m]
+            for v in range(belief.rows.shape[1]):
+                put(belief.rows[m, v, 0], climb.rows[d, v, 0])
+                put(belief.rows[m, v, 1], climb.rows[d, v, 1])
+            for i in range(3):
+                put(tried.rotations[m, i], climb.poses.rotations[d, i])
+            put(tried.translations[m], climb.poses.translations[d])
+            put(tried.morphs[m], climb.poses.morphs[d])
             if not pace.first:
                 climb.damping[d] *= 0.3
         else:

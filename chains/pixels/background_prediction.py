@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.short_repr import short_repr
-from ...models.numerics.compiled import compiled, inlined, put
+from ...models.numerics.compiled import compiled, inlined
 from ...models.numerics.threads import over_bands
 from ...models.pixels import colour
 from ...models.pixels.background import ODDS_STEPS, SPAN, StoredPlanes, Subtraction, foreground_spans
@@ -243,27 +243,22 @@ def _store_state(work, cut, before, here, after, there):
 
 
 @compiled
-def subtract(
-    first, end, pixels, before, light_field, model, fast, rounding, second, tolerance, sway, prior, share,
-    after, log_odds, smoothed,
-):  # fmt: skip
-    """Return log odds of background in rows `first` to `end`, and write the update that they imply.
+def compare_rows(first, end, pixels, before, light_field, model, fast, rounding, after, log_odds):
+    """Write log odds of background in rows `first` to `end`, of each pixel by itself, and the update.
 
     `fast` is what pixels need of the `model` that show background for sure, `rounding` what is added to
-    numbers before they are cut off. What else a pixel may show and be background is its `second` colour,
-    within a tolerance, and what sways. `log_odds` get those of each pixel by itself, `smoothed` those with
-    the neighbours' `share` of them, less the `prior` ones (int16, in steps). What rows of other bands add to
-    that is worked out again here, so that no band waits for another one.
+    numbers before they are cut off. `log_odds` begin `HALO` rows before `first` and end as many after `end`,
+    within the picture: what rows of other bands add is computed here again, so that no band waits for another
+    one. Returns the greatest variance from `first` to `end`, as it is stored.
     """
     channels, (height, width) = before.mean.shape[0], (light_field.positions.size, light_field.rows.shape[1])
     top, bottom = max(first - HALO, 0), min(end + HALO, height)
-    own = np.empty((bottom - top) * width, np.int8)
     beyond = Gaussians(
         np.empty((channels, HALO * width), np.int16),
         np.empty(HALO * width, np.uint16),
         np.empty(HALO * width, np.uint16),
     )
-    most, start = 0, top
+    most, start = _i4(0), top
     while start < bottom:
         # one call for all rows: a copy of the loops inside is compiled for each
         is_own = first <= start < end
@@ -271,32 +266,15 @@ def subtract(
             stop, to, updated = min(start + BLOCK, end), start * width, after
         else:
             stop, to, updated = first if start < first else bottom, 0, beyond
-        odds = own[(start - top) * width : (stop - top) * width]
-        highest = _rows(start, stop, pixels, before, light_field, model, fast, rounding, to, updated, odds)
+        odds = log_odds[(start - top) * width : (stop - top) * width]
+        if channels == 3:
+            fast_rows_of_colour(start, stop, pixels, before, light_field, fast, rounding, to, updated, odds)
+        else:
+            fast_rows_of_grey(start, stop, pixels, before, light_field, fast, rounding, to, updated, odds)
+        highest = slow_rows(start, stop, pixels, before, light_field, model, rounding, to, updated, odds)
         most = max(most, highest) if is_own else most
         start = stop
-    recall(top * width, pixels, second, tolerance, model, own)
-    if sway.rates.max() >= LEAST_RATE:
-        recall_moved(top, pixels, before, light_field, model, sway, own)
-    put(own[(first - top) * width : (end - top) * width], log_odds[first * width : end * width])
-    smooth_log_odds(
-        first - top, end - top, bottom - top, width, own, prior, share,
-        smoothed[top * width : bottom * width],
-    )  # fmt: skip
-    if most > HIGHEST_VARIANCE * VARIANCE_STEPS:  # neighbours say nothing of an unknown value
-        for i in range(first * width, end * width):
-            if before.variance[i] > HIGHEST_VARIANCE * VARIANCE_STEPS:
-                smoothed[i] = np.int8(model.label_odds * np.float32(ODDS_STEPS))
-
-
-@compiled
-def _rows(first, end, pixels, before, light_field, model, fast, rounding, to, after, log_odds):
-    """Rows `first` to `end`: their `log_odds`, and the Gaussians `after` them from pixel `to` on."""
-    if before.mean.shape[0] == 3:
-        fast_rows_of_colour(first, end, pixels, before, light_field, fast, rounding, to, after, log_odds)
-    else:
-        fast_rows_of_grey(first, end, pixels, before, light_field, fast, rounding, to, after, log_odds)
-    return slow_rows(first, end, pixels, before, light_field, model, rounding, to, after, log_odds)
+    return most
 
 
 Planes = NDArray[np.float32]
@@ -397,12 +375,26 @@ class BackgroundPrediction:
         light, fast = self.light.along_rows, fast_path_thresholds(self.model, len(mean))
         prior, rounding = _prior_steps(self.prior), self.rounding
 
+        (height, width), tolerance, pooling = self.size, np.float32(self.tolerance), np.float32(self.pooling)
+        sways = bool(self.sway.rates.max() >= LEAST_RATE)
+
         def work(first: int, end: int) -> None:
-            subtract(
-                first, end, flat, self.pixels, light, self.model, fast, rounding, self.second,
-                np.float32(self.tolerance), self.sway, prior, np.float32(self.pooling), after, log_odds,
-                smoothed,
-            )  # fmt: skip
+            top, bottom, band = (
+                max(first - HALO, 0),
+                min(end + HALO, height),
+                slice(first * width, end * width),
+            )
+            own = np.empty((bottom - top) * width, np.int8)  # of each pixel by itself
+            most = compare_rows(first, end, flat, self.pixels, light, self.model, fast, rounding, after, own)
+            recall(top * width, flat, self.second, tolerance, self.model, own)
+            if sways:
+                recall_moved(top, flat, self.pixels, light, self.model, self.sway, own)
+            log_odds[band] = own[(first - top) * width : (end - top) * width]
+            around = smoothed[top * width : bottom * width]
+            smooth_log_odds(first - top, end - top, bottom - top, width, own, prior, pooling, around)
+            if most > HIGHEST_VARIANCE * VARIANCE_STEPS:  # neighbours say nothing of an unknown value
+                unknown = variance[band] > HIGHEST_VARIANCE * VARIANCE_STEPS
+                smoothed[band][unknown] = np.int8(self.model.label_odds * np.float32(ODDS_STEPS))
 
         over_bands(work, self.size[0])
         return Subtraction(log_odds, smoothed), after

@@ -47,7 +47,7 @@ def recall_moved(first, pixels, before, light_field, model, sway, log_odds):
     for row in range(log_odds.size // width):
         y = first + row
         rates = sway.rates[y * block_rows // height]
-        if rates.max() < _f4(LEAST_RATE):
+        if not _any_sways(rates):
             continue
         odds_here = log_odds[row * width : (row + 1) * width]
         for span in range(foreground_spans(odds_here, spans)):
@@ -67,6 +67,14 @@ def recall_moved(first, pixels, before, light_field, model, sway, log_odds):
                 odds_here[x] = max(
                     odds_here[x], np.int8(min(max(odds, _f4(-6)), _f4(MOST_RECALLED)) * _f4(ODDS_STEPS))
                 )
+
+
+@inlined
+def _any_sways(rates):
+    greatest = _f4(0)
+    for k in range(rates.size):
+        greatest = max(greatest, rates[k])
+    return greatest >= _f4(LEAST_RATE)
 
 
 @inlined
@@ -147,7 +155,7 @@ def luma_of(pixels, i, channels):
 
 @compiled
 def count_moved(pixels, before, light_field, log_odds, covered, reach, counts):
-    """Count moved pixels per block, `(block_rows, block_columns, 4)`, in a sample of its pixels.
+    """Add to counts per block, `(block_rows, block_columns, 4)`, those of a sample of its pixels.
 
     Those that nothing covers; those that were moved; and of these the sum of differences in luma from the
     background, and of their sizes. A pixel was moved if its own background does not explain what it shows,
@@ -161,10 +169,10 @@ def count_moved(pixels, before, light_field, log_odds, covered, reach, counts):
     for x in range(width):
         columns[x] = x * block_columns // width
         per_column[columns[x]] += x % SAMPLED == SAMPLED // 2
-    counts[:] = 0
     for y in range(SAMPLED // 2, height, SAMPLED):
         row = counts[y * block_rows // height]
-        row[:, 0] += per_column
+        for column in range(block_columns):  # numba's own sum of arrays takes two seconds to compile
+            row[column, 0] += per_column[column]
         upper, lower, below_share = light_beside(light_field, y)
         for left in range(0, width, SPAN):
             right = min(left + SPAN, width)
@@ -282,7 +290,7 @@ def update_rates(
 
     `log_odds` `(n_pixels,)` int8 are of each pixel by itself; the scene has been seen for `age` s.
     """
-    counts = np.empty((*sway.rates.shape, 4), np.float32)
+    counts = np.zeros((*sway.rates.shape, 4), np.float32)
     count_moved(pixels, before, light, log_odds, covered, sway.reach, counts)
     share = 1 - math.exp(-elapsed / (min(age, SWAY_TIME) + CALM_TIME))
     rates: NDArray[np.float32] = np.empty_like(sway.rates)
