@@ -1,13 +1,9 @@
 """The command `rsmcm`: whatever is wrong is one line on standard error and exit code 2."""
 
 import json
-import os
-import shlex
 import shutil
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import NoneType
@@ -200,29 +196,6 @@ def test_quiet_and_verbose(scene: Path, tmp_path: Path, capfd: pytest.CaptureFix
     assert "nowhere" in complaint(capfd, "background", "nowhere", "--out", tmp_path / "x", "--quiet")
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
-def test_completion_is_installed(tmp_path: Path) -> None:
-    """In bash, which then completes commands and options."""
-    environment = {**os.environ, "HOME": str(tmp_path), "SHELL": "/bin/bash"}
-    done = subprocess.run(
-        ["bash", "-c", f"{' '.join(map(shlex.quote, COMMAND))} --install-completion; echo ended with $?"],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert done.stdout.endswith("ended with 0\n"), done
-    (script,) = (path for path in tmp_path.rglob("*rsmcm*") if path.is_file())
-    for words, expected in (("rsmcm bo", "body"), ("rsmcm face --lan", "--landmarks")):
-        complete = (
-            f"source {shlex.quote(str(script))}; COMP_WORDS=({words}); COMP_CWORD={words.count(' ')}; "
-            f"$(complete -p rsmcm | sed 's/.*-F \\([^ ]*\\) .*/\\1/'); echo ${{COMPREPLY[@]}}"
-        )
-        printed = subprocess.run(["bash", "-c", complete], capture_output=True, text=True, check=True).stdout
-        assert printed.split() == [expected]
-
-
 def test_wrong_sources(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
@@ -353,34 +326,6 @@ def test_broken_state_files(
 
 def test_a_full_disk(scene: Path, tmp_path: Path) -> None:
     Command("background").on_a_full_disk(tmp_path / "out", 20_000, scene / "input")
-
-
-@pytest.mark.slow
-def test_control_c(scene: Path, tmp_path: Path) -> None:
-    """A process on a long source, interrupted as by a terminal."""
-    source = tmp_path / "input"
-    source.mkdir()
-    for number in range(1, 4001):
-        os.link(scene / "input" / f"in{number % 12 + 1:06d}.png", source / f"in{number:06d}.png")
-    out = tmp_path / "out"
-    process = subprocess.Popen(
-        [*COMMAND, "background", str(source), "--out", str(out)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    deadline = time.monotonic() + 60
-    while not (out / "foreground" / "bin000020.png").exists() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
-    printed, complaints = process.communicate(timeout=60)
-    assert process.returncode == 130, complaints
-    assert complaints == ""
-    n_frames = int(printed.split()[0])
-    assert 20 <= n_frames < 4000
-    assert len(list((out / "foreground").glob("*.png"))) == n_frames
-    assert (out / "film.mp4").stat().st_size > 0
-    assert (out / "view.html").read_text().endswith("</html>\n")
 
 
 @pytest.mark.slow

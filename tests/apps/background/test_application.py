@@ -4,9 +4,6 @@ import itertools
 import json
 import shutil
 import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -149,35 +146,6 @@ def test_a_finished_run_is_resumed_by_doing_nothing(scene: Path, whole: Path, tm
     outcome = run_background(BackgroundJob(str(scene / "input"), out=out, ground_truth=scene, resume=True))
     assert outcome.summary["frames"] == N_FRAMES
     assert modified(out) == before
-
-
-@pytest.mark.slow
-def test_killed_in_the_middle(scene: Path, tmp_path: Path) -> None:
-    """The state is saved every 5 frames, slowly enough that kill -9 comes in between."""
-    slow = (
-        "import sys, time\n"
-        "from rsmcm.apps import command_line\n"
-        "from rsmcm.apps.background import application\n"
-        "before = application.read_frame_result\n"
-        "def read_frame_result(*arguments):\n"
-        "    time.sleep(0.05)\n"
-        "    return before(*arguments)\n"
-        "application.read_frame_result = read_frame_result\n"
-        "command_line.main(sys.argv[1:])\n"
-    )
-    arguments = ["background", str(scene / "input"), "--out", str(tmp_path / "out"), "--every", "5"]
-    process = subprocess.Popen([sys.executable, "-c", slow, *arguments], stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + 60
-    while not (tmp_path / "out" / "foreground" / "bin000018.png").exists() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    process.kill()
-    assert process.wait() == -signal.SIGKILL
-    assert len(masks_of(tmp_path / "out")) < N_FRAMES
-    job = BackgroundJob(str(scene / "input"), out=tmp_path / "out", every=5)
-    run_background(replace(job, resume=True))
-    run_background(replace(job, out=tmp_path / "whole"))
-    assert_same(tmp_path / "out", tmp_path / "whole")
-    assert count_frames(tmp_path / "out" / "film.mp4") == N_FRAMES
 
 
 def test_damaged_images_are_missing_frames(scene: Path, tmp_path: Path) -> None:

@@ -1,10 +1,7 @@
 """The background application on a whole film at once, and after a warm-up."""
 
 import json
-import shutil
 import signal
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -164,34 +161,3 @@ def test_a_live_source_is_refused_with_a_way_out(tmp_path: Path) -> None:
     job = BackgroundJob("0", out=tmp_path, engine="coordinate-ascent")
     with pytest.raises(ValueError, match=r"camera 0 is live and cannot be read .*--warm-up SECONDS"):
         read_whole(job, cast(Source, Live()), build_model(), iter, Interruption())
-
-
-PEAK = """
-import resource, sys
-from pathlib import Path
-from rsmcm.apps.background.application import run_background
-from rsmcm.apps.background.job import BackgroundJob
-run_background(BackgroundJob(sys.argv[1], out=Path(sys.argv[2]), engine="coordinate-ascent", masks="none"))
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-"""
-
-
-@pytest.mark.slow
-def test_memory_does_not_grow_with_the_film(tmp_path: Path) -> None:
-    """Four times as long a film takes 45 MB more where its pictures are held."""
-    short, long = tmp_path / "short", tmp_path / "long"
-    for folder in (short, long):
-        folder.mkdir()
-    n_frames, size = 65, (320, 240)
-    for frame in sleeping_man(n_frames, size=size, enter=1, stand=1, car_leaves=200):
-        assert frame.image is not None
-        names = [f"in{frame.number + part * n_frames:05d}.png" for part in range(4)]
-        cv2.imwrite(str(short / names[0]), frame.image)
-        for name in names:
-            shutil.copy(short / names[0], long / name)
-    peaks = []
-    for folder in (short, long):
-        command = [sys.executable, "-c", PEAK, str(folder), str(folder) + "-out"]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        peaks.append(int(done.stdout.split()[-1]) / 1024)
-    assert peaks[1] < peaks[0] + 20, peaks

@@ -201,18 +201,6 @@ def test_killed_in_the_middle(count: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_parent_that_is_killed_takes_its_workers_along(tmp_path: Path) -> None:
-    films, out = write_long_films(tmp_path / "films", 2, 2000), tmp_path / "out"
-    process = start("batch", "background", films, "--out", out, "--jobs", 2, "--masks", "none", "--every", 5)
-    wait_until(lambda: len(list(out.glob("*/state.npz"))) == 2)
-    process.kill()
-    process.communicate()
-    for film in ("film000", "film001"):
-        with FileLock(out / film / ".lock", timeout=20):
-            pass
-
-
-@pytest.mark.slow
 def test_control_c(tmp_path: Path) -> None:
     """All that has begun ends with what it has; what waits is not begun; the next batch goes on."""
     films, out = write_long_films(tmp_path / "films", 4, 2000), tmp_path / "out"

@@ -1,15 +1,9 @@
 """A batch on a Dask cluster of two workers, one of which is killed in the middle of a film."""
 
 import json
-import os
-import signal
 from pathlib import Path
 
 import pytest
-from rsmcm.apps.batch import application
-from rsmcm.apps.batch.application import run_batch
-from rsmcm.apps.batch.job import Batch, options_of
-from rsmcm.apps.batch.summary import FilmStatus
 from rsmcm.apps.command_line import main
 
 from ...support.cluster import cluster
@@ -57,26 +51,3 @@ def test_one_worker_is_killed(tmp_path: Path) -> None:
         with pytest.raises(SystemExit):
             main(["background", str(film), "--out", str(alone), "--quiet", *map(str, options)])
         assert results(out / film.name) == results(alone)
-
-
-def dies(_: str, job: object) -> FilmStatus:
-    """In place of `run_film`: one film takes its worker along, wherever it comes."""
-    if job.out.name == "film001":  # type: ignore[attr-defined]
-        os.kill(os.getpid(), signal.SIGKILL)
-    return FilmStatus("complete")
-
-
-@pytest.mark.slow
-def test_a_film_that_kills_workers_stops_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    films = write_films(tmp_path / "films", 4)
-    monkeypatch.setattr(application, "run_film", dies)
-    with cluster(6) as there:
-        ended = run_batch(
-            "background",
-            [str(films)],
-            Batch(out=tmp_path / "out", dask=there.address),
-            options_of("background")(),
-        )
-    states = {line.folder: line.status.state for line in ended.lines}
-    assert states == {**dict.fromkeys(["film000", "film002", "film003"], "complete"), "film001": "failed"}
-    assert "KilledWorker" in ended.lines[1].status.error

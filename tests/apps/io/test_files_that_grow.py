@@ -2,29 +2,11 @@
 
 from pathlib import Path
 
-import av
 import numpy as np
 import pytest
 from rsmcm.apps.io.files import LOSSLESS_GRAY, SegmentedVideo
 
-from ...support.film import HEIGHT, WIDTH, add, mask, names, overlay_of, read_video, write_overlay
-
-
-@pytest.mark.slow
-def test_overlay_plays_in_a_browser(tmp_path: Path) -> None:
-    path = tmp_path / "overlay.mp4"
-    write_overlay(path, 1, 25, 10)
-    pictures, times = read_video(path)
-    assert len(pictures) == 25
-    np.testing.assert_allclose(times, np.arange(25) / 10, atol=1e-6)
-    with av.open(str(path)) as file:
-        stream = file.streams.video[0]
-        assert (stream.codec_context.name, stream.pix_fmt) == ("h264", "yuv420p")
-        assert (stream.width, stream.height) == (WIDTH + 1, HEIGHT + 1)
-        assert stream.average_rate == 10
-    data = path.read_bytes()
-    assert data.index(b"moov") < data.index(b"mdat")  # starts before it is loaded
-    assert names(tmp_path) == {"overlay.mp4"}
+from ...support.film import add, mask, names, overlay_of, read_video, write_overlay
 
 
 def test_pictures_keep_their_time_over_gaps(tmp_path: Path) -> None:

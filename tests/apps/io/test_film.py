@@ -47,21 +47,6 @@ def test_frames_come_in_any_order(images: Path) -> None:
     assert passes[1] == 3  # one pass forwards, however often a frame is asked for
 
 
-class Breaking:
-    """A source that breaks behind its frames."""
-
-    def __init__(self, n_frames: int, error: Exception) -> None:
-        self.n_frames, self.error = n_frames, error
-
-    def __iter__(self) -> Iterator[Frame]:
-        for number in range(1, self.n_frames + 1):
-            yield Frame(np.zeros((4, 4), np.uint8), number / 25, number)
-        raise self.error
-
-    def close(self) -> None:
-        pass
-
-
 def test_frames_without_contrast_are_blank() -> None:
     random = np.random.default_rng(0)
     noise = random.integers(0, 4, (120, 160, 3)).astype(np.uint8)

@@ -4,8 +4,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-import pandas
-import polars
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -81,19 +79,6 @@ def test_a_row_is_an_object_in_a_frame(tmp_path: Path) -> None:
         "2,0.040000,7,1.00,0.00,10.00,20.50,1.0000,,,1\n"
         "2,0.040000,9,-4.50,3.00,7.00,8.00,0.5000,0.00,-0.01,1\n"
     )
-
-
-def test_pandas_and_polars_have_the_same_table(tmp_path: Path) -> None:
-    path = write(tmp_path / "tracks.csv")
-    columns = read_tracks_table(tmp_path)
-    assert columns["seen"].tolist() == [False, True, True]
-    for table in (pandas.DataFrame(columns), polars.DataFrame(columns), pandas.read_csv(path)):
-        assert list(table.columns) == list(COLUMNS)
-        for name in COLUMNS:
-            np.testing.assert_array_equal(table[name].to_numpy(), columns[name], err_msg=name)
-    by_polars = polars.read_csv(path)
-    for name in COLUMNS:
-        np.testing.assert_array_equal(by_polars[name].to_numpy(), columns[name], err_msg=name)
 
 
 number = st.floats(-1e4, 1e4)

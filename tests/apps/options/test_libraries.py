@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-import threading
 import zlib
 from importlib import metadata
 from pathlib import Path
@@ -107,22 +106,3 @@ def test_decoders_are_silent(capfd: pytest.CaptureFixture[str]) -> None:
         os.write(2, b"of a library\n")
     os.write(2, b"ours\n")
     assert capfd.readouterr().err == "ours\n"
-
-
-def test_in_threads_and_after_an_error(capfd: pytest.CaptureFixture[str]) -> None:
-    def work() -> None:
-        for _ in range(50):
-            with quiet_libraries():
-                os.write(2, b"of a library\n")
-
-    before = len(os.listdir("/dev/fd")) if os.path.isdir("/dev/fd") else 0
-    threads = [threading.Thread(target=work) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    with pytest.raises(ValueError, match="inside"), quiet_libraries():
-        raise ValueError("inside")
-    os.write(2, b"ours\n")
-    assert capfd.readouterr().err == "ours\n"
-    assert (len(os.listdir("/dev/fd")) if before else 0) == before

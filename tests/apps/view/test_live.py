@@ -12,10 +12,8 @@ from urllib.parse import urlsplit
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.io.sources.open_source import open_source
 from rsmcm.apps.options.job import Address
-from rsmcm.apps.view import live as module
-from rsmcm.apps.view.live import MOST_CONNECTIONS, Running, live_page
+from rsmcm.apps.view.live import Running, live_page
 from rsmcm.models.core.frame import Frame
 
 from ...support.films import wait_until
@@ -134,15 +132,6 @@ def test_states_come_until_the_run_has_ended(page: str, running: Running) -> Non
     assert said[-1]["words"] == ["30 frames"]
 
 
-@pytest.mark.slow
-def test_ffmpeg_reads_the_stream(page: str, running: Running) -> None:
-    """What else would want to look; so another run can begin with it."""
-    with going_on(running, pause=0.03), open_source(page + "stream.mjpg") as source:
-        frames = [next(source) for _ in range(5)]
-    assert source.size == (64, 48)
-    assert all(frame.image is not None for frame in frames)
-
-
 # --- what there is not --------------------------------------------------
 
 
@@ -209,30 +198,6 @@ def test_who_stalls_delays_neither_the_run_nor_others(page: str, running: Runnin
         assert len(set(pictures)) == 10
     assert np.median(costs) < 1e-3
     assert len(costs) > 50
-
-
-@pytest.mark.slow
-def test_who_stalls_is_hung_up_on(page: str, running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module._Handler, "timeout", 0.3)
-    before = threading.active_count()
-    with going_on(running, (640, 480)), stalled(page):
-        wait_until(lambda: threading.active_count() > before + 1)
-        wait_until(lambda: threading.active_count() == before + 1)
-
-
-@pytest.mark.slow
-def test_there_are_no_more_threads_than_connections_allowed(page: str, running: Running) -> None:
-    before = threading.active_count()
-    with ExitStack() as stack:
-        for _ in range(MOST_CONNECTIONS + 10):
-            stack.enter_context(stalled(page, "/status"))
-        wait_until(lambda: threading.active_count() >= before + MOST_CONNECTIONS)
-        time.sleep(0.2)
-        assert threading.active_count() == before + MOST_CONNECTIONS
-        with pytest.raises((OSError, http.client.HTTPException)):
-            ask(page)
-    wait_until(lambda: threading.active_count() == before, 30)
-    assert ask(page).status == 200, "there is room again"
 
 
 # --- the end --------------------------------------------------

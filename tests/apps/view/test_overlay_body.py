@@ -14,7 +14,7 @@ REACH = BODY.upper_arm + BODY.forearm
 SIZE = (360, 640)
 PANEL = round(REACH * (IN_FRONT + BEHIND))
 ROOT = PANEL * IN_FRONT / (IN_FRONT + BEHIND)
-HEAD, LEFT_HAND, RIGHT_HAND = (JOINTS.index(name) for name in ("head", "left_hand", "right_hand"))
+LEFT_HAND = JOINTS.index("left_hand")
 
 
 def blank(height: int = SIZE[0], width: int = SIZE[1]) -> NDArray[np.uint8]:

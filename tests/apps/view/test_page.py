@@ -28,7 +28,7 @@ from rsmcm.apps.view.page import (
 )
 
 from ...conftest import Command
-from ...support.browser import DESKTOP, PHONE, Browser, landmarks, overflow
+from ...support.browser import Browser
 from ...support.records import PICTURE
 from ...support.view_page import ViewPage, shown_page
 
@@ -111,27 +111,6 @@ def test_keys_move_the_film(shown: ViewPage, page: "playwright.Page") -> None:
     page.wait_for_function("document.getElementById('speed').value === '0.5'")
 
 
-@pytest.mark.slow
-def test_a_click_on_an_object_selects_it(shown: ViewPage, page: "playwright.Page", results: Path) -> None:
-    table = read_tracks_table(results)
-    last = table["frame"] == N_FRAMES
-    identity, x, y, width, height = (
-        float(table[name][last][0]) for name in ("id", "x", "y", "width", "height")
-    )
-    page.keyboard.press("End")
-    shown.click((x + width / 2, y + height / 2))
-    details = page.locator("#details")
-    assert details.locator(".who").text_content() == f"{identity:.0f}"
-    text = details.text_content() or ""
-    assert f"{width:.0f} × {height:.0f} px" in text
-    mine = table["id"] == identity
-    assert f"frame {table['frame'][mine][0]}," in text
-    assert page.locator(f"#row-{identity:.0f}").get_attribute("aria-selected") == "true"
-    assert page.get_by_label("speed, px/s over time").is_visible()
-    shown.click((2, 2))
-    assert page.locator("[role=option][aria-selected=true]").count() == 0
-
-
 def test_zones_that_are_drawn_become_a_file(shown: ViewPage, page: "playwright.Page") -> None:
     page.get_by_role("button", name="Draw a zone").click()
     corners = [(40, 50), (200, 50), (200, 180), (60, 200)]
@@ -161,38 +140,6 @@ def test_zones_that_are_drawn_become_a_file(shown: ViewPage, page: "playwright.P
     )
     page.get_by_label("Remove zone 1").click()
     assert "zone 1" not in page.locator("textarea").input_value()
-
-
-def contrast(page: "playwright.Page") -> float:
-    """Of the palest text, as WCAG counts it."""
-    script = """(() => {
-        const light = ([r, g, b]) => [r, g, b].map((v) => v / 255)
-            .map((v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
-            .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
-        const colour = (place, what) =>
-            getComputedStyle(document.querySelector(place))[what].match(/[\\d.]+/g).map(Number);
-        const [text, card] = [light(colour("dt", "color")), light(colour(".card", "backgroundColor"))];
-        return (Math.max(text, card) + 0.05) / (Math.min(text, card) + 0.05);
-    })()"""
-    return float(page.evaluate(script))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("dark", [False, True])
-@pytest.mark.parametrize("size", [PHONE, (768, 1024), DESKTOP, (2560, 1440)], ids=str)
-def test_it_is_read_on_any_screen(browser: Browser, results: Path, size: tuple[int, int], dark: bool) -> None:
-    with shown_page(browser, results, SIZE, size, dark=dark) as shown:
-        page = shown.page
-        page.locator("[role=option] .label").first.click()
-        assert overflow(page) <= 0
-        parts = ["Film", "Show", "Selected", "Events", "Zones and lines", "Over time", "Tracks"]
-        parts += ["Zones and lines", "Parameters", "Keys"]
-        assert landmarks(page) == (1, ["input: recursive-bp", *parts])
-        film = page.locator("#stage").bounding_box()
-        assert film is not None
-        assert film["width"] >= min(size[0] - 24, 0.4 * size[0])
-        assert film["width"] / film["height"] == pytest.approx(SIZE[0] / SIZE[1], rel=0.01)
-        assert contrast(page) >= 4.5
 
 
 def test_no_text_of_the_user_is_taken_for_a_script(browser: Browser, tmp_path: Path) -> None:

@@ -1,11 +1,7 @@
 """Sources give every frame once, in order, with its number and time, and say what is damaged."""
 
-import functools
-import http.server
 import math
 import struct
-import threading
-import time
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -354,26 +350,6 @@ def test_fingerprint_tells_sources_apart(tmp_path: Path) -> None:
     assert before != open_source(str(folder)).fingerprint()
 
 
-@pytest.mark.slow
-def test_file_behind_an_address(tmp_path: Path) -> None:
-    write_video(tmp_path / "a.mp4")
-
-    class Quiet(http.server.SimpleHTTPRequestHandler):
-        def log_message(self, *_: object) -> None:
-            pass
-
-    handler = functools.partial(Quiet, directory=str(tmp_path))
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        thread = threading.Thread(target=server.serve_forever, daemon=True)
-        thread.start()
-        source, frames = read(f"http://127.0.0.1:{server.server_port}/a.mp4")
-        with pytest.raises(OSError, match="cannot be opened"):
-            open_source(f"http://127.0.0.1:{server.server_port}/b.mp4")
-        server.shutdown()
-    assert (source.kind, source.live, source.n_frames) == ("stream", False, 40)
-    assert [number_of(frame) for frame in frames] == list(range(1, 41))
-
-
 def test_address_or_camera_that_is_not_there() -> None:
     with pytest.raises(OSError, match=r"^rtsp://127\.0\.0\.1:9/x: cannot be opened") as caught:
         open_source("rtsp://user:secret@127.0.0.1:9/x")
@@ -382,46 +358,6 @@ def test_address_or_camera_that_is_not_there() -> None:
         open_source("97")
     with pytest.raises(ValueError, match="ftp://a/b: expected an address of one of"):
         open_source("ftp://a/b")
-
-
-@pytest.mark.slow
-def test_live_source_drops_what_nobody_fetches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Camera:
-        """A device that gives 200 frames as quickly as they are read."""
-
-        def __init__(self, _: int) -> None:
-            self.n_read = 0
-
-        def isOpened(self) -> bool:  # noqa: N802
-            return True
-
-        def get(self, _: int) -> float:
-            return 0.0
-
-        def read(self) -> tuple[bool, NDArray[np.uint8] | None]:
-            self.n_read += 1
-            return (True, picture(self.n_read % 40)) if self.n_read <= 200 else (False, None)
-
-        def release(self) -> None:
-            pass
-
-    monkeypatch.setattr(cv2, "VideoCapture", Camera)
-    with open_source("0") as source:
-        numbers = [next(source).number]
-        time.sleep(0.5)  # in which all others arrive
-        numbers += [frame.number for frame in source]
-        assert (source.kind, source.live, source.n_frames, source.rate) == ("camera", True, None, 25.0)
-        assert source.stream == {
-            "lost": "no more pictures come",
-            "gaps": [],
-            "dropped_frames": 200 - len(numbers),
-        }
-        assert source.notes == [
-            f"{200 - len(numbers)} frames were dropped, which came faster than they were processed."
-        ]
-    assert numbers[-1] == 200
-    assert numbers == sorted(numbers)
-    assert len(numbers) <= 52
 
 
 # --- real data ----------------------------------------------------------------------------------------------
