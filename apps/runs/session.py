@@ -23,7 +23,7 @@ from .saved_run import STATE
 
 OVERLAY = "overlay.mp4"
 
-COMPILING = 20  # s that a first run takes to compile, measured on two cores of an AMD EPYC
+COMPILING = "10 to 20 s"  # of a first run: processor time of all applications, on an AMD EPYC
 
 _GROWING = (OVERLAY, FILM, ROWS)
 ALWAYS = (STATE, "summary.json", VIEW, *_GROWING, *map(segment_pattern, _GROWING))
@@ -47,7 +47,7 @@ class _Announcement(event.Listener):
         """Write the line, once."""
         if self._is_due:
             self._is_due = False
-            once = f"which is done once and takes about {COMPILING} s"
+            once = f"which is done once and takes {COMPILING}"
             tqdm.write(f"{self._application}: compiling for this machine, {once}", file=sys.stderr)
 
     def on_end(self, _: Any) -> None:
