@@ -1,17 +1,12 @@
 """Who stands still is still there: the whole chain from a film to dwell times."""
 
 import json
-import re
-import shlex
 from pathlib import Path
-from typing import Any
 
 import cv2
 import pytest
 from rsmcm.apps.background.application import run_background
 from rsmcm.apps.background.job import BackgroundJob, Engine
-from rsmcm.apps.command_line import main
-from rsmcm.apps.demo import write_scene
 from rsmcm.apps.events import Event, Kind, Sighting, Watch, read_events, read_zones
 from rsmcm.apps.scenes import Scene, sleeping_man
 
@@ -80,33 +75,3 @@ def test_without_feedback_he_is_lost(film: Path, tmp_path: Path) -> None:
     found = found_by("feed-forward", film, tmp_path / "out")
     assert max(event.duration or 0 for event in found) < 8, "half of his stay"
     assert any(event.kind == Kind.DISAPPEARED for event in found)
-
-
-def test_the_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """What the page shows works, and prints what it shows."""
-    page = (Path(__file__).parents[2] / "docs" / "events.md").read_text()
-    monkeypatch.chdir(tmp_path)
-    write_scene(sleeping_man(400), Path("results/demo/scene"))
-    names: dict[str, Any] = {}
-    for info, text in re.findall(r"```(\w+[^\n]*)\n(.*?)```", page, re.DOTALL):
-        match info.split():
-            case ["toml", name]:
-                Path(name).write_text(text)
-            case ["sh"]:
-                with pytest.raises(SystemExit) as ended:
-                    main(shlex.split(text)[1:])
-                assert ended.value.code == 0
-                written = Path("results/counted/events.csv").read_bytes()
-                assert names.setdefault("written", written) == written
-                capsys.readouterr()
-            case ["python"]:
-                exec(text, names)  # the page's own code
-            case ["output"]:
-                printed = capsys.readouterr().out
-                assert re.sub(r"\d+\.\d+", "#", printed).split() == re.sub(r"\d+\.\d+", "#", text).split()
-                numbers = [list(map(float, re.findall(r"\d+\.\d+", each))) for each in (printed, text)]
-                assert numbers[0] == pytest.approx(numbers[1], abs=0.25)
-            case _:
-                raise AssertionError(info)

@@ -199,12 +199,6 @@ def test_a_port_that_is_taken_is_told_before_anything_is_written(
     assert not out.exists()
 
 
-def test_what_is_no_port_is_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    film, out = write_film(tmp_path / "film"), tmp_path / "out"
-    message = Command("background").complaint(capfd, film, "--out", out, "--live", "web")
-    assert message == "rsmcm: --live: got 'web', expected a port from 0 to 65535, or HOST:PORT\n"
-
-
 def test_a_file_of_options_may_hold_the_port(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     film, options = write_film(tmp_path / "film"), tmp_path / "options.toml"
     options.write_text("live = 0\n")

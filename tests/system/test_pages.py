@@ -21,12 +21,11 @@ OF_THEIR_OWN = {
     "detectors": "test_detectors_page.py",
     "keypoints": "test_keypoints_page.py",
     "scale": "test_scale_page.py",
-    "events": "test_events.py",
 }
 PAGES = {name: path for name, path in pages().items() if name not in OF_THEIR_OWN}
 
-WHOLE_SCENE = ("validity",)
-"""Pages that show what is found in the demo's scene, so that it cannot be a shorter one."""
+WHOLE_SCENE = ("events", "validity")
+"""Pages that show results of the demo's scene, which cannot be a shorter one."""
 
 NOT_RUN_BLOCKS = {
     "bodies": 1,  # joints that somebody has noted
