@@ -58,11 +58,14 @@ def finished(source: Path, truth: Numbers, tmp_path_factory: pytest.TempPathFact
 # --- what a run leaves --------------------------------------------------------------------------------------
 
 
-def test_smooth_is_what_the_command_asks_for(source: Path, tracks: Numbers, tmp_path: Path) -> None:
+def test_smooth_is_what_the_command_asks_for(
+    source: Path, tracks: Numbers, finished: Path, tmp_path: Path
+) -> None:
     assert run(source, "--bases", N_BASES, "--smooth", "--out", tmp_path / "out") == 0
-    with np.load(tmp_path / "out" / "shapes.npz") as found:
-        np.testing.assert_array_equal(found["shapes"], learn_shape(tracks, N_BASES, smooth=True).shapes())
-        assert not np.allclose(found["shapes"], learn_shape(tracks, N_BASES).shapes(), equal_nan=True)
+    with np.load(tmp_path / "out" / "shapes.npz") as smooth, np.load(finished / "shapes.npz") as rough:
+        expected = learn_shape(tracks, N_BASES, smooth=True).shapes()
+        np.testing.assert_array_equal(smooth["shapes"], expected)
+        assert not np.allclose(smooth["shapes"], rough["shapes"], equal_nan=True)
 
 
 def test_files_and_what_is_said(source: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -181,18 +184,16 @@ def test_the_page_turns_and_deforms(finished: Path) -> None:
 
 
 def test_results_are_replaced_only_if_wanted(
-    source: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    source: Path, finished: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    ending = ("--bases", 2, "--out", tmp_path / "out")
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "model.npz").write_bytes(b"mine")
-    assert "model.npz, which no run has written" in complaint(capfd, source, *ending)
-    assert "model.npz" in complaint(capfd, source, *ending, "--overwrite")
-    (tmp_path / "out" / "model.npz").unlink()
-    assert run(source, *ending) == 0
-    assert "--overwrite" in complaint(capfd, source, *ending)
-    assert run(source, *ending, "--overwrite") == 0
-    assert "unknown option --resume" in complaint(capfd, source, *ending, "--resume")
+    (tmp_path / "model.npz").write_bytes(b"mine")
+    for more in ((), ("--overwrite",)):
+        message = complaint(capfd, source, "--bases", 2, "--out", tmp_path, *more)
+        assert "model.npz, which no run has written" in message
+    before = (finished / "model.npz").read_bytes()
+    assert "--overwrite" in complaint(capfd, source, "--bases", 2, "--out", finished)
+    assert "unknown option --resume" in complaint(capfd, source, "--bases", 2, "--out", finished, "--resume")
+    assert (finished / "model.npz").read_bytes() == before
 
 
 def test_what_can_be_wrong(tmp_path: Path, tracks: Numbers, capfd: pytest.CaptureFixture[str]) -> None:
