@@ -19,6 +19,9 @@ KEYPOINTS = (
 """Points that count: the joints of `UpperBody`, then the wrists. Left is the person's own; head and hands are
 centres, the neck is between the shoulders."""
 
+LARGEST_COORDINATE = 1e6
+"""px: far beyond any image, so that a box that large is an error."""
+
 EYES, EARS, NOSE = ("left_eye", "right_eye"), ("left_ear", "right_ear"), "nose"
 
 POINTS = (*KEYPOINTS, NOSE, *EYES, *EARS)
@@ -268,7 +271,8 @@ class GivenBoxes:
     Raises
     ------
     ValueError
-        if the shapes do not fit, a number is not finite, or a box is not wider and higher than 0.
+        if the shapes do not fit, a number is not finite or beyond 10^6 px, or a box is not wider and higher
+        than 0.
     """
 
     xyxy: NDArray[np.float64]
@@ -287,10 +291,11 @@ class GivenBoxes:
             ):
                 raise ValueError(f"boxes: got {name} {values.shape} for {n_boxes} boxes")
         for number, (left, top, right, bottom) in enumerate(self.xyxy.tolist()):
-            if not (right - left > 0 and bottom - top > 0 and np.isfinite(self.xyxy[number]).all()):
+            near = np.abs(self.xyxy[number]).max() <= LARGEST_COORDINATE  # and no NaN
+            if not (right - left > 0 and bottom - top > 0 and near):
                 raise ValueError(
                     f"boxes: got {left:g}, {top:g}, {right:g}, {bottom:g} as box {number}, "
-                    "expected left < right and top < bottom, all finite"
+                    f"expected left < right and top < bottom, up to {LARGEST_COORDINATE:g} px"
                 )
         if self.confidence is not None and not np.isfinite(self.confidence).all():
             raise ValueError("boxes: got a confidence that is not finite, expected finite ones")

@@ -210,6 +210,7 @@ HOSTILE: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
     "four channels": (lambda: FaceTracker().update(np.zeros((9, 9, 4), np.uint8)), ValueError, "image"),
     "empty image": (lambda: ObjectTracker().update(np.zeros((0, 9, 3), np.uint8)), ValueError, "image"),
     "boxes with NaN": (lambda: ObjectTracker().update(IMAGE, [[0, 0, np.nan, 9]]), ValueError, "boxes"),
+    "a box of 10^9 px": (lambda: ObjectTracker().update(IMAGE, [[0, 0, 1e9, 1e9]]), ValueError, "boxes"),
     "boxes of three": (lambda: ObjectTracker().update(IMAGE, np.ones((2, 3))), ValueError, "boxes"),
     "boxes in words": (lambda: ObjectTracker().update(IMAGE, "left"), ValueError, "boxes"),
     "time in words": (lambda: ObjectTracker().update(IMAGE, time="now"), TypeError, "time"),
