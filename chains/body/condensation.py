@@ -1,7 +1,7 @@
 """CONDENSATION (Isard and Blake 1998): the bootstrap filter, as a chain over a body's pose."""
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,14 +112,14 @@ class Condensation:
     def initial(self, frame: Frame) -> BodySamples:
         """Return the poses to start from, of equal weight."""
         first = self._filter.initial(frame)
-        return BodySamples(first.particles, first.log_weights, _size(frame), first.random)
+        return BodySamples(cast(Any, first.particles), first.log_weights, _size(frame), first.random)
 
     def predict(self, state: BodySamples, dt: float) -> BodySamples:
         """Return poses resampled by their weights and moved at random, without those that joints forbid."""
         state, dt = state.origin(dt)
         moved = self._filter.predict(_particles(state), dt)
         return BodySamples(
-            moved.particles, moved.log_weights, state.size, moved.random, before=state, elapsed=dt
+            cast(Any, moved.particles), moved.log_weights, state.size, moved.random, before=state, elapsed=dt
         )
 
     def message(self, state: BodySamples, feature: BodyParts, incoming: Incoming) -> PartMessage:
@@ -139,7 +139,7 @@ class Condensation:
 
 
 def _particles(state: BodySamples) -> ParticleState:
-    return ParticleState(state.poses, state.log_weights, state.random)
+    return ParticleState(cast(Any, state.poses), state.log_weights, state.random)
 
 
 def _size(frame: Frame) -> tuple[int, int]:

@@ -45,12 +45,14 @@ class CameraState:
     @property
     def mean(self) -> NDArray[np.float64]:
         """`(6,)` px: parameters of the map from scene to frame."""
-        return self.where.mean[0]
+        mean: NDArray[np.float64] = self.where.mean[0]
+        return mean
 
     @property
     def covariance(self) -> NDArray[np.float64]:
         """`(6, 6)` px^2, of these."""
-        return self.where.covariance[0]
+        covariance: NDArray[np.float64] = self.where.covariance[0]
+        return covariance
 
 
 @checked

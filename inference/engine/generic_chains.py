@@ -397,7 +397,7 @@ def _probabilities(table: Array, name: str, shape: tuple[int, ...]) -> Array:
 class ParticleState:
     """Weighted particles."""
 
-    particles: Array  # (n, ...), or an object with rows, as poses
+    particles: Array  # (n, ...); within a process also an object with rows, as poses
     log_weights: Array  # (n,), of weights that sum to 1
     random: np.random.Generator  # of the draws to come
     log_evidence: float = 0.0  # nats: log of the mean likelihood of the last update

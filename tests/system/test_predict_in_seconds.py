@@ -16,9 +16,11 @@ from rsmcm.chains import (
     BlobTracker,
     CameraMotion,
     DetectorRates,
+    DiscreteChain,
     FleshTracker,
     GFlow,
     GroundPlane,
+    LinearGaussianChain,
     MixtureBackground,
     PointTracker,
     RecursiveStructure,
@@ -26,10 +28,11 @@ from rsmcm.chains import (
 from rsmcm.chains.body.condensation import Condensation
 from rsmcm.chains.body.samples import BodySamples
 from rsmcm.chains.objects.blobs import Blobs
-from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.inference import MultiChain, RecursiveBP, kinematic
 from rsmcm.models import Frame, ObjectBoxes, PixelLabels, PointTracks, ScenePixels
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.frame import GivenBoxes, GivenPoints
+from scipy.linalg import expm
 
 from ..support.body_poses import resting
 
@@ -112,6 +115,22 @@ def textured() -> Prediction:
     return chain, last[chain.name]
 
 
+def kinematic_points() -> LinearGaussianChain:
+    return LinearGaussianChain(
+        lambda dt: kinematic(2, dt).along(2).transition,
+        lambda dt: 400 * kinematic(2, dt).along(2).noise,
+        np.eye(2, 4),
+        np.eye(2),
+        features=PointTracks,
+        initial_covariance=1e4 * np.eye(4),
+    )
+
+
+def two_states() -> Prediction:
+    chain = DiscreteChain(lambda dt: expm(dt * np.array([[-0.3, 0.3], [0.1, -0.1]])))
+    return chain, chain.initial(BLANK)
+
+
 CASES: dict[str, Callable[[], Prediction]] = {
     "AdaptiveBackground": lambda: walkers()["AdaptiveBackground"],
     "BlobTracker": lambda: walkers()["BlobTracker"],
@@ -123,6 +142,8 @@ CASES: dict[str, Callable[[], Prediction]] = {
     "RecursiveStructure": lambda: turning_points(RecursiveStructure()),
     "FleshTracker": flesh,
     "GFlow": textured,
+    "LinearGaussianChain": lambda: turning_points(kinematic_points()),
+    "DiscreteChain": two_states,
 }
 SAMPLED: dict[str, Callable[[int], Any]] = {
     "ArticulatedPose": lambda seed: ArticulatedPose(BODY, 4000, start=STANDING, seed=seed),
@@ -153,6 +174,7 @@ def assert_close(one: Any, other: Any, place: str = "state") -> None:
 
 def test_all_chains_are_here() -> None:
     every = {name for name in chains.__all__ if hasattr(getattr(chains, name), "ports")}
+    every -= {"ParticleChain"}  # whose dynamics are those that are given
     assert every - BATCH_ONLY <= {*CASES, *SAMPLED}
 
 
