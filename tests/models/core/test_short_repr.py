@@ -2,29 +2,29 @@
 
 import numpy as np
 import pytest
-from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.inference import MultiChain, RecursiveBP, RunState
 from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.core.short_repr import brief
+
+from ...support.discrete import random_model
 
 LONGEST = 250
 
 
 def test_a_filter_and_all_that_it_gives() -> None:
-    random = np.random.default_rng(0)
-    pixels = PixelLabels()
-    model = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels, feedback=False)
-    assert repr(model) == "MultiChain(background -- pixels, blobs <- pixels)"
+    whole = random_model(np.random.default_rng(0), [("a", "f"), ("b", "f")])
+    model = MultiChain().connect(whole.chains["a"], whole.features["f"])
+    model.connect(whole.chains["b"], whole.features["f"], feedback=False)
+    assert repr(model) == "MultiChain(a -- f, b <- f)"
     engine = RecursiveBP(model)
-    *_, belief = engine.run([random.integers(0, 255, (48, 64), np.uint8) for _ in range(2)])
-    assert repr(belief) == "Belief(frame 2 at 0.04 s: background, blobs on pixels)"
-    for value in (engine, belief.state, *belief.states.values(), belief[pixels], belief.frame):
+    *_, belief = engine.run([np.zeros((1, 64), np.uint8)] * 2)
+    assert repr(belief) == "Belief(frame 2 at 0.04 s: a, b on f)"
+    for value in (engine, belief.state, *belief.states.values(), belief["f"], belief.frame):
         assert len(repr(value)) <= LONGEST
-    assert repr(belief.frame) == "Frame(image=uint8 (48, 64), time=0.04, number=2)"
+    assert repr(belief.frame) == "Frame(image=uint8 (1, 64), time=0.04, number=2)"
     assert repr(RunState()) == "RunState()"
-    assert (
-        repr(engine.step(RunState(), Frame(None, 0.0, 1))) == "Belief(frame 1 at 0 s, missing: nothing yet)"
-    )
+    missing = engine.step(RunState(), Frame(None, 0.0, 1))
+    assert repr(missing) == "Belief(frame 1 at 0 s, missing: nothing yet)"
 
 
 @pytest.mark.parametrize(
