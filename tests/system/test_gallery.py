@@ -92,6 +92,13 @@ CLAIMS: dict[str, Callable[[Names], bool]] = {
         n["outcome"].summary["frames"] == len(n["rows"]) == 120
         and 0 < n["outcome"].summary["mean_objects"] < 1.5
     ),
+    "plot_18_loop": lambda n: (
+        n["model"].has_loops
+        and n["settled"].all()
+        and n["is_open"][n["times"] < 5].max() < 0.1
+        and n["is_open"][(n["times"] > 8.1) & (n["times"] < 15)].min() > 0.9
+        and n["is_open"][-5:].max() < 0.1
+    ),
 }
 """What an example's text says, by the name of its file."""
 
