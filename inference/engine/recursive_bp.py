@@ -136,8 +136,8 @@ class Belief:
         less that without it: models can be compared, whatever the scale of their messages. Features that
         share a chain follow each other (their evidence is given that of those before); a component that
         reads another one through a cut edge is conditioned on it. What is not exact is what chains
-        approximate. Of a component with a loop it is Bethe's approximation: the messages settle once more,
-        without the image, when it is asked for.
+        approximate. Of a component with a loop it is Bethe's approximation: its messages are sent in sweeps
+        once more, without the image, which `converged` does not tell of.
         """
         return 0.0 if self._slice is None else self._slice.log_evidence()
 
