@@ -66,16 +66,3 @@ def test_marginals_and_sum_are_exact_without_loops(n_objects: int, n_boxes: int)
     np.testing.assert_allclose(found.pairs, pairs, atol=1e-5)
     np.testing.assert_allclose(found.missed, alone, atol=1e-5)
     assert found.log_sum == pytest.approx(log_sum, abs=1e-5)
-
-
-def test_a_chain_of_pairs_has_no_loop() -> None:
-    """Object 1 may have boxes 1 and 2, object 2 boxes 2 and 3, and so on: exact with many."""
-    random = np.random.default_rng(0)
-    weights = np.zeros((4, 5))
-    for k in range(4):
-        weights[k, k : k + 2] = random.exponential(3, 2)
-    missed = random.uniform(0.1, 1, 4)
-    found = assignment_marginals(weights, missed)
-    pairs, _, log_sum = enumerated(weights, missed)
-    np.testing.assert_allclose(found.pairs, pairs, atol=1e-5)
-    assert found.log_sum == pytest.approx(log_sum, abs=1e-5)
