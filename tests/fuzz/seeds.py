@@ -173,7 +173,7 @@ def _parameters(_: Path) -> list[Files]:
 
 def _zones(_: Path) -> list[Files]:
     toml = (
-        'units = "px"\nstill_after = 2.0\npatience = 3\n\n[[zone]]\nname = "a"\n'
+        'units = "px"\nstill_after = 2.0\nmax_coast_time = 3\n\n[[zone]]\nname = "a"\n'
         "polygon = [[5, 5], [60, 5], [60.5, 40], [5, 40]]\n\n"
         '[[line]]\nname = "b"\nfrom = [1, 40]\nto = [60, 2]\nleft_to_right = "in"\nright_to_left = "out"\n'
     )
