@@ -164,7 +164,7 @@ def error_classes(foreground: Mask, truth: BoxTruth) -> ErrorClasses:
     20 % about their centres. *Missed*: less than 50 % of the true box, clipped to the picture, is covered
     by the union of the bounding boxes of the components that are no ghosts. Boxes are compared with boxes,
     since a silhouette fills only about half of its box; ghosts cover nothing, since otherwise one component
-    over the whole picture would find everybody. Objects wholly outside the picture do not count.
+    over the whole picture would find every person. Objects wholly outside the picture do not count.
     """
     height, width = foreground.shape
     labels, corners, areas = _components(foreground)

@@ -157,12 +157,12 @@ class KalmanHungarian:
         Parameters
         ----------
         boxes
-            `None` where nobody has looked for any.
+            `None` in a frame without detection.
 
         Returns
         -------
-        `(m, 5)`: identity, x, y, width, height of the tracks found in this frame, or where nobody has looked,
-        of those that were found when somebody did, where they should be now.
+        `(m, 5)`: identity, x, y, width, height of the tracks with a box in this frame, or, without detection,
+        the predicted ones of the tracks with a box in the last frame with it.
         """
         for track in self._tracks:
             track.predict()

@@ -50,7 +50,7 @@ def skin_texels(plane: Numbers, density: float) -> Numbers:
 def paint_skin(density: float, contrast: float, generator: np.random.Generator) -> Pixels:
     """Paint a face's albedo as grey levels under full light, `density` texels a unit of `face_plane`.
 
-    Blotches of all sizes, freckles, and what everybody has: brows, eyes, nostrils, lips and hair. `contrast`
+    Blotches of all sizes, freckles, brows, eyes, nostrils, lips and hair. `contrast`
     scales all differences from `SKIN`.
     """
     columns, rows = np.ceil(2 * skin_texels(np.zeros((1, 2)), density)[0]).astype(int) + 1
@@ -134,7 +134,7 @@ SIZE = 0.18  # c_1 in heights of the picture
 NECK = np.array([0.0, 0.5, 1.1])  # the point about which the head turns, in units of c_1 from its origin
 MAX_PITCH, MAX_ROLL = 14.0, 10.0  # degrees
 JAW = 0.5  # the mouth is a little open on average, in standard deviations of that expression
-MOST = 2.5  # nobody makes a larger expression, in standard deviations
+MOST = 2.5  # largest expression, in standard deviations
 AMBIENT = 0.4  # share of the light that has no direction
 
 
