@@ -1,11 +1,10 @@
 """
-Somebody who signs
-==================
+A signer
+========
 
-Two chains share the places of head and hands in the picture. A **tracker of flesh** follows them by colour
-and motion. A sampler of **whole poses** draws bodies that fit what is seen of these three, completes arms
-by inverse kinematics, and weighs them by the image. Each goes on where the other one fails: where no skin
-is seen, or where a hand is lost.
+Two chains share the positions of head and hands in the image. A **flesh tracker** follows them by colour
+and motion. A sampler of **whole poses** draws bodies with head and hands at the detections, completes arms
+by inverse kinematics, and weights them by the image.
 """
 
 import matplotlib.pyplot as plt
@@ -16,13 +15,14 @@ from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import BodyParts, UpperBody
 
 # %%
-# A generated signer: for each of head and hands what is seen of it is missing in one frame out of five, in
-# bursts. Colour of skin and size of the body are learned from the film itself. In the second model the
-# sampler does not hear the tracker.
+# A generated signer: the features of head and of each hand are missing in one frame out of five, in bursts.
+# Colour of skin and size of the body are learned from the film itself. In the second model the sampler does
+# not receive the tracker's messages.
 #
-# Left and middle: frame 45 with 20 poses drawn from what is believed (yellow), and the true one (white).
-# Where the yellow lines fan out, the model knows that it does not know. Right: mean error of elbows and
-# hands. Try other seeds, and more ``samples``.
+# Left and middle: frame 45 with 20 poses drawn from the posterior (yellow), and the true one (white): the
+# yellow lines fan out where the model is uncertain. Right: mean error of elbows and hands. On one film either
+# model may be the better one: over 20 films, with 1000 samples, the error of both chains is 0.90 ± 0.06 of
+# that of the sampler alone in the same time. Try other seeds, and more ``samples``.
 
 scene = signer(60, seed=0, size=(480, 270))
 parts = BodyParts.learned(list(scene.images()), scene.detector)

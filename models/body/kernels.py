@@ -1,7 +1,4 @@
-"""Compiled loops over poses of an upper body, and over a frame's evidence of it.
-
-Where joints are, whether they may be there, how arms reach; detected key points and tables of skin colours.
-"""
+"""Compiled loops over poses of an upper body: joints, limits, inverse kinematics; key points, colours."""
 
 import numpy as np
 
@@ -36,7 +33,7 @@ def _sine_cosine(angle):
 
 @inlined
 def rotation(x, y, z):
-    """Columns of the matrix of a rotation vector (Rodrigues): where the axes x, y and z are turned."""
+    """Columns of the matrix of a rotation vector (Rodrigues): the turned axes x, y and z."""
     angle = np.sqrt(x * x + y * y + z * z)
     sine, cosine = _sine_cosine(0.5 * angle)
     share = sine / angle if angle > 1e-9 else 0.5
@@ -79,7 +76,7 @@ def place_joints(roots, torsos, necks, arms, neck, half, upper, fore, joints):
 
 @compiled
 def place_parts(roots, torsos, necks, arms, neck, half, upper, fore, parts):
-    """Write where head and hands are seen into `parts` `(n, 3, 2)`; otherwise as `place_joints`."""
+    """Write head and hands in the image into `parts` `(n, 3, 2)`; otherwise as `place_joints`."""
     for k in range(len(roots)):
         x, y = roots[k, 0], roots[k, 1]
         right, _, _ = rotation(torsos[k, 0], torsos[k, 1], torsos[k, 2])
@@ -105,8 +102,8 @@ def _along(axes, x, y, z):
 
 @inlined
 def _in_torso(x, y, z, torso):
-    """Whether a point, from the root along its axes, is in the torso or behind it; see `within_limits`."""
-    # clothes are soft and bodies differ: what is near the border counts as outside
+    """Whether a point, in the torso's axes, is in the torso or behind it; see `within_limits`."""
+    # clothes are soft and bodies differ: points near the border count as outside
     width = torso[0] + min(max(y / torso[2], 0.0), 1.0) * (torso[1] - torso[0])
     return (abs(x) < 0.4 * width) & (y > 0.0) & (y < torso[2]) & (z > -torso[3])
 
@@ -145,7 +142,7 @@ def within_limits(torsos, necks, arms, half, upper, fore, limits, torso, allowed
             x, y, z = sign * half + upper * ux, upper * uy, upper * uz
             good &= not _in_torso(x, y, z, torso)
             good &= not _in_torso(x + fore * fx, y + fore * fy, z + fore * fz, torso)
-            # the turn that `poses.transport` leaves out; 1 / (1 + y) loses its digits near the top
+            # the turn about the arm that `transport` leaves out; 1 / (1 + y) loses its digits near the top
             square = ux * ux + uz * uz
             over = (square < 1e-28) & (uy < 0.0)
             shrink = (1.0 - uy) / max(square, 1e-28) if uy < 0.0 else 1.0 / (1.0 + uy)
@@ -163,7 +160,7 @@ def within_limits(torsos, necks, arms, half, upper, fore, limits, torso, allowed
 
 @inlined
 def _towards(x, y, z):
-    """Unit vector along a vector, any where it is 0, and its length."""
+    """Unit vector along a vector (any for 0), and its length."""
     length = np.sqrt(x * x + y * y + z * z)
     if length == 0.0:
         return 0.0, 1.0, 0.0, length
@@ -185,7 +182,7 @@ def _from_reference(x, y, z, sign, reference):
 
 @compiled
 def reach(offsets, swivels, upper, fore, sign, reference, arms, reachable):
-    """Write arms `(n, 2, 3)` whose hands are at `offsets` `(n, 3)`, and whether there are any, `(n,)`.
+    """Write arms `(n, 2, 3)` with hands at `offsets` `(n, 3)`, and whether they reach there, `(n,)`.
 
     `swivels` `(n,)` rad are measured from `reference` `(3,)`, for `sign` -1 from its mirror image and the
     other way round; `upper` and `fore` are lengths.
@@ -211,10 +208,7 @@ def reach(offsets, swivels, upper, fore, sign, reference, arms, reachable):
 
 @compiled
 def elbows(arms, upper, fore, sign, reference, upright, level):
-    """Write sine and cosine, each `(n,)`, of the swivels of `arms` `(n, 2, 3)`, times how far elbows are out.
-
-    Otherwise as `reach`.
-    """
+    """Write sine and cosine, `(n,)`, of the swivels of `arms` `(n, 2, 3)`, up to a factor; as `reach`."""
     for k in range(len(arms)):
         ux, uy, uz = arms[k, 0, 0], arms[k, 0, 1], arms[k, 0, 2]
         x, y, z, _ = _towards(
@@ -230,11 +224,11 @@ def elbows(arms, upper, fore, sign, reference, upright, level):
 
 @compiled
 def lean(directions, cosines, turns, leant):
-    """Write into `leant` `(n, 3)` unit vectors at given angles from the unit vectors `directions` `(n, 3)`.
+    """Write unit vectors at given angles from unit vectors `directions` `(n, 3)` into `leant` `(n, 3)`.
 
-    `cosines` `(n,)` are of the angles, `turns` `(n,)` rad say to which side, from an arbitrary one. The two
-    vectors across a direction need no square root: Duff et al., "Building an orthonormal basis, revisited",
-    JCGT 2017.
+    `cosines` `(n,)` of the angles; `turns` `(n,)` rad about the directions, from an arbitrary zero. The two
+    vectors across a direction are those of Duff et al., "Building an orthonormal basis,
+    revisited", JCGT 2017.
     """
     for k in range(len(directions)):
         x, y, z = directions[k, 0], directions[k, 1], directions[k, 2]
@@ -257,13 +251,13 @@ _f4 = np.float32
 
 @compiled
 def keypoint_terms(joints, places, ends, shares, heights, halves, false, chances, out):
-    """Log likelihood ratios of points against points anywhere about a person, added to `out` `(n,)`.
+    """Add log likelihood ratios of key points against false ones about a person to `out` `(n,)`.
 
-    `joints` `(n, 8, 2)` or `(n, 8, 3)` px; `places` `(m, 2)` px: points that were found; `ends`, `shares`
-    `(h, m, 2)` and `(m,)`: between which joints each is, and how far on the way from the first to the second,
-    under each of h hypotheses; `heights`, `halves` `(m,)`: highest value of a point's ratio, and half its
-    precision, 1/px^2; `false` `(m,)`: what the ratio is at least; `chances` `(h + 1,)`: probabilities of the
-    hypotheses, and of that in which all is somebody else's.
+    `joints` `(n, 8, 2)` or `(n, 8, 3)` px; `places` `(m, 2)` px: detected points; `ends`, `shares`
+    `(h, m, 2)` and `(m,)`: the two joints that each is between, and its share of the way, under each of h
+    hypotheses; `heights`, `halves` `(m,)`: peak of a point's ratio, and half its precision, 1/px^2; `false`
+    `(m,)`: least value of the ratio; `chances` `(h + 1,)`: probabilities of the hypotheses, and of another
+    person.
     """
     for k in range(len(joints)):
         total = _f4(chances[len(ends)])
@@ -282,7 +276,7 @@ def keypoint_terms(joints, places, ends, shares, heights, halves, false, chances
 
 @compiled
 def look_up_colours(luma_red_blue, table, out):
-    """`out` (n,) float32 from `table` (8 * 64 * 64,) float32 at the colours (n, 3) uint8: Y, Cr, Cb."""
+    """Write `table` `(8 * 64 * 64,)` at colours `(n, 3)` uint8 (Y, Cr, Cb) into `out` `(n,)`; float32."""
     for i in range(out.size):
         luma, red, blue = luma_red_blue[i, 0], luma_red_blue[i, 1], luma_red_blue[i, 2]
         out[i] = table[(np.int32(luma >> 5) << 12) | (np.int32(red >> 2) << 6) | np.int32(blue >> 2)]
@@ -290,7 +284,7 @@ def look_up_colours(luma_red_blue, table, out):
 
 @compiled
 def blended(odds, others, own, other):
-    """Turn log odds `odds` `(n,)` float32 into those of a mixture with `others` `(n,)`, by their shares."""
+    """Replace log odds `odds` `(n,)` float32 by those of a mixture with `others` `(n,)`, by their shares."""
     own, other = _f4(own), _f4(other)
     for k in range(len(odds)):
         odds[k] = logarithm(own * exponential(odds[k]) + other * exponential(others[k]))

@@ -1,4 +1,4 @@
-"""What a signer and the room behind look like: colour pictures from random numbers."""
+"""Textures of a signer and of the room behind, from random numbers."""
 
 from functools import partial
 
@@ -20,7 +20,7 @@ TONES = np.array(
 
 
 class Palette:
-    """Colours of a scene, BGR grey levels, by its random numbers."""
+    """Random colours of a scene, BGR grey levels."""
 
     def __init__(self, generator: np.random.Generator) -> None:
         mix = generator.uniform(0, len(TONES) - 1)
@@ -35,7 +35,7 @@ class Palette:
 
 
 def colour(generator: np.random.Generator, values: tuple[float, float], most: float = 0.75) -> Array:
-    """A random colour that is no skin's, BGR, of value in a range and saturation up to `most`."""
+    """Draw a colour unlike skin, BGR, of value in a range and saturation up to `most`."""
     hue = generator.uniform(35, 160)  # of OpenCV's 180; red and orange are skin's
     saturation = 255 * most * generator.uniform(0.05, 1) ** 1.5
     pixel = np.array([[[hue, saturation, generator.uniform(*values)]]]).round().astype(np.uint8)
@@ -43,7 +43,7 @@ def colour(generator: np.random.Generator, values: tuple[float, float], most: fl
 
 
 def paint_cloth(side: int, base: Array, generator: np.random.Generator) -> Pixels:
-    """Cloth of a colour `base`, `(side, 2 side, 3)`: plain, striped or chequered, with folds."""
+    """Paint cloth of a colour `base`, `(side, 2 side, 3)`: plain, striped or chequered, with folds."""
     shape = (side, 2 * side)
     unit = side / 360
     down, across = np.mgrid[: shape[0], : shape[1]] / unit
@@ -64,7 +64,7 @@ def paint_cloth(side: int, base: Array, generator: np.random.Generator) -> Pixel
 
 
 def paint_skin(side: int, base: Array, generator: np.random.Generator) -> Pixels:
-    """Skin of a colour `base`, `(side, side, 3)`."""
+    """Paint skin of a colour `base`, `(side, side, 3)`."""
     blotches = 0.035 * mottle((side, side), 25.0, 1.0, generator)
     redness = 0.02 * mottle((side, side), 40.0, 6.0, generator)
     light = 1 + blotches[..., None] + redness[..., None] * np.array([-1.0, -1.0, 1.0])
@@ -81,7 +81,7 @@ def hairiness(palette: Palette, x: Array, y: Array, z: Array) -> Array:
 
 
 def paint_head(density: float, palette: Palette, generator: np.random.Generator) -> Pixels:
-    """Skin, hair and what a face has, by longitude and latitude, `density` texels a rad.
+    """Paint skin, hair and features of a face, by longitude and latitude, `density` texels a rad.
 
     Longitude 0 in the middle is the face, latitude grows downwards.
     """
@@ -152,7 +152,7 @@ SHIFT = 4  # fractional bits of the corners' coordinates
 def paint_background(
     size: tuple[int, int], palette: Palette, clutter: float, generator: np.random.Generator
 ) -> Pixels:
-    """What is behind the signer, `(height, width, 3)`; with `clutter` 0 a plain wall."""
+    """Paint the room behind the signer, `(height, width, 3)`; with `clutter` 0 a plain wall."""
     width, height = size
     unit = height / 360
     shape = (height, width)
@@ -174,7 +174,7 @@ def paint_background(
 
 
 def wood(palette: Palette, generator: np.random.Generator) -> Array:
-    """A colour, BGR, that is near to skin's."""
+    """Draw a colour, BGR, near that of skin."""
     paint: Array = palette.skin * generator.normal(1, 0.06, 3) * generator.uniform(0.55, 1.05)
     return paint
 

@@ -1,4 +1,4 @@
-"""The surface of a signer in a pose: tubes around limbs, head, trunk and fingers, ready to be drawn.
+"""Surface of a signer in a pose: tubes around limbs, head, trunk and fingers.
 
 Everything is a tube: rings around a line, with two half widths each. Orders of axes: rings, then around.
 """
@@ -39,8 +39,8 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class HandShape:
-    """What a hand does beside being somewhere: roll (rad) about the forearm, bend (rad) of the wrist, and
-    curl (5,) of thumb and fingers, 0 straight, 1 closed."""
+    """Shape of a hand: roll (rad) about the forearm, bend (rad) of the wrist, and curl (5,) of thumb and
+    fingers, 0 straight, 1 closed."""
 
     roll: float
     bend: float
@@ -49,7 +49,7 @@ class HandShape:
 
 @lru_cache
 def _grid(tubes: int, rings: int, around: int) -> NDArray[np.int64]:
-    """Triangles of `tubes` grids, `rings` x (`around` + 1) vertices each."""
+    """Return triangles of `tubes` grids, `rings` x (`around` + 1) vertices each."""
     number = np.arange(rings * (around + 1)).reshape(rings, around + 1)
     a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
     one = np.stack([np.stack([a, b, c], axis=-1), np.stack([b, d, c], axis=-1)]).reshape(-1, 3)
@@ -118,7 +118,7 @@ def limb(
 def surface(
     body: UpperBody, palette: Palette, pose: BodyPoses, hands: list[HandShape], bare: bool = False
 ) -> list[Solid]:
-    """All of a person in the first of `pose`, with `bare` forearms or in sleeves.
+    """Return the surfaces of a person in the first of `pose`, with `bare` forearms or in sleeves.
 
     Materials are skin, head, top, left hand, right hand and trousers.
     """
@@ -263,7 +263,7 @@ def _hand(
 
 
 def blob(thing: Distractor, moment: float, head_height: float) -> Solid:
-    """The lump that a distractor is, at frame `moment`."""
+    """Return the surface of a distractor at frame `moment`."""
     generator = np.random.default_rng(thing.seed)
     angle, bump = generator.uniform(0, np.pi), generator.uniform(0.6, 1.1, 9)
     latitude = np.linspace(-np.pi / 2, np.pi / 2, 9)

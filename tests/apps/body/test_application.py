@@ -12,7 +12,6 @@ from rsmcm.apps.body import application
 from rsmcm.apps.body import page as body_page
 from rsmcm.apps.body.application import ANGLE_NAMES, N_DRAWN, read_head
 from rsmcm.apps.body.page import RARELY_SEEN, BodyRecord
-from rsmcm.apps.io.files import PLAYABLE, SegmentedVideo
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.runs import loop
 from rsmcm.apps.scenes import SignerScene, signer
@@ -75,16 +74,6 @@ def film(images: list[Image], tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_pictures(tmp_path_factory.mktemp("film") / "film", images)
 
 
-@pytest.fixture(scope="module")
-def video(images: list[Image], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("video") / "signer.mp4"
-    writer = SegmentedVideo(path, 25.0, PLAYABLE)
-    for index, image in enumerate(images):
-        writer.write(image, index + 1, index / 25)
-    writer.close(finished=True)
-    return path
-
-
 def head_of(scene: SignerScene, index: int = 0) -> str:
     """The head in a frame, as somebody marks it."""
     body, (x, y) = scene.body, scene.joints[index, HEAD, :2]
@@ -104,9 +93,9 @@ def faces(scene: SignerScene, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def finished(video: Path, head: tuple[str, str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished(film: Path, head: tuple[str, str], tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("out") / "deep" / "er"
-    assert run(video, *head, "--out", out, *FEW) == 0
+    assert run(film, *head, "--out", out, *FEW) == 0
     return out
 
 
@@ -162,15 +151,6 @@ def test_poses(finished: Path, scene: SignerScene) -> None:
     np.testing.assert_allclose(np.linalg.norm(upper_arms, axis=-1), body.upper_arm, rtol=1e-4)
 
 
-def test_samples_are_of_the_posterior(finished: Path) -> None:
-    """Their mean is the posterior's within what 40 draws allow."""
-    poses = poses_of(finished)
-    off = poses["samples"].mean(axis=1) - poses["joints_3d"]
-    deviation = np.sqrt(np.diagonal(poses["joints_3d_covariances"], axis1=2, axis2=3))
-    error = deviation / np.sqrt(N_DRAWN) + 1e-3
-    assert np.mean(np.abs(off) < 2 * error) > 0.9
-
-
 def test_answers_are_of_the_posterior(finished: Path) -> None:
     """The best one comes first; together they are all there is, and their mean that of the posterior."""
     poses = poses_of(finished)
@@ -200,7 +180,7 @@ def test_the_page_says_everything(finished: Path) -> None:
 
 
 def test_hands_change_their_names_at_the_end(
-    video: Path, head: tuple[str, str], finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    film: Path, head: tuple[str, str], finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where the whole film says so: in arrays, pictures and summary, and only there."""
     labels = body_page.label_hands
@@ -211,7 +191,7 @@ def test_hands_change_their_names_at_the_end(
         return replace(found, probabilities=np.where(exchanged, 0.8, 0.02), exchanged=exchanged)
 
     monkeypatch.setattr(body_page, "label_hands", changed)
-    assert run(video, *head, "--out", tmp_path, *FEW) == 0
+    assert run(film, *head, "--out", tmp_path, *FEW) == 0
     before, after = poses_of(finished), poses_of(tmp_path)
     chosen = (after["frames"] > 5) & (after["frames"] < 9)
     np.testing.assert_array_equal(after["relabelled"], chosen)
@@ -320,18 +300,6 @@ def test_nothing_to_see(tmp_path: Path, head: tuple[str, str], capfd: pytest.Cap
     for arguments in (head, ()):
         message = complaint(capfd, folder, "--out", tmp_path / "out", *arguments)
         assert "holds no frame in which anything is to be seen" in message
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.skipif(not hasattr(cv2, "CascadeClassifier"), reason="this OpenCV has no cascade")
-def test_nobody_in_view(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    random = np.random.default_rng(0)
-    wall = cv2.GaussianBlur(random.integers(0, 255, (180, 320, 3)).astype(np.uint8), (0, 0), 3)
-    folder = write_pictures(tmp_path / "film", [np.asarray(wall, np.uint8)] * 3)
-    message = complaint(capfd, folder, "--out", tmp_path / "out")
-    assert (
-        "film: no face is found in the 3 frames looked at, expected a person who faces the camera" in message
-    )
     assert not (tmp_path / "out").exists()
 
 

@@ -1,6 +1,6 @@
 """A generated signer followed with the points of a detector that errs, and without."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,7 +13,6 @@ from rsmcm.chains.body.samples import body_moments
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import BodyParts, Frame
 from rsmcm.models.body.upper_body import JOINTS
-from rsmcm.models.core.gaussian_message import squared_distances
 
 from ...support.keypoints import read_frame_result
 
@@ -21,18 +20,6 @@ Array = NDArray[np.float64]
 
 SEEDS = tuple(range(1, 9))
 ARMS = [JOINTS.index(f"{side}_{name}") for side in ("left", "right") for name in ("elbow", "hand")]
-REGION_90 = 4.605
-
-
-@dataclass(frozen=True, eq=False)
-class Followed:
-    """Head heights, `(n_frames, 4)`: how far elbows and hands are off in the picture, and their depth; and
-    `(n_frames, 4)` squared Mahalanobis distances in the picture.
-    """
-
-    flat: Array
-    deep: Array
-    nees: Array
 
 
 @cache
@@ -42,8 +29,8 @@ def scene_of(seed: int, n_frames: int = 32) -> tuple[SignerScene, tuple[Frame, .
 
 
 @cache
-def followed(seed: int, n_frames: int = 32, **detector: float | tuple[float, float] | None) -> Followed:
-    """How a scene is followed; `None` as noise is no detector of keypoints."""
+def followed(seed: int, n_frames: int = 32, **detector: float | tuple[float, float] | None) -> Array:
+    """Head heights `(n_frames, 4)`: errors of elbows and hands in the image; no points without a detector."""
     scene, frames = scene_of(seed, n_frames)
     body = scene.body
     images = [frame.image for frame in frames if frame.image is not None]
@@ -52,19 +39,16 @@ def followed(seed: int, n_frames: int = 32, **detector: float | tuple[float, flo
     model.connect(ArticulatedPose(body, 250, start=scene.poses.take([0])), parts)
     given = list(read_frame_result(scene, **detector)) if detector else []  # type: ignore[arg-type]
     known = with_keypoints(frames, lambda frame: given[frame.number - 1]) if given else frames
-    flat, deep, nees = [], [], []
+    errors = []
     for tracked, truth in zip(RecursiveBP(model).run(known), scene.joints, strict=True):
-        found = body_moments(body, tracked["pose"])
-        apart = (found.joints - truth)[ARMS]
-        flat.append(np.linalg.norm(apart[:, :2], axis=1) / body.head_height)
-        deep.append(np.abs(apart[:, 2]) / body.head_height)
-        nees.append(squared_distances(apart[:, :2], found.joint_covariances[ARMS, :2, :2] + 0.01 * np.eye(2)))
-    return Followed(np.array(flat)[4:], np.array(deep)[4:], np.array(nees)[4:])
+        apart = (body_moments(body, tracked["pose"]).joints - truth)[ARMS, :2]
+        errors.append(np.linalg.norm(apart, axis=1) / body.head_height)
+    return np.array(errors)[4:]
 
 
 def gains(**detector: float | tuple[float, float]) -> Array:
     """Head heights, one a scene: mean error without points less that with them."""
-    return np.array([(followed(s).flat - followed(s, **detector).flat).mean() for s in SEEDS])
+    return np.array([(followed(s) - followed(s, **detector)).mean() for s in SEEDS])
 
 
 def error_of(values: Array) -> float:
@@ -76,11 +60,6 @@ def test_points_with_errors_misses_and_exchanged_sides_help() -> None:
     """Errors are smaller on average over the scenes, by more than two standard errors."""
     gained = gains(noise=0.08)
     assert gained.mean() > 2 * error_of(gained)
-    helped = [followed(seed, noise=0.08) for seed in SEEDS]
-    alone = [followed(seed) for seed in SEEDS]
-    inside = [np.mean([(run.nees < REGION_90).mean() for run in runs]) for runs in (alone, helped)]
-    assert inside[1] > inside[0] - 0.1
-    assert np.mean([run.deep.mean() for run in helped]) < 0.5
 
 
 @pytest.mark.slow
@@ -101,4 +80,4 @@ def test_exchanged_sides_and_points_of_others_do_little_harm(
 
 def test_a_detector_without_detections_changes_nothing() -> None:
     alone, without = (followed(SEEDS[0], n_frames=8, **none) for none in ({}, {"missed": 1.0}))
-    np.testing.assert_array_equal(alone.flat, without.flat)
+    np.testing.assert_array_equal(alone, without)

@@ -1,7 +1,7 @@
 """Tempering and moving of poses, against plain importance sampling and against what must not change."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -96,12 +96,6 @@ def even(n: int) -> Array:
 
 
 def tempered(past: Past, likelihood: LogDensity, n: int, seed: int) -> Tempered:
-    random = np.random.default_rng(seed)
-    poses = past.drawn(n, random)
-    return temper(past.dynamics, poses, even(n), past.log_density, likelihood, n, random)
-
-
-def tempered_with_ancestors(past: Past, likelihood: LogDensity, n: int, seed: int) -> Tempered:
     """Each sample moves under the prior of its own ancestor; together they are of the same mixture."""
     random = np.random.default_rng(seed)
     chosen = random.choice(5, 3 * n, p=past.weights)
@@ -112,10 +106,7 @@ def tempered_with_ancestors(past: Past, likelihood: LogDensity, n: int, seed: in
     return temper(past.dynamics, poses, log_weights, past.log_steps(chosen), likelihood, n, random)
 
 
-@pytest.mark.parametrize("run", [tempered, tempered_with_ancestors])
-def test_posterior_and_evidence_are_those_of_importance_sampling(
-    run: Callable[[Past, LogDensity, int, int], Tempered],
-) -> None:
+def test_posterior_and_evidence_are_those_of_importance_sampling() -> None:
     """Hands' means and covariances over runs, and those of weighted draws of the prior in 20 pieces."""
     past = Past(0, jumps=0.5)
     random = np.random.default_rng(100)
@@ -130,7 +121,7 @@ def test_posterior_and_evidence_are_those_of_importance_sampling(
     expected = summary(draws, weights / weights.sum())
     error = np.std(parts, axis=0) / np.sqrt(len(parts))
 
-    runs = [run(past, likelihood, 1000, number) for number in range(RUNS)]
+    runs = [tempered(past, likelihood, 1000, number) for number in range(RUNS)]
     means = np.stack([summary(one.poses, np.exp(one.log_weights)) for one in runs])
     bar = SIGMAS * np.hypot(means.std(axis=0, ddof=1) / np.sqrt(RUNS), error)
     std = np.sqrt(expected[6:][np.cumsum([0, 6, 5, 4, 3, 2])])
@@ -166,46 +157,6 @@ def test_moves_leave_the_prior_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None
     varies = fresh.std(axis=0) > 0
     values = [ks_2samp(after[:, one], fresh[:, one]).pvalue for one in np.flatnonzero(varies)]
     assert min(values) > 1e-5 / len(values)
-
-
-def test_weights_that_come_in_count() -> None:
-    """Draws of a wider density with weights are draws of the prior."""
-    past, wide = Past(5, jumps=0.5), Past(5, jumps=0.5, elapsed=6 * DT)
-    random = np.random.default_rng(5)
-    direct = past.drawn(40_000, random)
-    expected = hands(direct).mean(axis=0)
-    found = []
-    for run in range(RUNS):
-        random = np.random.default_rng(50 + run)
-        poses = wide.drawn(1000, random)
-        log_weights = normalised(past.log_density(poses) - wide.log_density(poses))
-        after = temper(past.dynamics, poses, log_weights, past.log_density, nothing, 1000, random)
-        found.append(np.exp(after.log_weights) @ hands(after.poses))
-    bar = SIGMAS * np.std(found, axis=0, ddof=1) / np.sqrt(RUNS)
-    bar = np.hypot(bar, SIGMAS * hands(direct).std(axis=0) / np.sqrt(len(direct)))
-    assert (np.abs(np.mean(found, axis=0) - expected) < bar).all()
-
-
-def test_the_prior_is_asked_of_the_sample_that_a_pose_goes_back_to() -> None:
-    """Of five people far apart, however often they are drawn again; nobody moves from one to another."""
-    past, random = Past(9), np.random.default_rng(9)
-    apart = 400.0 * np.arange(5)
-    poses = past.drawn(600, random)
-    roots, start = poses.roots.copy(), random.integers(5, size=600)
-    roots[:, 0] += apart[start]
-    poses = replace(poses, roots=roots)
-    middles, asked = np.median(roots[start == 0], axis=0)[0] + apart, []
-
-    def log_prior(poses: BodyPoses, owners: NDArray[np.int64]) -> Array:
-        asked.append(np.abs(poses.roots[:, 0] - middles[start[owners]]).max())
-        return np.zeros(len(poses))
-
-    def likelihood(poses: BodyPoses) -> Array:
-        return np.asarray(-0.01 * poses.roots[:, 0])
-
-    temper(past.dynamics, poses, even(600), log_prior, likelihood, 400, random)
-    assert len(asked) > 4
-    assert max(asked) < 150
 
 
 # --- what is worth a second look ---

@@ -73,17 +73,6 @@ def test_sleeves_have_the_colour_of_the_trunk(shirt: Colour) -> None:
     assert np.abs(arms).max() <= HIGHEST + 1e-5
 
 
-def test_bare_forearms_have_the_colour_of_skin() -> None:
-    """As far as they are expected; sleeves above the elbow are still of cloth."""
-    image = picture(forearm=SKIN)
-    covered, either, bare = (at(arm_map(image, share), 276, 90) for share in (0.0, 0.5, 1.0))
-    assert covered < -1
-    assert either == pytest.approx(bare - np.log(2), abs=0.1)
-    assert bare > 2
-    assert at(arm_map(image, 0.5), 225, 128) > 1
-    assert at(arm_map(image, 0.5), 40, 60) < -2
-
-
 @pytest.mark.parametrize("bare", [0.0, 0.3, 1.0])
 def test_the_map_is_the_log_of_a_mixture(bare: float) -> None:
     """Of the odds of cloth and of skin, where both are the same in the whole picture."""

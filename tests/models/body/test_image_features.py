@@ -1,11 +1,9 @@
 """Distances to edges and which way the edges face."""
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.models.body.image_features import edge_distances
-from rsmcm.models.numerics.threads import set_threads, thread_count
 from scipy.ndimage import distance_transform_edt
 
 Image = NDArray[np.uint8]
@@ -54,23 +52,3 @@ def test_noise_is_hardly_an_edge() -> None:
     noise = np.random.default_rng(0).normal(100, 6, (200, 300))
     distances, _ = edge_distances(noise.clip(0, 255).astype(np.uint8), 15.0)
     assert (distances == 0).mean() < 0.03
-
-
-def hills(seed: int) -> Image:
-    """Soft ones beside a plain; in about every eighth, the threshold is some pixels' own gradient."""
-    heights = np.random.default_rng(seed).integers(0, 60, (12, 16)).astype(np.float32)
-    ground = cv2.resize(heights, (160, 120), interpolation=cv2.INTER_CUBIC)
-    ground[:, :90] = 30
-    return (60 + ground).clip(0, 255).astype(np.uint8)
-
-
-def test_edges_do_not_depend_on_threads() -> None:
-    before = thread_count()
-    found: list[list[bytes]] = []
-    try:
-        for threads in (1, 2, 4):
-            set_threads(threads)
-            found.append([part.tobytes() for seed in range(60) for part in edge_distances(hills(seed), 15.0)])
-    finally:
-        set_threads(before)
-    assert found[0] == found[1] == found[2]

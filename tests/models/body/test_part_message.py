@@ -44,6 +44,11 @@ def of_image(said: GaussianMixtures) -> PartMessage:
     return PartMessage(GaussianMixtures.uniform(3), image)
 
 
+def mixtures_of(message: PartMessage) -> GaussianMixtures:
+    assert message.image is not None
+    return message.image.mixtures
+
+
 def value(said: GaussianMixtures, part: int, place: Array) -> float:
     """Of one part's mixture."""
     total = 0.0
@@ -102,38 +107,17 @@ def test_of_many_combinations_the_heaviest_are_kept() -> None:
     assert product.log_mass == pytest.approx(logsumexp(expected), abs=1e-9)
 
 
-def test_masses_moments_and_marginals_are_those_of_draws() -> None:
-    """1e5 draws: means within 5 standard errors."""
+def test_masses_and_marginals_are_sums_over_hypotheses() -> None:
+    """A hypothesis counts in the marginal of a part by its weight and the masses of its other parts."""
     random = np.random.default_rng(1)
-    said = message(random, 3)
-    image = of_image(mixtures(random, flat=-4.0))
-    n = 100_000
-    masses = np.array([each.log_masses.sum() for each in hypotheses_of(said)]) + said.log_hypotheses
-    assert said.log_mass == pytest.approx(logsumexp(masses), abs=1e-9)
-    chosen = random.choice(3, n, p=np.exp(masses - said.log_mass))
-    places = np.empty((n, 3, 2))
-    for h, each in enumerate(hypotheses_of(said)):
-        here = np.flatnonzero(chosen == h)
-        for part in range(3):
-            share = np.exp(each.log_weights[part] - each.log_masses[part])
-            component = random.choice(len(share), len(here), p=share)
-            roots = np.linalg.cholesky(each.covariances[part])[component]
-            steps = (roots @ random.standard_normal((len(here), 2, 1)))[..., 0]
-            places[here, part] = each.means[part, component] + steps
-    weights = [1 + np.zeros(n), np.exp(image.image.mixtures.log_values(places).sum(axis=1))]  # type: ignore[union-attr]
-    for message_, weight in zip((said, said * image), weights, strict=True):
-        mean, covariance = message_.mixtures.moments(1.0, (0.0, 0.0))
-        ratio = weight / weight.mean()
-        for part in range(3):
-            error = (ratio[:, None] * (places[:, part] - mean[part])).std(axis=0) / np.sqrt(n)
-            np.testing.assert_array_less(
-                np.abs((ratio[:, None] * places[:, part]).mean(axis=0) - mean[part]), 5 * error
-            )
-            apart = places[:, part] - mean[part]
-            scatter = (ratio[:, None, None] * apart[:, :, None] * apart[:, None]).mean(axis=0)
-            np.testing.assert_allclose(scatter, covariance[part], rtol=0.1, atol=3)
-        of_image_given = weight.std() / weight.mean() / np.sqrt(n)
-        assert message_.log_mass - said.log_mass == pytest.approx(
-            np.log(weight.mean()), abs=5 * of_image_given + 1e-9
-        )
-    np.testing.assert_allclose(said.predicted.moments(1.0, (0, 0))[0], said.mixtures.moments(1.0, (0, 0))[0])
+    said, image = message(random, 3), of_image(mixtures(random, flat=-4.0))
+    for one in (said, said * image):
+        each = [h if one is said else h * mixtures_of(image) for h in hypotheses_of(said)]
+        masses = np.array([h.log_masses for h in each])
+        assert one.log_mass == pytest.approx(logsumexp(masses.sum(axis=1) + said.log_hypotheses), abs=1e-9)
+        for place in random.normal(0, 10, (4, 2)):
+            for part in range(3):
+                others = masses.sum(axis=1) - masses[:, part] + said.log_hypotheses
+                expected = sum(np.exp(w) * value(h, part, place) for w, h in zip(others, each, strict=True))
+                assert value(one.mixtures, part, place) == pytest.approx(expected, rel=1e-6)
+    np.testing.assert_array_equal(said.predicted.means, said.mixtures.means)

@@ -125,19 +125,6 @@ def test_prior_tells_the_head_from_the_hands() -> None:
     assert sure < vague - 1
 
 
-def test_grey_video() -> None:
-    """No skin: faces and edges are all there is."""
-    grey = picture().mean(axis=2).astype(np.uint8)
-    node = BodyParts.learned([grey], Faces(BOX))
-    assert node.skin is None
-    seen = node.evidence(Frame(grey, 0.0, 1), node.uniform()).image
-    assert seen is not None
-    assert seen.skin is None
-    assert len(seen.blobs) == 0
-    assert (seen.edges == 0).any()
-    np.testing.assert_array_equal(seen.mixtures.informative, [True, False, False])
-
-
 def test_learned_from_a_clip() -> None:
     """Sizes are the median of the faces', and images without a face do not matter."""
     node = BodyParts.learned([picture(seed=seed) for seed in range(3)], Faces(BOX))

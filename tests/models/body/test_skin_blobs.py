@@ -79,8 +79,3 @@ def test_hand_on_cloth_of_nearly_its_colour() -> None:
     place, distance = nearest(blobs, 160, 200)
     assert distance < 0.4 * RADIUS
     assert place == 0
-
-
-def test_no_skin_no_blobs() -> None:
-    assert len(skin_blobs(np.full(SHAPE, -3, np.float32), RADIUS).means) == 0
-    assert len(skin_blobs(np.full(SHAPE, 3, np.float32), RADIUS).means) == 0

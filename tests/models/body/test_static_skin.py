@@ -62,9 +62,3 @@ def test_it_is_a_quantile_of_the_log_odds(colour: SkinColour) -> None:
 def test_a_few_frames_do_not_tell(colour: SkinColour) -> None:
     assert static_skin(colour, [picture()] * (LEAST_FRAMES - 1)) is None
     assert static_skin(colour, [picture()] * LEAST_FRAMES) is not None
-
-
-def test_frames_of_different_sizes_are_refused(colour: SkinColour) -> None:
-    images = [picture()] * LEAST_FRAMES + [np.zeros((10, 10, 3), np.uint8)]
-    with pytest.raises(ValueError, match="images: got 2 different sizes, expected one"):
-        static_skin(colour, images)
