@@ -162,7 +162,7 @@ class DetectorRates:
 
     def update(self, state: DetectorState, incoming: Incoming) -> DetectorState:
         """Return the counts with a frame's detected, missed and false boxes, each by its probability."""
-        association = incoming[ObjectBoxes].association
+        association = incoming.evidence(ObjectBoxes).association
         if association is None:
             return state
         true, new = association.true, float(association.new.sum())
