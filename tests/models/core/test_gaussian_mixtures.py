@@ -167,25 +167,20 @@ def test_labels_survive_products() -> None:
 
 
 def test_long_products_keep_what_is_heavy_and_what_is_flat() -> None:
-    random = np.random.default_rng(0)
-    count = 12
+    random, count = np.random.default_rng(0), 12
+    weights, means = random.normal(0, 1, (2, count)), random.normal(0, 10, (2, count, 2))
     one, two = (
-        GaussianMixtures.of_parts(
-            [random.normal(0, 1, count)],
-            [random.normal(0, 10, (count, 2))],
-            [np.tile(9 * np.eye(2), (count, 1, 1))],
-            [-30.0],
-        )
-        for _ in range(2)
+        GaussianMixtures.of_parts([weights[k]], [means[k]], [np.tile(9 * np.eye(2), (count, 1, 1))], [-30.0])
+        for k in range(2)
     )
     product = one * two
     assert product.log_weights.shape == (1, MOST_COMPONENTS)
     assert (product.flat & np.isfinite(product.log_weights)).sum() == 1
-    at = points(1, n_parts=1)
-    near = np.linalg.norm(at[:, 0], axis=1) < 5
-    lost = one.log_values(at)[near] + two.log_values(at)[near] - product.log_values(at)[near]
-    assert (lost > -1e-9).all()
-    assert lost.max() < 0.5
+    overlaps = multivariate_normal(cov=18 * np.eye(2)).logpdf(means[0][:, None] - means[1])
+    every = np.concatenate([(weights[0][:, None] + weights[1] + overlaps).ravel(), weights.ravel() - 30])
+    kept = np.sort(product.log_weights[~product.flat & np.isfinite(product.log_weights)])
+    np.testing.assert_allclose(kept, np.sort(every)[-len(kept) :], rtol=1e-9)
+    assert len(kept) == MOST_COMPONENTS - 1
 
 
 @given(SEEDS)
