@@ -11,6 +11,7 @@ from rsmcm.apps.io import read_keypoints
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.chains.body.start import MOST_FRAMES, follow_person
 from rsmcm.models import GivenKeypoints
+from rsmcm.models.body.upper_body import JOINTS
 
 from ...conftest import Command, summary_of
 from ...support.keypoints import read_frame_result, write_csv
@@ -21,6 +22,7 @@ run = Command("body")
 complaint = run.complaint
 
 N_FRAMES = 12
+HEAD = JOINTS.index("head")
 FEW = ("--samples", "100")
 
 
@@ -93,18 +95,21 @@ def test_files_that_do_not_fit(
     assert "No such file" in complaint(capfd, film, "--out", tmp_path / "out", "--keypoints", "gone.csv")
 
 
-def test_one_person_is_followed_through_a_film(found: list[GivenKeypoints], tmp_path: Path) -> None:
+def test_one_person_is_followed_through_a_film(
+    scene: SignerScene, found: list[GivenKeypoints], tmp_path: Path
+) -> None:
     """Whoever comes first in the file."""
     mixed = [
         GivenKeypoints(given.positions[:: 1 - 2 * (k % 2)], given.scores[:: 1 - 2 * (k % 2)])
         for k, given in enumerate(found)
     ]
     keypoints = read_keypoints(write_csv(tmp_path / "k.csv", mixed))
-    large, small = follow_person(keypoints, 1), follow_person(keypoints, 4, np.array([215.0, 60.0]))
+    head = 0.4 * scene.joints[3, HEAD, :2] + (180, 40)
+    large, small = follow_person(keypoints, 1), follow_person(keypoints, 4, head)
     assert len(large) == N_FRAMES <= MOST_FRAMES
     assert len(small) == N_FRAMES - 3
 
     def widths(joints: Array) -> Array:
         return np.abs(joints[:, 2, 0] - joints[:, 5, 0])
 
-    assert np.nanmin(widths(large)) > np.nanmax(widths(small))
+    assert np.nanmedian(widths(large)) > 1.5 * np.nanmedian(widths(small))
