@@ -39,7 +39,7 @@ from ..chains.structure.recursive_structure import RecursiveStructure
 from ..inference import Belief, MultiChain, RecursiveBP, RunState
 from ..inference.engine import checkpoint
 from ..inference.engine.graph import require_later
-from ..models.core.checks import Array, Bound, Count, Positive, checked, shown
+from ..models.core.checks import Bound, Count, Positive, Shape, checked, shown
 from ..models.core.frame import BoundingBox, Frame, GivenBoxes, GivenKeypoints, GivenPoints
 from ..models.core.short_repr import short_repr
 from ..models.face.built_in_model import face_model
@@ -385,8 +385,8 @@ class FaceTracker(Tracker[FaceStart, TrackedFace | None]):
     def update(
         self,
         image: Picture | None,
-        box: Annotated[Any, Array(4)] | None = None,
-        landmarks: Annotated[Any, Array("n", 2, finite=False)] | None = None,
+        box: Annotated[Any, Shape(4)] | None = None,
+        landmarks: Annotated[Any, Shape("n", 2, finite=False)] | None = None,
         time: float | None = None,
     ) -> TrackedFace | None:
         """Return the face in the next image; `None` as long as no image has shown one.
@@ -522,7 +522,7 @@ class BodyTracker(Tracker[SavedPerson, TrackedBody | None]):
         self,
         image: Picture | None,
         keypoints: Any = None,
-        head: Annotated[Any, Array(4)] | None = None,
+        head: Annotated[Any, Shape(4)] | None = None,
         time: float | None = None,
     ) -> TrackedBody | None:
         """Return the pose in the next image; `None` as long as no image has shown a person.
@@ -640,8 +640,8 @@ class PointTracker(Tracker[None, Points]):
     def update(
         self,
         image: Picture | None,
-        positions: Annotated[Any, Array("n", 2)] | None = None,
-        identities: Annotated[Any, Array("n")] | None = None,
+        positions: Annotated[Any, Shape("n", 2)] | None = None,
+        identities: Annotated[Any, Shape("n")] | None = None,
         time: float | None = None,
     ) -> Points:
         """Return the points in the next image.

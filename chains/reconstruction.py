@@ -23,7 +23,7 @@ from ..inference.sfm.perspective.structure import (
     affine_fit,
     perspective_structure,
 )
-from ..models.core.checks import Array, Positive, checked
+from ..models.core.checks import Positive, Shape, checked
 from ..models.core.frame import Frame
 from ..models.core.identities import find, places_of
 from ..models.core.short_repr import short_repr
@@ -136,7 +136,7 @@ class NoStructureError(ValueError):
 
 @checked
 def reconstruct(
-    film: Sequence[Frame] | Annotated[Numbers, Array(None, None, 2, finite=False)],
+    film: Sequence[Frame] | Annotated[Numbers, Shape(None, None, 2, finite=False)],
     *,
     coherence: Coherence = "second-order",
     association: Association = "dual-chain",

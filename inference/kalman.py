@@ -15,6 +15,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..models.core.checks import Count, NotNegative, checked
 from ..models.core.short_repr import short_repr
 from . import kernels as kalman_kernels
 
@@ -41,7 +42,8 @@ class LinearMotion(NamedTuple):
         return mean @ self.transition.T, 0.5 * (grown + grown.swapaxes(-1, -2))
 
 
-def kinematic(order: int, dt: float) -> LinearMotion:
+@checked
+def kinematic(order: Count, dt: NotNegative) -> LinearMotion:
     """Position and derivatives, the last of which is driven by white noise: (x, x', ...) after `dt` s.
 
     Order 1 is a random walk, 2 constant velocity but for white acceleration, 3 constant acceleration but for

@@ -31,14 +31,16 @@ What the paper prints differently (checked by Monte Carlo in the tests):
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Any, Generic, Literal, TypeVar
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..models.core.checks import Count, Shape, checked
 from ..models.core.gaussian_message import squared_distances
 
 Numbers = NDArray[np.float64]
+Matrices = Annotated[Numbers, Shape(..., "d", "d", finite=False)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +133,8 @@ class PredictionErrors:
             yield share, np.trace(common, axis1=-2, axis2=-1)
 
 
-def cost(stated: Numbers, error: Numbers, process: Numbers, observation: Numbers) -> Numbers:
+@checked
+def cost(stated: Matrices, error: Matrices, process: Matrices, observation: Matrices) -> Numbers:
     """Return C(q) of eq. (16) and (A.2), with corrected signs, `(...)` nats.
 
     `stated` is the noise Sigma_i of the prediction, `error` the second moment P_i of what its mean is off
@@ -147,7 +150,8 @@ def cost(stated: Numbers, error: Numbers, process: Numbers, observation: Numbers
     return half
 
 
-def product_of(first: Numbers, second: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+@checked
+def product_of(first: Matrices, second: Matrices) -> tuple[Numbers, Numbers, Numbers]:
     """Return the covariance of two Gaussians' product and the weights of their means, all `(..., d, d)`."""
     of_first = transposed(_solve(first + second, second))
     return symmetric(of_first @ first), of_first, np.eye(first.shape[-1]) - of_first
@@ -191,6 +195,7 @@ ENDS = (0.5 * (1 - CONFIDENCE), 0.5 * (1 + CONFIDENCE))
 WEIGHTS_AT_ONCE = 1 << 20  # of the bootstrap, to keep memory small
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class RecordedPredictions:
     """Two chains' predictions of the same feature, and what was then observed.
@@ -225,7 +230,7 @@ class RecordedPredictions:
         if len(shape) != 2 or not np.size(self.observed):
             raise ValueError(f"observed: got {shape}, expected (n, d) with a row at least")
         if (self.first_covariance is None) != (self.second_covariance is None):
-            raise ValueError("covariances: got those of one chain only, expected both or none")
+            raise ValueError("first_covariance, second_covariance: got one of them, expected both or none")
         square = (*shape, shape[1])
         if np.shape(self.noise) == square[1:]:
             object.__setattr__(self, "noise", np.tile(self.noise, (shape[0], 1, 1)))
@@ -359,11 +364,12 @@ class Comparison(Judged):
         return f"{errors}, {limit}, and the gain may be positive or negative: {gain}"
 
 
+@checked
 def compare_predictions(
     recorded: RecordedPredictions,
     groups: ArrayLike,
     random: np.random.Generator | None = None,
-    resamples: int = 1000,
+    resamples: Count = 1000,
 ) -> Comparison:
     """Judge from two chains' recorded predictions whether combining them pays.
 
@@ -564,7 +570,8 @@ class ScoreComparison(Judged):
         return f"The product scores {self.gain:.2g} nats above the better chain{few}"
 
 
-def compare_scores(scores: Numbers, groups: ArrayLike, resamples: int = 1000) -> ScoreComparison:
+@checked
+def compare_scores(scores: Numbers, groups: ArrayLike, resamples: Count = 1000) -> ScoreComparison:
     """Judge from log densities whether combining two chains pays; arguments as of `compare_predictions`.
 
     `scores` are `(n, 3)` nats: of what was observed under the first chain's prediction, the second's, their

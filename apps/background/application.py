@@ -15,6 +15,7 @@ from ...chains.objects.object_trajectories import ObjectsOverTime
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...inference.engine.recursive_bp import RunState
 from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
+from ...models.core.checks import checked
 from ..evaluation.predictions import FILE, write_predictions
 from ..evaluation.scoring import Scoring, scoring_of
 from ..events.page import ZoneEvents
@@ -52,6 +53,7 @@ EVIDENCE_EVERY = 25
 """Frames between two values of log p(I): nothing else needs that pass over the pixels."""
 
 
+@checked
 def build_model(
     engine: EngineName = "recursive-bp", parameters: Parameters | None = None, camera: Camera = "fixed"
 ) -> MultiChain:
@@ -77,8 +79,6 @@ def build_model(
         if there is no such engine or chain, a parameter is out of range, or a chain meets none of the
         features.
     """
-    if engine not in ENGINES:
-        raise ValueError(f"engine: got {engine!r}, expected one of {', '.join(ENGINES)}")
     background, blobs, ground, detector, motion = (
         build_chain(section, parameters or {}) for section in SECTIONS
     )

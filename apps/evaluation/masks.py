@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.checks import Array, checked
+from ...models.core.checks import Shape, checked
 from ..io.ground_truth import FOREGROUND, SHADOW, BoxTruth, Kind
 
-Mask = Annotated[NDArray[np.uint8], Array("height", "width")]
+Mask = Annotated[NDArray[np.uint8], Shape("height", "width")]
 
 MIN_AREA = 50
 """px; smaller connected components are noise and no extracted objects."""

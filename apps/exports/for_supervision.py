@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...models.core.checks import Array, checked
+from ...models.core.checks import Shape, checked
 from ..io.tracks import TrackedObject
 from ..options.libraries import needed
 from .coco import object_masks
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @checked
 def to_supervision(
-    tracks: Sequence[TrackedObject], foreground: Annotated[NDArray[np.uint8], Array(None, None)] | None = None
+    tracks: Sequence[TrackedObject], foreground: Annotated[NDArray[np.uint8], Shape(None, None)] | None = None
 ) -> "supervision.Detections":
     """Return objects of a frame as `supervision.Detections`.
 
@@ -59,9 +59,9 @@ def to_supervision(
 
 @checked
 def to_key_points(
-    points: Annotated[ArrayLike, Array("n", None, finite=False)],
-    covariances: Annotated[ArrayLike, Array("n", None, None, finite=False)],
-    visible: Annotated[ArrayLike, Array("n")] | None = None,
+    points: Annotated[ArrayLike, Shape("n", None, finite=False)],
+    covariances: Annotated[ArrayLike, Shape("n", None, None, finite=False)],
+    visible: Annotated[ArrayLike, Shape("n")] | None = None,
 ) -> "supervision.KeyPoints":
     """Return points of one body or face as `supervision.KeyPoints`, for annotators that draw covariances.
 

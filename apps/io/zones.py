@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...models.core.checks import Array, Bound, Count, NotNegative, checked
+from ...models.core.checks import Bound, Count, NotNegative, Shape, checked
 from ...models.core.short_repr import short_repr
 from ...models.files import MOST_SETTINGS, read_text
 from ..options.complaints import meant
@@ -43,7 +43,7 @@ class Zone:
     """
 
     name: str
-    polygon: Annotated[Corners, Array(None, 2), Bound(lambda corners: len(corners) > 2, "3 corners or more")]
+    polygon: Annotated[Corners, Shape(None, 2), Bound(lambda corners: len(corners) > 2, "3 corners or more")]
     size: tuple[Count, Count]
     _starts: Corners = field(init=False, repr=False)
     _ways: Corners = field(init=False, repr=False)

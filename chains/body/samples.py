@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from ...inference.smc import copied, log_sum, normalised, systematic
 from ...models.body.parts import PartMessage
 from ...models.body.upper_body import JOINTS, PARTS, BodyPoses, UpperBody
+from ...models.core.checks import checked
 from ...models.core.gaussian_mixtures import GaussianMixtures
 from ...models.core.short_repr import short_repr
 from .dynamics import Ancestors, BodyDynamics
@@ -127,6 +128,7 @@ class BodyMoments:
     angle_covariances: Array  # `(16, 16)`
 
 
+@checked
 def body_moments(body: UpperBody, samples: BodySamples) -> BodyMoments:
     """Return means and covariances of joints and angles."""
     weights = samples.weights

@@ -10,7 +10,7 @@ import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.checks import Positive, check_of, shown
+from ...models.core.checks import Positive, check_of, checked, shown
 from ...models.core.frame import Frame
 from .protocols import (
     BatchChain,
@@ -69,6 +69,7 @@ class MultiChain:
         self.graph: nx.Graph[str] = nx.Graph()
         self.graph.add_node(IMAGE, kind="observation", node=None)
 
+    @checked
     def connect(
         self,
         chain: Speaker[Callable[[Any, Never, Incoming], MessageType]]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Generic, Never, Protocol, Self, TypeVar, cast, overload
 
+from ...models.core.checks import checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 
@@ -101,6 +102,7 @@ class Cavity(IntEnum):
     """The evidence times the messages of those that have spoken before."""
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class Port:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeVar, get_type_hints, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.checks import Bound, Count, NotNegative, checked
+from ...models.core.checks import Bound, Count, NotNegative, Positive, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.numerics.threads import side_by_side
@@ -221,6 +221,7 @@ class RecursiveBP:
     def __repr__(self) -> str:
         return f"RecursiveBP({self.model})"
 
+    @checked
     def step(self, state: RunState, frame: Frame) -> Belief:
         """Filter one frame.
 
@@ -271,10 +272,11 @@ class RecursiveBP:
         _require_states("update", predictions, states)
         return Belief(frame, RunState(states, frame.number, frame.time, shape), time_slice)
 
+    @checked
     def run(
         self,
         frames: Iterable[Frame | NDArray[np.uint8] | None],
-        dt: float = 1 / 25,
+        dt: Positive = 1 / 25,
         state: RunState | None = None,
     ) -> Iterator[Belief]:
         """Filter frames one after the other, and give the belief after each.
@@ -307,6 +309,7 @@ class RecursiveBP:
             state = belief.state
             yield belief
 
+    @checked
     def save(self, path: str | Path, state: RunState, about: Mapping[str, Any] | None = None) -> None:
         """Write the state of a run, and `about`, plain JSON, to one `.npz` file: all of it, or none.
 
@@ -320,6 +323,7 @@ class RecursiveBP:
         values = {**state.saved(), "about": dict(about or {})}
         checkpoint.save(path, values, {**RunState.kinds(self.model.chains), "about": dict[str, Any]})
 
+    @checked
     def load(self, path: str | Path) -> tuple[RunState, dict[str, Any]]:
         """Read back what `save` wrote: the state of the run, and `about`.
 

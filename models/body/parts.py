@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.checks import Positive, between, checked
+from ..core.checks import Positive, Shape, between, checked
 from ..core.frame import BoundingBox, Frame
 from ..core.gaussian_mixtures import GaussianMixtures, log_sums
 from ..core.pictures import draw_region
@@ -176,7 +176,7 @@ class BodyParts:
     head_height: Positive
     skin: SkinColour | None = None
     detector: PartDetector | None = None
-    static_skin: NDArray[np.float32] | None = None
+    static_skin: Annotated[NDArray[np.float32], Shape("height", "width")] | None = None
     bare: Annotated[float, between(0, 1)] = 0.0
     others: OtherFaces | None = None
     clothes: ClothesColour | None = None

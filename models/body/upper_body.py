@@ -8,8 +8,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.checks import Array as Shape
-from ..core.checks import Positive, checked
+from ..core.checks import Positive, Shape, checked
 from ..core.short_repr import Rows, short_repr
 from ..numerics.rotations import logarithm
 from .kernels import elbows, place_joints, place_parts, reach, within_limits
@@ -20,6 +19,7 @@ Mask = NDArray[np.bool_]
 ANGLES = 16  # degrees of freedom: 2 of the root, 3 of torso and neck each, 3 of a shoulder, 1 of an elbow
 
 
+@checked
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BodyPoses(Rows):
@@ -42,10 +42,10 @@ class BodyPoses(Rows):
         `(n, 2, 2, 3)`: unit vectors along the upper arm and the forearm, [left, right][upper arm, forearm].
     """
 
-    roots: Array
-    torsos: Array
-    necks: Array
-    arms: Array
+    roots: Annotated[Array, Shape("n", 2, finite=False)]
+    torsos: Annotated[Array, Shape("n", 3, finite=False)]
+    necks: Annotated[Array, Shape("n", 3, finite=False)]
+    arms: Annotated[Array, Shape("n", 2, 2, 3, finite=False)]
 
     def __len__(self) -> int:
         return len(self.roots)

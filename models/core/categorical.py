@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import shown
+from .checks import Count, Shape, checked, shown
 from .frame import Frame
 from .short_repr import short_repr
 
@@ -21,7 +22,8 @@ class CategoricalMessage:
         if one is NaN or infinite.
     """
 
-    def __init__(self, log_weights: ArrayLike) -> None:
+    @checked
+    def __init__(self, log_weights: Annotated[ArrayLike, Shape(None, finite=False)]) -> None:
         self.log_weights: NDArray[np.float64] = np.asarray(log_weights, np.float64)
         if not (self.log_weights < np.inf).all():
             raise ValueError(
@@ -59,6 +61,7 @@ class CategoricalMessage:
         return float(np.abs(one - two).max())
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class Categorical:
@@ -76,7 +79,7 @@ class Categorical:
     """
 
     name: str
-    size: int
+    size: Count
     log_likelihood: Callable[[Frame], ArrayLike] | None = None
 
     searches = False

@@ -7,7 +7,7 @@
         channels: Annotated[int, at_least(1)] = 3
 
     @checked
-    def distances(points: Annotated[Floats, Array("n", 2)], to: Annotated[Floats, Array(2)]) -> float: ...
+    def distances(points: Annotated[Floats, Shape("n", 2)], to: Annotated[Floats, Shape(2)]) -> float: ...
 
 What does not hold is one line that names the parameter, what came and what was expected: a `TypeError` for
 another type, a `ValueError` for another shape or range. A number is finite, unless it is `Unbounded`.
@@ -65,7 +65,7 @@ Count = Annotated[int, at_least(1)]
 CountFrom0 = Annotated[int, at_least(0)]
 
 
-class Array:
+class Shape:
     """Shape of an array: sizes, names of sizes that must agree within a call, or `None` for any size.
 
     Parameters
@@ -246,7 +246,7 @@ def _check_of_annotated(hint: Any, marks: tuple[Any, ...]) -> Check:
     for mark in marks:
         if isinstance(mark, Bound):
             checks.append(_by(mark.holds, mark.expected, ValueError))
-        elif isinstance(mark, Array):
+        elif isinstance(mark, Shape):
             checks.append(mark.check)
 
     def check(value: Any, name: str, sizes: Sizes) -> None:
@@ -284,7 +284,7 @@ def _check_of_union(hints: tuple[Any, ...]) -> Check:
 def _check_of_array(arguments: tuple[Any, ...]) -> Check:
     """Of `NDArray[type]`: bytes and truth values exactly, floating numbers of any real type."""
     kinds = get_args(arguments[1]) if len(arguments) > 1 else ()
-    kind = kinds[0] if kinds and isinstance(kinds[0], type) else None
+    kind = kinds[0] if kinds and isinstance(kinds[0], type) and kinds[0] is not np.generic else None
     allowed = None
     if kind is not None and issubclass(kind, np.floating):
         allowed = "fiu"

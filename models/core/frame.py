@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import check_of, shown
+from .checks import Shape, checked
 from .short_repr import Rows, short_repr
 
 Array = NDArray[np.float64]
@@ -65,6 +65,7 @@ KNOWN = frozenset(POINTS).union(*SKELETONS.values())
 """All names of points; those that are not among `POINTS` are ignored."""
 
 
+@checked
 @short_repr
 @dataclass(frozen=True, eq=False)
 class GivenKeypoints:
@@ -84,16 +85,10 @@ class GivenKeypoints:
         if the shapes do not fit, or a point that was found has no finite place and score.
     """
 
-    positions: Array
-    scores: Array
+    positions: Annotated[Array, Shape("n", len(KEYPOINTS), 2, finite=False)]
+    scores: Annotated[Array, Shape("n", len(KEYPOINTS), finite=False)]
 
     def __post_init__(self) -> None:
-        n = len(self.positions)
-        if self.positions.shape != (n, len(KEYPOINTS), 2) or self.scores.shape != (n, len(KEYPOINTS)):
-            raise ValueError(
-                f"keypoints: got positions {self.positions.shape} and scores {self.scores.shape}, expected "
-                f"(n, {len(KEYPOINTS)}, 2) and (n, {len(KEYPOINTS)})"
-            )
         found = self.scores > 0
         if not (np.isfinite(self.scores).all() and np.isfinite(self.positions[found]).all()):
             raise ValueError("keypoints: got a place or a score that is not finite, expected finite ones")
@@ -252,6 +247,7 @@ class GivenPoints(Rows):
             raise ValueError("points: got identities that do not increase, expected each once, in order")
 
 
+@checked
 @short_repr
 @dataclass(frozen=True, eq=False)
 class GivenBoxes:
@@ -275,21 +271,12 @@ class GivenBoxes:
         than 0.
     """
 
-    xyxy: NDArray[np.float64]
-    confidence: NDArray[np.float64] | None = None
-    classes: NDArray[np.str_] | NDArray[np.int64] | None = None
-    masks: NDArray[np.bool_] | None = None
+    xyxy: Annotated[NDArray[np.float64], Shape("n", 4, finite=False)]
+    confidence: Annotated[NDArray[np.float64], Shape("n", finite=False)] | None = None
+    classes: Annotated[NDArray[np.generic], Shape("n")] | None = None
+    masks: Annotated[NDArray[np.bool_], Shape("n", "height", "width")] | None = None
 
     def __post_init__(self) -> None:
-        if self.xyxy.ndim != 2 or self.xyxy.shape[1] != 4:
-            raise ValueError(f"boxes: got {self.xyxy.shape}, expected (n, 4): left, top, right, bottom")
-        n_boxes = len(self.xyxy)
-        for name in ("confidence", "classes", "masks"):
-            values = getattr(self, name)
-            if values is not None and (
-                len(values) != n_boxes or values.ndim != (3 if name == "masks" else 1)
-            ):
-                raise ValueError(f"boxes: got {name} {values.shape} for {n_boxes} boxes")
         for number, (left, top, right, bottom) in enumerate(self.xyxy.tolist()):
             near = np.abs(self.xyxy[number]).max() <= LARGEST_COORDINATE  # and no NaN
             if not (right - left > 0 and bottom - top > 0 and near):
@@ -353,9 +340,7 @@ def _attribute(result: Any, *names: str) -> NDArray[Any] | None:
     return next((np.array(each) for each in values if each is not None), None)
 
 
-GIVEN = {"image": np.ndarray, "points": GivenPoints, "boxes": GivenBoxes, "keypoints": GivenKeypoints}
-
-
+@checked
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Frame:
@@ -395,14 +380,8 @@ class Frame:
 
     def __post_init__(self) -> None:
         image = self.image
-        check_of(int)(self.number, "number", {})
-        check_of(float)(self.time, "time", {})
-        for name, kind in GIVEN.items():
-            value = getattr(self, name)
-            if value is not None and not isinstance(value, kind):
-                raise TypeError(f"{name}: got {shown(value)}, expected {kind.__name__} or None")
         if image is not None and not image.size:
-            raise ValueError(f"image: got no pixel, {image.shape}, at frame {self.number}")
+            raise ValueError(f"image: got shape {image.shape} at frame {self.number}, expected pixels")
         if image is not None and (
             image.dtype != np.uint8 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3)
         ):

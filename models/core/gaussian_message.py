@@ -4,12 +4,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.compiled import compiled, inlined
+from .checks import Count, Shape, checked
 from .frame import Frame
 from .identities import Identities, Places, find, places_of, union
 from .short_repr import Rows, short_repr
@@ -20,6 +21,7 @@ LEAST_INFORMATION = 1e-12
 """Smallest pivot of an information matrix, scaled to a unit diagonal, that differs from rounding."""
 
 
+@checked
 @short_repr
 @dataclass(frozen=True, eq=False)
 class GaussianMessage(Rows):
@@ -30,10 +32,10 @@ class GaussianMessage(Rows):
     sees all points) is sent as the marginal of each.
     """
 
-    identities: NDArray[np.int64]  # (n,), increasing
-    information: Numbers  # (n, d, d) 1/px^2, symmetric, positive definite or semi-definite
-    vector: Numbers  # (n, d) 1/px, information times mean
-    log_scale: Numbers  # (n,); see `from_moments` for that of a density
+    identities: Annotated[NDArray[np.int64], Shape("n")]  # increasing
+    information: Annotated[Numbers, Shape("n", "d", "d")]  # 1/px^2, positive semi-definite
+    vector: Annotated[Numbers, Shape("n", "d")]  # 1/px, information times mean
+    log_scale: Annotated[Numbers, Shape("n")]  # see `from_moments` for that of a density
 
     @classmethod
     def uniform(cls, dimension: int) -> Self:
@@ -193,6 +195,7 @@ class GaussianMessage(Rows):
         return type(self)(identities, information, vector, log_scale)
 
 
+@checked
 @short_repr
 @dataclass(frozen=True)
 class GaussianFeature:
@@ -210,7 +213,7 @@ class GaussianFeature:
     """
 
     name: str
-    dimension: int
+    dimension: Count
     measure: Callable[[Frame], GaussianMessage] | None = None
 
     searches = False

@@ -3,13 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.compiled import compiled, inlined
 from ..numerics.threads import over_bands
+from .checks import Shape, checked
 from .short_repr import short_repr
 
 Array = NDArray[np.float64]
@@ -23,6 +24,7 @@ WORTH_THREADS = 1000  # points from which several threads are faster than one
 NO_WEIGHT = -1e30  # log weight of a filler in kernels, where nothing is infinite
 
 
+@checked
 @short_repr
 @dataclass(frozen=True, eq=False)
 class GaussianMixtures:
@@ -32,11 +34,11 @@ class GaussianMixtures:
     with a weight of 0 are fillers.
     """
 
-    log_weights: Array  # (n_parts, n); minus infinity for a filler
-    means: Array  # (n_parts, n, 2) px
-    covariances: Array  # (n_parts, n, 2, 2) px^2, positive definite
-    flat: NDArray[np.bool_]  # (n_parts, n): components whose mean and covariance are not used
-    labels: NDArray[np.int64]  # (n_parts, n): of the thing that a component stands for; -1 for none
+    log_weights: Annotated[Array, Shape("parts", "n", finite=False)]  # minus infinity for a filler
+    means: Annotated[Array, Shape("parts", "n", 2, finite=False)]  # px
+    covariances: Annotated[Array, Shape("parts", "n", 2, 2, finite=False)]  # px^2, positive definite
+    flat: Annotated[NDArray[np.bool_], Shape("parts", "n")]  # whether mean and covariance are not used
+    labels: Annotated[NDArray[np.int64], Shape("parts", "n")]  # what a component stands for; -1 for none
 
     @classmethod
     def uniform(cls, n_parts: int) -> Self:

@@ -5,7 +5,7 @@ import sys
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, runtime_checkable
 
 import cv2
 import numpy as np
@@ -50,6 +50,7 @@ SIZES = (0.7, 1.5)  # range of detected heights over the given one
 STEP, MIN_NEIGHBORS = 1.1, 4  # OpenCV's `scaleFactor` and `minNeighbors`
 
 
+@runtime_checkable
 class PartDetector(Protocol):
     """Face detector: an object or a function."""
 

@@ -8,8 +8,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.checks import Array as Shape
-from ..core.checks import Count, checked
+from ..core.checks import Count, Shape, checked
 from ..core.short_repr import PickledByFields, Rows, short_repr
 from ..numerics.rotations import cross_matrices, exponential, logarithm, nearest_rotation
 
@@ -216,6 +215,7 @@ def _nearest_weights(places: Array, corners: Array) -> Array:
     return chosen
 
 
+@checked
 @short_repr
 @dataclass(frozen=True, eq=False)
 class MorphableModel(PickledByFields):
@@ -248,27 +248,19 @@ class MorphableModel(PickledByFields):
         there.
     """
 
-    bases: Array
-    triangles: NDArray[np.int64]
+    bases: Annotated[Array, Shape("n_bases", "n_vertices", 3, finite=False)]
+    triangles: Annotated[NDArray[np.integer[Any]], Shape("n_triangles", 3)]
     identity: int = 0
     names: tuple[str, ...] = ()
-    landmarks: NDArray[np.int64] | None = None
+    landmarks: Annotated[NDArray[np.integer[Any]], Shape("n_landmarks")] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("bases", "triangles", "landmarks"):
-            value = getattr(self, name)
-            if not isinstance(value, np.ndarray) and not (name == "landmarks" and value is None):
-                raise TypeError(f"{name}: got a {type(value).__name__}, expected an array")
-        if not isinstance(self.identity, int):
-            raise TypeError(f"identity: got {self.identity!r}, expected a whole number")
         shape = np.shape(self.bases)
         if len(shape) != 3 or shape[2] != 3 or 0 in shape:
             raise ValueError(f"bases: got {shape}, expected (n_bases, n_vertices, 3)")
         if not np.isfinite(self.bases).all():
             basis, vertex = np.argwhere(~np.isfinite(self.bases))[0, :2]
             raise ValueError(f"bases: got a number that is not finite in basis {basis} at vertex {vertex}")
-        if np.ndim(self.triangles) != 2 or np.shape(self.triangles)[1] != 3:
-            raise ValueError(f"triangles: got {np.shape(self.triangles)}, expected (n_triangles, 3)")
         if not 0 <= self.identity < len(self.bases):
             raise ValueError(f"identity: got {self.identity}, expected 0 to {len(self.bases) - 1}")
         if self.names and len(self.names) != len(self.bases):
@@ -276,8 +268,6 @@ class MorphableModel(PickledByFields):
                 f"names: got {len(self.names)}, expected one for each of {len(self.bases)} bases"
             )
         landmarks = np.zeros(0, np.int64) if self.landmarks is None else self.landmarks
-        if np.ndim(landmarks) != 1:
-            raise ValueError(f"landmarks: got {np.shape(landmarks)}, expected (n_landmarks,)")
         for what, least, numbers in (("triangle", 0, self.triangles), ("landmark", -1, landmarks)):
             if numbers.dtype.kind not in "iu":
                 raise ValueError(f"{what}s: got {numbers.dtype}, expected whole numbers of vertices")

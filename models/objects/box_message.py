@@ -7,7 +7,7 @@ from typing import Annotated, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.checks import Array, NotNegative, Positive, Probability, checked
+from ..core.checks import NotNegative, Positive, Probability, Shape, checked
 from ..core.gaussian_message import GaussianMessage
 from ..core.identities import find, union
 from ..core.short_repr import short_repr
@@ -83,10 +83,10 @@ class LogOdds:
     `identities` `(n,)` int64 increase; of an object that is not mentioned the `values`, nats, are 0.
     """
 
-    identities: Annotated[NDArray[np.int64], Array("n")] = field(
+    identities: Annotated[NDArray[np.int64], Shape("n")] = field(
         default_factory=lambda: np.zeros(0, np.int64)
     )
-    values: Annotated[Numbers, Array("n")] = field(default_factory=lambda: np.zeros(0))
+    values: Annotated[Numbers, Shape("n")] = field(default_factory=lambda: np.zeros(0))
 
     def __len__(self) -> int:
         return len(self.identities)
@@ -123,8 +123,8 @@ class Newcomers:
 
     size: tuple[int, int]  # (height, width) px of the picture
     # (2,): px height with the foot in the middle row, and px it grows with each row
-    line: Annotated[Numbers, Array(2)]
-    line_covariance: Annotated[Numbers, Array(2, 2)]
+    line: Annotated[Numbers, Shape(2)]
+    line_covariance: Annotated[Numbers, Shape(2, 2)]
     variation: NotNegative  # standard deviation of heights over what the line gives, as a share of that
     aspect: float  # width over height
     aspect_variance: NotNegative

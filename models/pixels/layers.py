@@ -7,7 +7,7 @@ from typing import Annotated, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.checks import Array, CountFrom0, NotNegative, Positive, between, checked
+from ..core.checks import CountFrom0, NotNegative, Positive, Shape, between, checked
 from ..core.short_repr import short_repr
 from ..numerics.compiled import compiled, exponential, inlined, logarithm
 from . import colour
@@ -204,8 +204,8 @@ class Layer:
 
     top: int
     left: int
-    mask: Annotated[Map, Array("height", "width")]
-    appearance: Annotated[Map, Array("channels", "height", "width")] | None
+    mask: Annotated[Map, Shape("height", "width")]
+    appearance: Annotated[Map, Shape("channels", "height", "width")] | None
     colour_variance: Positive = 300.0
     outliers: Annotated[float, between(0, 1)] = 0.1
     strength: NotNegative = 10.0

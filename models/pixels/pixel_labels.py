@@ -28,6 +28,7 @@ TINT_COLOUR = (60, 60, 255)  # what is drawn over the foreground: its share, and
 Window = tuple[slice, slice]
 
 
+@checked
 @short_repr
 @dataclass(frozen=True, eq=False)
 class PixelMessage:

@@ -11,8 +11,7 @@ from typing import Annotated, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.checks import Array as Shape
-from ..core.checks import Positive, Share, at_least, checked
+from ..core.checks import Positive, Shape, Share, at_least, checked
 from ..core.frame import Frame, GivenPoints
 from ..core.gaussian_message import GaussianMessage
 from ..core.identities import find, places_of
@@ -70,6 +69,7 @@ class View:
         return sample_patches(self.grey, positions, self.patch_size)
 
 
+@checked
 @short_repr
 @dataclass(frozen=True, eq=False)
 class PointMessage:

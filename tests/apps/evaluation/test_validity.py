@@ -332,7 +332,7 @@ def test_wrong_arrays() -> None:
         RecordedPredictions(ones, ones, ones, np.diag([1.0, -1]))
     with pytest.raises(ValueError, match="noise: got one that is not symmetric"):
         RecordedPredictions(ones, ones, ones, np.array([[1.0, 0.5], [0, 1]]))
-    with pytest.raises(ValueError, match="of one chain only"):
+    with pytest.raises(ValueError, match="got one of them"):
         RecordedPredictions(ones, ones, ones, noise, np.tile(noise, (3, 1, 1)))
     predictions = RecordedPredictions(ones, ones, ones, noise)
     with pytest.raises(ValueError, match=r"groups: got \(2,\) for 3 predictions"):

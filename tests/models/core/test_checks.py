@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.core.checks import Array, Positive, PositiveOrInfinite, Share, at_least, between, checked
+from rsmcm.models.core.checks import Positive, PositiveOrInfinite, Shape, Share, at_least, between, checked
 
 Floats = NDArray[np.float64]
 
@@ -32,10 +32,10 @@ class Settings:
 
 @checked
 def distances(
-    points: Annotated[Floats, Array("n", 2)],
-    others: Annotated[Floats, Array("n", 2)],
+    points: Annotated[Floats, Shape("n", 2)],
+    others: Annotated[Floats, Shape("n", 2)],
     image: NDArray[np.uint8] | None = None,
-    stack: Annotated[Floats, Array(..., 3)] | None = None,
+    stack: Annotated[Floats, Shape(..., 3)] | None = None,
 ) -> float:
     return float(np.hypot(*(points - others).T).sum())
 

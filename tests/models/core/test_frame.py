@@ -18,10 +18,10 @@ def test_a_frame_of_boxes_alone_is_not_missing() -> None:
 @pytest.mark.parametrize(
     ("xyxy", "confidence", "complaint"),
     [
-        (np.zeros((2, 3)), None, r"got \(2, 3\)"),
+        (np.zeros((2, 3)), None, r"xyxy: got shape \(2, 3\)"),
         (np.array([[0.0, 0, 5, 5], [5, 5, 5, 9]]), None, "as box 1"),
         (np.array([[0.0, 0, np.nan, 5]]), None, "as box 0"),
-        (np.array([[0.0, 0, 5, 5]]), np.ones(2), r"got confidence \(2,\) for 1 boxes"),
+        (np.array([[0.0, 0, 5, 5]]), np.ones(2), r"confidence: got shape \(2,\)"),
         (np.array([[0.0, 0, 5, 5]]), np.array([np.nan]), "confidence that is not finite"),
     ],
 )
@@ -66,7 +66,7 @@ def test_outlines_of_another_size_than_the_picture_are_refused() -> None:
 
 @pytest.mark.parametrize("shape", [(1, 5), (1, 5, 5, 3)])
 def test_outlines_are_one_picture_a_box(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match="got masks"):
+    with pytest.raises(ValueError, match=r"^masks: got shape"):
         GivenBoxes(np.array([[1.0, 2.0, 3.0, 4.0]]), masks=np.zeros(shape, bool))
 
 
@@ -78,14 +78,14 @@ def test_a_class_without_a_number_is_refused() -> None:
 @pytest.mark.parametrize(
     ("wrong", "expected"),
     [
-        ({"image": [[1, 2]]}, "image: got [[1, 2]], expected ndarray or None"),
-        ({"image": np.zeros((0, 5), np.uint8)}, "image: got no pixel, (0, 5), at frame 1"),
+        ({"image": [[1, 2]]}, "image: got [[1, 2]], expected an array of uint8 or None"),
+        ({"image": np.zeros((0, 5), np.uint8)}, "image: got shape (0, 5) at frame 1, expected pixels"),
         ({"time": np.nan}, "time: got nan, expected a finite number"),
         ({"time": "0"}, "time: got '0', expected a number"),
         ({"number": 1.5}, "number: got 1.5, expected a whole number"),
         (
             {"boxes": np.zeros((1, 4))},
-            "boxes: got an array of float64 of shape (1, 4), expected GivenBoxes or None",
+            "boxes: got an array of float64 of shape (1, 4), expected a GivenBoxes or None",
         ),
     ],
 )

@@ -150,7 +150,7 @@ def test_what_are_no_points(found: Any, complaint: str) -> None:
 @pytest.mark.parametrize(
     ("positions", "scores", "complaint"),
     [
-        (np.zeros((1, 9, 2)), np.zeros((1, 9)), r"got positions \(1, 9, 2\)"),
+        (np.zeros((1, 9, 2)), np.zeros((1, 9)), r"positions: got shape \(1, 9, 2\)"),
         (np.full((1, 10, 2), np.nan), np.ones((1, 10)), "not finite"),
         (np.zeros((1, 10, 2)), np.zeros((1, 10)), "without a score"),
     ],

@@ -50,17 +50,20 @@ def test_jacobian_is_the_slope_of_the_projection(seed: int) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"bases": np.zeros((2, 5))}, r"bases: got \(2, 5\), expected \(n_bases, n_vertices, 3\)"),
+        (
+            {"bases": np.zeros((2, 5))},
+            r"bases: got shape \(2, 5\), expected shape \(n_bases, n_vertices, 3\)",
+        ),
         ({"bases": np.zeros((0, 5, 3))}, r"bases: got \(0, 5, 3\)"),
         ({"bases": np.full((1, 4, 3), np.nan)}, "not finite in basis 0 at vertex 0"),
         ({"triangles": np.array([[0, 1, 2], [0, 1, 4]])}, "triangle 1: got vertex 4, expected 0 to 3"),
         ({"triangles": np.array([[0, 1, -1]])}, "triangle 0: got vertex -1"),
-        ({"triangles": np.array([0, 1, 2])}, r"triangles: got \(3,\)"),
+        ({"triangles": np.array([0, 1, 2])}, r"triangles: got shape \(3,\)"),
         ({"triangles": np.zeros((1, 3))}, "triangles: got float64, expected whole numbers"),
         ({"identity": 2}, "identity: got 2, expected 0 to 1"),
         ({"names": ("one",)}, "names: got 1, expected one for each of 2 bases"),
         ({"landmarks": np.array([0, -1, 4])}, "landmark 2: got vertex 4, expected -1 to 3"),
-        ({"landmarks": np.zeros((2, 2), np.int64)}, r"landmarks: got \(2, 2\)"),
+        ({"landmarks": np.zeros((2, 2), np.int64)}, r"landmarks: got shape \(2, 2\)"),
     ],
 )
 def test_no_model(changes: dict[str, object], message: str) -> None:
