@@ -40,7 +40,8 @@ class Poses(Rows):
     morphs: Array
 
     def __post_init__(self) -> None:
-        shapes = [getattr(each, "shape", ()) for each in self.arrays]  # quick: poses are made in loops
+        # quick: poses are made in loops
+        shapes: list[tuple[int, ...]] = [getattr(each, "shape", ()) for each in self.arrays]
         n, morphs = (shapes[0] or (-1,))[0], shapes[2]
         if shapes[:2] != [(n, 3, 3), (n, 2)] or len(morphs) != 2 or morphs[0] != n:
             raise ValueError(
@@ -249,10 +250,10 @@ class MorphableModel(PickledByFields):
     """
 
     bases: Annotated[Array, Shape("n_bases", "n_vertices", 3, finite=False)]
-    triangles: Annotated[NDArray[np.integer[Any]], Shape("n_triangles", 3)]
+    triangles: Annotated[NDArray[np.int64], Shape("n_triangles", 3)]
     identity: int = 0
     names: tuple[str, ...] = ()
-    landmarks: Annotated[NDArray[np.integer[Any]], Shape("n_landmarks")] | None = None
+    landmarks: Annotated[NDArray[np.int64], Shape("n_landmarks")] | None = None
 
     def __post_init__(self) -> None:
         shape = np.shape(self.bases)
