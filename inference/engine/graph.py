@@ -349,9 +349,12 @@ def require_frames(frames: object, dt: float) -> None:
 
 def as_frame(item: Frame | NDArray[np.uint8] | None, time: float, number: int) -> Frame:
     """Return a frame as it is, or that of a plain image."""
-    return (
-        item if isinstance(item, Frame) else Frame(None if item is None else np.asarray(item), time, number)
-    )
+    if isinstance(item, Frame):
+        return item
+    try:
+        return Frame(None if item is None else np.asarray(item), time, number)
+    except TypeError as error:
+        raise TypeError(f"{error}, at frame {number}") from None
 
 
 def require_later(frame: Frame, time: float, number: int) -> None:

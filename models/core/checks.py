@@ -234,8 +234,12 @@ def _number(finite: bool) -> Check:
         is_number = isinstance(value, Real | np.bool_) and not isinstance(value, bool | np.bool_)
         if not is_number:
             raise TypeError(f"{name}: got {shown(value)}, expected a number")
-        if math.isnan(value) or (finite and math.isinf(value)):
-            raise ValueError(f"{name}: got {value}, expected a {'finite ' if finite else ''}number")
+        try:
+            is_right = not (math.isnan(value) or (finite and math.isinf(value)))
+        except OverflowError:  # a whole number with hundreds of digits
+            is_right = False
+        if not is_right:
+            raise ValueError(f"{name}: got {shown(value)}, expected a {'finite ' if finite else ''}number")
 
     check.expected = "a number"  # type: ignore[attr-defined]
     return check
