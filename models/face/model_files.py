@@ -144,7 +144,7 @@ def _naming(path: Path) -> Iterator[None]:
     try:
         with np.errstate(all="ignore"):
             yield
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from None
 
 

@@ -270,8 +270,6 @@ class MorphableModel(PickledByFields):
             )
         landmarks = np.zeros(0, np.int64) if self.landmarks is None else self.landmarks
         for what, least, numbers in (("triangle", 0, self.triangles), ("landmark", -1, landmarks)):
-            if numbers.dtype.kind not in "iu":
-                raise ValueError(f"{what}s: got {numbers.dtype}, expected whole numbers of vertices")
             wrong = np.argwhere((numbers < least) | (numbers >= shape[1]))
             if len(wrong):
                 number, found = wrong[0, 0], numbers[tuple(wrong[0])]

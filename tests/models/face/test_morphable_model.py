@@ -59,7 +59,7 @@ def test_jacobian_is_the_slope_of_the_projection(seed: int) -> None:
         ({"triangles": np.array([[0, 1, 2], [0, 1, 4]])}, "triangle 1: got vertex 4, expected 0 to 3"),
         ({"triangles": np.array([[0, 1, -1]])}, "triangle 0: got vertex -1"),
         ({"triangles": np.array([0, 1, 2])}, r"triangles: got shape \(3,\)"),
-        ({"triangles": np.zeros((1, 3))}, "triangles: got float64, expected whole numbers"),
+        ({"triangles": np.zeros((1, 3))}, "triangles: got an array of float64"),
         ({"identity": 2}, "identity: got 2, expected 0 to 1"),
         ({"names": ("one",)}, "names: got 1, expected one for each of 2 bases"),
         ({"landmarks": np.array([0, -1, 4])}, "landmark 2: got vertex 4, expected -1 to 3"),
@@ -68,7 +68,7 @@ def test_jacobian_is_the_slope_of_the_projection(seed: int) -> None:
 )
 def test_no_model(changes: dict[str, object], message: str) -> None:
     good = MorphableModel(np.ones((2, 4, 3)), np.array([[0, 1, 2]]))
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((TypeError, ValueError), match=message):
         replace(good, **changes)
 
 
