@@ -571,7 +571,11 @@ class ScoreComparison(Judged):
 
 
 @checked
-def compare_scores(scores: Numbers, groups: ArrayLike, resamples: Count = 1000) -> ScoreComparison:
+def compare_scores(
+    scores: Annotated[Numbers, Shape("n", 3)],
+    groups: Annotated[ArrayLike, Shape("n")],
+    resamples: Count = 1000,
+) -> ScoreComparison:
     """Judge from log densities whether combining two chains pays; arguments as of `compare_predictions`.
 
     `scores` are `(n, 3)` nats: of what was observed under the first chain's prediction, the second's, their
@@ -583,10 +587,6 @@ def compare_scores(scores: Numbers, groups: ArrayLike, resamples: Count = 1000) 
         if the shapes do not fit, a score is not finite, or there are fewer than two groups.
     """
     labels = np.asarray(groups)
-    if scores.ndim != 2 or scores.shape[1] != 3 or labels.shape != scores.shape[:1]:
-        raise ValueError(f"scores: got {scores.shape} and {labels.shape} groups, expected (n, 3) and (n,)")
-    if not np.isfinite(scores).all():
-        raise ValueError("scores: got one that is not finite, expected finite ones")
     sums = group_sums(scores, labels)
     means = sums.resampled(np.random.default_rng(0), resamples)
     gain = means[:, 2] - np.maximum(means[:, 0], means[:, 1])

@@ -165,6 +165,9 @@ def _check(checks: dict[str, Check], names: list[str], args: tuple[Any, ...], kw
 def check_of(hint: Any) -> Check:
     """Return the check that an annotation declares; what cannot be checked at run time is taken as it is."""
     origin, arguments = get_origin(hint), get_args(hint)
+    alias = getattr(origin or hint, "__value__", None)  # of the statement `type`, as numpy has from 2.5 on
+    if alias is not None:
+        return check_of(alias if not arguments else alias[arguments]) if len(arguments) < 2 else _anything
     if isinstance(hint, TypeVar) or hint in (Any, object):
         return _anything
     if origin is Annotated:

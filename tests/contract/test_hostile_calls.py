@@ -106,7 +106,7 @@ ARGUMENTS: dict[str, Callable[[], dict[str, Any]]] = {
         "recorded": RecordedPredictions(*np.zeros((3, 3, 2)), np.eye(2)),
         "groups": np.arange(3),
     },
-    "compare_scores": lambda: {"scores": np.ones((3, 2)), "groups": np.arange(3)},
+    "compare_scores": lambda: {"scores": np.ones((3, 3)), "groups": np.arange(3)},
     "cost": lambda: {
         "stated": np.eye(2),
         "error": np.eye(2),
@@ -196,7 +196,11 @@ def wrong_values(hint: Any) -> list[Any]:
 
 
 def _kinds(hint: Any) -> Iterator[Any]:
-    origin = get_origin(hint)
+    origin, arguments = get_origin(hint), get_args(hint)
+    alias = getattr(origin or hint, "__value__", None)
+    if alias is not None:
+        yield from _kinds(alias[arguments] if arguments else alias) if len(arguments) < 2 else ()
+        return
     if origin is Annotated:
         yield from _kinds(get_args(hint)[0])
     elif type(hint).__name__ == "UnionType" or str(origin) == "typing.Union":
@@ -228,7 +232,7 @@ def _same(thing: Any) -> Any:
     return thing
 
 
-@pytest.mark.parametrize(("called", "arguments", "name", "hint"), attempts())
+@pytest.mark.parametrize(("called", "arguments", "name", "hint"), list(attempts()))
 def test_one_line_names_the_parameter(
     called: Callable[..., Any], arguments: Callable[[], dict[str, Any]], name: str, hint: Any
 ) -> None:
