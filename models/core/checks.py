@@ -10,7 +10,8 @@
     def distances(points: Annotated[Floats, Shape("n", 2)], to: Annotated[Floats, Shape(2)]) -> float: ...
 
 What does not hold is one line that names the parameter, what came and what was expected: a `TypeError` for
-another type, a `ValueError` for another shape or range. A number is finite, unless it is `Unbounded`.
+another type, a `ValueError` for another shape or range. A number is finite, unless it is a
+`PositiveOrInfinite`.
 """
 
 import math
@@ -58,8 +59,6 @@ Positive = Annotated[float, POSITIVE]
 NotNegative = Annotated[float, at_least(0)]
 Probability = Annotated[float, Bound(lambda value: 0 < value < 1, "a probability between 0 and 1")]
 Share = Annotated[float, Bound(lambda value: 0 < value < 1, "a share between 0 and 1")]
-Unbounded = Annotated[float, UNBOUNDED]
-"""A number that may be infinite, but not NaN."""
 PositiveOrInfinite = Annotated[float, UNBOUNDED, POSITIVE]
 Count = Annotated[int, at_least(1)]
 CountFrom0 = Annotated[int, at_least(0)]

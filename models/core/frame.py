@@ -382,9 +382,7 @@ class Frame:
         image = self.image
         if image is not None and not image.size:
             raise ValueError(f"image: got shape {image.shape} at frame {self.number}, expected pixels")
-        if image is not None and (
-            image.dtype != np.uint8 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3)
-        ):
+        if image is not None and (image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3)):
             raise ValueError(
                 f"image: got {image.shape} {image.dtype} at frame {self.number}, "
                 "expected (height, width) or (height, width, 3) uint8"
