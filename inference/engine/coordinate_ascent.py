@@ -16,7 +16,7 @@ from typing import Any, get_args, get_origin, get_type_hints, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.checks import Count, checked
+from ...models.core.checks import Count, Positive, checked
 from ...models.core.frame import Frame
 from . import checkpoint
 from .graph import MultiChain, as_frame, require_frames, require_later, require_model
@@ -342,7 +342,8 @@ class CoordinateAscent:
     def __repr__(self) -> str:
         return f"CoordinateAscent({self.model})"
 
-    def run(self, frames: Iterable[Frame | NDArray[np.uint8] | None], dt: float = 1 / 25) -> Solution:
+    @checked
+    def run(self, frames: Iterable[Frame | NDArray[np.uint8] | None], dt: Positive = 1 / 25) -> Solution:
         """Run rounds until the objective rises no more, at most `most_rounds`.
 
         Parameters
@@ -361,10 +362,11 @@ class CoordinateAscent:
         *_, last = self.rounds(frames, dt)
         return last
 
+    @checked
     def rounds(
         self,
         frames: Iterable[Frame | NDArray[np.uint8] | None],
-        dt: float = 1 / 25,
+        dt: Positive = 1 / 25,
         after: Solution | None = None,
     ) -> Iterator[Solution]:
         """Run as `run` does, and give the best solution so far after every round.
@@ -418,11 +420,12 @@ class CoordinateAscent:
         }
         checkpoint.save(path, values, self._kinds())
 
+    @checked
     def load(
         self,
         file: str | Path | checkpoint.Contents,
         frames: Iterable[Frame | NDArray[np.uint8] | None],
-        dt: float = 1 / 25,
+        dt: Positive = 1 / 25,
     ) -> tuple[Solution, dict[str, Any]]:
         """Read back what `save` wrote, of the same frames: the solution, and `about`.
 
@@ -475,7 +478,7 @@ class CoordinateAscent:
 def _as_frames(items: Iterable[Frame | NDArray[np.uint8] | None], dt: float) -> Sequence[Frame]:
     if isinstance(items, LazyFrames):
         return items
-    require_frames(items, dt)
+    require_frames(items)
     frames = [as_frame(item, index * dt, index + 1) for index, item in enumerate(items)]
     if not frames:
         raise ValueError("frames: got none, expected at least one")

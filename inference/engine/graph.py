@@ -1,6 +1,6 @@
 """The graph of chains, feature nodes and the image, and the order of messages that follows from it."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -10,7 +10,7 @@ import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.checks import Positive, check_of, checked, shown
+from ...models.core.checks import checked, shown
 from ...models.core.frame import Frame
 from .protocols import (
     BatchChain,
@@ -335,16 +335,15 @@ def require_model(model: object) -> None:
         raise ValueError("model: got no chain, expected at least one")
 
 
-def require_frames(frames: object, dt: float) -> None:
-    """Raise an error unless frames are several, and the time between plain images is positive and finite."""
+def require_frames(frames: object) -> None:
+    """Raise a `TypeError` for a path or a single image where several frames are meant."""
     if isinstance(frames, str | Path):
         raise TypeError(
             f"frames: got {str(frames)!r}, expected frames; open_source of rsmcm.apps.io opens a film"
         )
     is_image = isinstance(frames, np.ndarray) and (frames.ndim < 3 or frames.shape[2:] == (3,))
-    if is_image or isinstance(frames, Frame) or not isinstance(frames, Iterable):
+    if is_image or isinstance(frames, Frame):
         raise TypeError(f"frames: got {shown(frames)}, expected a sequence of frames or images")
-    check_of(Positive)(dt, "dt", {})
 
 
 def as_frame(item: Frame | NDArray[np.uint8] | None, time: float, number: int) -> Frame:

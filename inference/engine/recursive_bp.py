@@ -297,7 +297,7 @@ class RecursiveBP:
         TypeError
             if `frames` is a single image.
         """
-        require_frames(frames, dt)
+        require_frames(frames)
         return self._run(frames, dt, state or RunState())
 
     def _run(
