@@ -23,7 +23,8 @@ from .saved_run import STATE
 
 OVERLAY = "overlay.mp4"
 
-COMPILING = "5 to 60 s"  # a first run to its first frame: face 6, background 16, body 18, structure 53 s, on an Intel Xeon
+COMPILING = "5 to 60 s"
+"""Of first runs on an Intel Xeon: face 6, background 16, body 18 s to the first frame, structure 53 s."""
 
 _GROWING = (OVERLAY, FILM, ROWS)
 ALWAYS = (STATE, "summary.json", VIEW, *_GROWING, *map(segment_pattern, _GROWING))
