@@ -112,10 +112,10 @@ class Tracker(ABC, Generic[Start, Result]):
     def state(self, state: TrackerState[Start]) -> None:
         if not isinstance(state, TrackerState):
             raise TypeError(f"state: got {shown(state)}, expected a TrackerState")
-        for name in {**state.settings, **self._settings}:
-            got, expected = state.settings.get(name), self._settings.get(name)
-            if got != expected:
-                raise ValueError(f"state: got one of {name} {got!r}, expected {expected!r}")
+        got, own = state.settings.get("tracker"), type(self).__name__
+        if got != own:
+            raise ValueError(f"state: got one of {got or 'another program'}, expected one of {own}")
+        checkpoint.require_same("state", dict(state.settings), self._settings)
         if state.start is not self._state.start:
             self._engine = self._build(state.start)
         self._state = state

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.array_files import read_arrays
+from ...models.core.checks import shown
 from ...models.files import write_atomically
 
 FORMAT = "rsmcm state 2"
@@ -98,6 +99,36 @@ def load(file: str | Path | Contents, kinds: Mapping[str, Any]) -> dict[str, Any
         return _restore(contents.values, kinds, contents.arrays)
     except ValueError as error:
         raise ValueError(f"{contents.path}: {error}") from error
+
+
+def parameters_of(value: Any) -> Any:
+    """Return the parameters of a chain or feature node as plain JSON; arrays by digest, functions by name."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, SCALARS):
+        return value
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape} {_digest({'': value})[:8]}"
+    if is_dataclass(value) and not isinstance(value, type):
+        own = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
+        value = {"class": type(value).__name__, **own}
+    if isinstance(value, Mapping):
+        return {str(key): parameters_of(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [parameters_of(item) for item in value]
+    return getattr(value, "__qualname__", type(value).__name__)
+
+
+def require_same(where: object, saved: Any, own: Any, name: str = "") -> None:
+    """Raise a `ValueError` that names the first parameter which a saved state and a model do not share."""
+    if saved == own:
+        return
+    got, expected = shown(saved), shown(own)
+    if isinstance(saved, dict) and isinstance(own, dict):
+        for key in own if saved.keys() == own.keys() else ():
+            require_same(where, saved[key], own[key], f"{name}.{key}" if name else key)
+        got, expected = (", ".join(sorted(each)) for each in (saved, own))
+    raise ValueError(f"{where}: {name or 'model'}: got {got}, expected {expected} as in the model")
 
 
 def _digest(arrays: Arrays) -> str:

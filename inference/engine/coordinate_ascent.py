@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...models.core.checks import Count, Positive, checked
 from ...models.core.frame import Frame
 from . import checkpoint
-from .graph import MultiChain, as_frame, require_frames, require_later, require_model
+from .graph import MultiChain, as_frame, naming_message, require_frames, require_later, require_model
 from .protocols import (
     BatchChain,
     BatchIncoming,
@@ -111,7 +111,8 @@ class TimeSlices:
             node = self.model.features[feature]
             # what comes in is that of now, whatever others say later
             incoming = _IncomingOverTime(self.copy(), chain)
-            messages = self.model.chains[chain].messages(self.trajectories[chain], node, incoming)
+            with naming_message(chain, feature):
+                messages = self.model.chains[chain].messages(self.trajectories[chain], node, incoming)
             if len(messages) != len(self.frames):
                 raise ValueError(
                     f"messages of {chain!r}: got {len(messages)}, expected {len(self.frames)}, one a frame"
@@ -149,7 +150,8 @@ class TimeSlices:
         factors = []
         for name in self.model.senders[feature]:
             if name != without and (name, feature) in self.sent:
-                message = self.sent[name, feature][time]
+                with naming_message(name, feature):  # it may be worked out only now
+                    message = self.sent[name, feature][time]
                 if not isinstance(message, self.model.message_kinds[feature]):
                     raise self.model.wrong_message(name, feature, message)
                 factors.append(message)
@@ -416,6 +418,7 @@ class CoordinateAscent:
             "latest": None if same else solution._latest.saved(),
             "rounds": solution.rounds,
             "converged": solution.converged,
+            "parameters": self.model.parameters(),
             "about": dict(about or {}),
         }
         checkpoint.save(path, values, self._kinds())
@@ -432,11 +435,13 @@ class CoordinateAscent:
         Raises
         ------
         ValueError
-            if the file is broken, of another version, of other chains or another number of frames.
+            if the file is broken, of another version, of other chains, parameters or number of frames.
         OSError
             if the file cannot be opened.
         """
-        values = checkpoint.load(file, self._kinds())
+        contents = file if isinstance(file, checkpoint.Contents) else checkpoint.read(file)
+        checkpoint.require_same(contents.path, contents.plain("parameters"), self.model.parameters())
+        values = checkpoint.load(contents, self._kinds())
         slices = _as_frames(frames, dt)
         best = TimeSlices.restored(self.model, slices, values["best"])
         latest = values["latest"]
@@ -471,7 +476,8 @@ class CoordinateAscent:
             "smoothed": dict[str, int],
             "read": dict[str, tuple[int, ...]],
         }
-        rest = {"rounds": tuple[Round, ...], "converged": bool, "about": dict[str, Any]}
+        plain = dict[str, Any]
+        rest = {"rounds": tuple[Round, ...], "converged": bool, "parameters": plain, "about": plain}
         return {"best": slices, "latest": slices, **rest}
 
 

@@ -1,6 +1,7 @@
 """The graph of chains, feature nodes and the image, and the order of messages that follows from it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from ...models.core.checks import checked, shown
 from ...models.core.frame import Frame
+from .checkpoint import parameters_of
 from .protocols import (
     BatchChain,
     BatchIncoming,
@@ -202,6 +204,10 @@ class MultiChain:
         other.graph = self.graph.copy()
         return other
 
+    def parameters(self) -> dict[str, Any]:
+        """Return the parameters of all chains and feature nodes by name, as plain JSON."""
+        return {name: parameters_of(node) for name, node in {**self.chains, **self.features}.items()}
+
     def components(self) -> list[list[str]]:
         """Return the groups of features that remain connected without the cut edges."""
         edges = [(name, feature) for feature in self.features for name in self.senders[feature]]
@@ -323,6 +329,19 @@ class MultiChain:
                             ((sender, other), (chain, feature)) for sender in senders if sender != chain
                         )
         return needs
+
+
+@contextmanager
+def naming_message(sender: str, feature: str) -> Iterator[None]:
+    """Have an error of a chain's message, such as NaN in it, name the chain and the feature."""
+    beginning = "message from "
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        if str(error).startswith(beginning):  # of another chain's message, which this one depends on
+            raise
+        kind = TypeError if isinstance(error, TypeError) else ValueError
+        raise kind(f"{beginning}{sender!r} to {feature!r}: {error}") from error
 
 
 def require_model(model: object) -> None:

@@ -320,8 +320,8 @@ class RecursiveBP:
         OSError
             if the file cannot be written; an older one is then left as it was.
         """
-        values = {**state.saved(), "about": dict(about or {})}
-        checkpoint.save(path, values, {**RunState.kinds(self.model.chains), "about": dict[str, Any]})
+        values = {**state.saved(), "parameters": self.model.parameters(), "about": dict(about or {})}
+        checkpoint.save(path, values, self._kinds())
 
     @checked
     def load(self, path: str | Path) -> tuple[RunState, dict[str, Any]]:
@@ -330,13 +330,20 @@ class RecursiveBP:
         Raises
         ------
         ValueError
-            if the file is broken, of another version, or of a model with other chains.
+            if the file is broken, of another version, or of a model with other chains or parameters.
         OSError
             if the file cannot be opened.
         """
-        values = checkpoint.load(path, {**RunState.kinds(self.model.chains), "about": dict[str, Any]})
+        contents = checkpoint.read(path)
+        checkpoint.require_same(contents.path, contents.plain("parameters"), self.model.parameters())
+        values = checkpoint.load(contents, self._kinds())
         about = values.pop("about")
+        del values["parameters"]
         return RunState.restored(values), about
+
+    def _kinds(self) -> dict[str, Any]:
+        plain = {"parameters": dict[str, Any], "about": dict[str, Any]}
+        return {**RunState.kinds(self.model.chains), **plain}
 
 
 def _require_states(method: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> None:

@@ -6,7 +6,7 @@ from math import inf
 from typing import Any
 
 from ...models.core.frame import Frame
-from .graph import IMAGE, MultiChain, Step
+from .graph import IMAGE, MultiChain, Step, naming_message
 from .protocols import Cavity, Incoming, Message, Named, Results
 
 
@@ -279,7 +279,8 @@ class TimeSlice:
                 message = node.evidence(self.frame, prior)
             else:
                 chain, state = self.model.chains[sent.sender], self.predictions[sent.sender]
-                message = chain.message(state, node, _Incoming(self, sent.incoming))
+                with naming_message(sent.sender, sent.feature):
+                    message = chain.message(state, node, _Incoming(self, sent.incoming))
             if not isinstance(message, self.model.message_kinds[sent.feature]):
                 raise self.model.wrong_message(sent.sender, sent.feature, message)
             sent.message = message

@@ -232,7 +232,7 @@ HOSTILE: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
     "other parameters": (
         lambda: setattr(BodyTracker(samples=10), "state", BodyTracker(samples=20).state),
         ValueError,
-        "samples 20, expected 10",
+        "samples: got 20, expected 10",
     ),
 }  # fmt: skip
 
@@ -256,5 +256,7 @@ def test_an_image_of_another_size_or_an_earlier_time_is_refused(detected: Any) -
 def test_a_file_that_is_no_state_of_the_tracker_is_named(tmp_path: Path) -> None:
     path = tmp_path / "state.npz"
     PointTracker().save(path)
-    with pytest.raises(ValueError, match=r"state\.npz.*tracker 'PointTracker'"):
+    with pytest.raises(
+        ValueError, match=r"state\.npz.*got one of PointTracker, expected one of ObjectTracker"
+    ):
         ObjectTracker().load(path)

@@ -27,11 +27,10 @@ def near_the_person(names: Names) -> bool:
     return len(off) > 150 and max(off) < 30
 
 
-def together_is_better(names: Names) -> bool:
-    """Of two errors over time, that of the model with more in it is the smaller one."""
-    alone = [error for name, error in names["errors"].items() if "alone" in name]
-    together = [error for name, error in names["errors"].items() if "alone" not in name]
-    return bool(np.nanmean(together[0][10:]) < 0.7 * np.nanmean(alone[0][10:]))
+def structure_is_better(names: Names) -> bool:
+    """Its share of the tracker's error is 0.160 in the mean of 20 such films, with a deviation of 0.012."""
+    alone, together = (np.nanmean(errors[10:]) for errors in names["errors"].values())
+    return bool(abs(together / alone - 0.160) < 4 * 0.012)
 
 
 def error_at_the_door(names: Names) -> list[float]:
@@ -72,7 +71,7 @@ CLAIMS: dict[str, Callable[[Names], bool]] = {
     "plot_06_own_feature": lambda n: np.abs(np.angle(n["vectors"] / np.exp(1j * n["angles"]))).max() < 0.5,
     "plot_07_save_and_resume": lambda n: np.array_equal(n["whole"][75:], n["halves"]),
     "plot_08_cylinder": lambda n: len(n["structure"].factorisation.shape) == len(n["turning"].shape),
-    "plot_09_online_structure": together_is_better,
+    "plot_09_online_structure": structure_is_better,
     "plot_10_face_and_background": lambda n: (
         np.mean(n["errors"]["face and background"]) < np.mean(n["errors"]["face alone"])
     ),

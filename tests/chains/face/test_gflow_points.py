@@ -81,6 +81,12 @@ def errors(scene: FaceScene, share: float, *, points: bool, seed: int) -> Array:
 
 
 def test_points_that_are_found_keep_a_face_whose_texture_misleads() -> None:
-    scene = face(30, 1, (192, 128), texture=0.3)
-    without, joined = (errors(scene, 0.6, points=points, seed=0) for points in (False, True))
-    assert joined[10:].mean() < 0.8 * without[10:].mean()
+    """Over 12 scenes the ratio of errors is 0.65 in the geometric mean, its logarithm varies by 0.33."""
+    ratios = []
+    for seed in range(4):
+        scene = face(30, seed, (192, 128), texture=0.3)
+        without, joined = (
+            errors(scene, 0.6, points=points, seed=seed)[10:].mean() for points in (False, True)
+        )
+        ratios.append(joined / without)
+    assert np.log(ratios).mean() < 0  # 2.6 standard errors from what is expected of four

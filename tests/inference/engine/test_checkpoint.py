@@ -13,12 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
+from rsmcm.apps import BodyTracker, FaceTracker, ObjectTracker, PointTracker
+from rsmcm.chains import AdaptiveBackground, FleshTracker, LinearGaussianChain, MixtureBackground
 from rsmcm.inference import Incoming, MultiChain, Port, RecursiveBP, RunState
 from rsmcm.inference.engine import checkpoint
+from rsmcm.models import BodyParts, PixelLabels, PointTracks, UpperBody
 from rsmcm.models.core.categorical import Categorical, CategoricalMessage
 from rsmcm.models.core.frame import Frame
 
-from ...support.discrete import image, random_model
+from ...support.discrete import image
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=5)
 DTYPES = st.one_of(
@@ -257,11 +260,48 @@ def test_other_files_are_named(tmp_path: Path) -> None:
         walking().load(path)
 
 
-def test_states_of_other_chains_are_named(tmp_path: Path) -> None:
-    path = saved(tmp_path / "run.npz")
-    other = RecursiveBP(random_model(np.random.default_rng(0), [("a", "f"), ("b", "f")]))
-    with pytest.raises(ValueError, match=r"run.npz: states: got walk, expected a, b"):
+PIXELS, PARTS, EYE = PixelLabels(), BodyParts(40.0), np.eye(2)
+
+
+def of(chain: Any, feature: Any = PIXELS) -> RecursiveBP:
+    return RecursiveBP(MultiChain().connect(chain, feature))
+
+
+@pytest.mark.parametrize(
+    ("saved", "other", "expected"),
+    [
+        (of(AdaptiveBackground()), of(AdaptiveBackground(noise=9.0)), "background.noise: got 30.0, expect"),
+        (of(AdaptiveBackground()), of(MixtureBackground()), "background: got class, drift, .*, settle_"),
+        (of(AdaptiveBackground()), of(AdaptiveBackground(), PixelLabels("p")), "model: got background, pi"),
+        (
+            of(FleshTracker(UpperBody.from_head(40)), PARTS),
+            of(FleshTracker(UpperBody.from_head(50)), PARTS),
+            "flesh.body.head_height: got 40.0, expected 50.0 as in the model$",
+        ),
+        (
+            of(LinearGaussianChain(EYE, EYE, None, None, features=PointTracks), PointTracks()),
+            of(LinearGaussianChain(EYE, 2 * EYE, None, None, features=PointTracks), PointTracks()),
+            r"kalman.Q: got 'float64 \(2, 2\) \w+', expected 'float64 \(2, 2\) \w+'",
+        ),
+        (ObjectTracker(), PointTracker(), "got one of ObjectTracker, expected one of PointTracker"),
+        (
+            ObjectTracker(),
+            ObjectTracker(parameters={"blobs": {"max_coast_time": 4.0}}),
+            r"parameters.blobs.max_coast_time: got 0.6, expected 4.0",
+        ),
+        (PointTracker(points=50), PointTracker(), "points: got 50, expected 200"),
+        (BodyTracker(samples=10), BodyTracker(samples=20), "samples: got 10, expected 20"),
+        (FaceTracker(experts=3), FaceTracker(experts=4), "experts: got 3, expected 4"),
+    ],
+)  # fmt: skip
+def test_a_state_of_another_model_is_refused_by_its_first_difference(
+    tmp_path: Path, saved: Any, other: Any, expected: str
+) -> None:
+    path = tmp_path / "run.npz"
+    saved.save(path, *([RunState()] if isinstance(saved, RecursiveBP) else []))
+    with pytest.raises(ValueError, match=f"^{path}: .*{expected}"):
         other.load(path)
+    saved.load(path)
 
 
 def test_missing_fields_are_named(tmp_path: Path) -> None:

@@ -13,6 +13,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rsmcm.inference import Belief, Cavity, Incoming, MultiChain, Port, RecursiveBP, RunState
+from rsmcm.models import (
+    GaussianMessage,
+    Layer,
+    LayerStack,
+    PixelLabels,
+    PixelMessage,
+    PointMessage,
+    PointTracks,
+)
 from rsmcm.models.core.categorical import Categorical, CategoricalMessage
 from rsmcm.models.core.frame import Frame
 from scipy.special import logsumexp
@@ -323,6 +332,36 @@ def test_a_message_that_is_none_of_its_feature_is_refused(message: object) -> No
     expected = f"from 'b' to 'f': got {type(message).__name__}, expected CategoricalMessage"
     with pytest.raises(TypeError, match=expected):
         list(RecursiveBP(model).run(FRAMES))
+
+
+def nan_mask() -> PixelMessage:
+    return PixelMessage(layers=LayerStack([Layer(0, 0, np.full((2, 2), np.nan, np.float32), None)]))
+
+
+def points_at(mean: float, variance: float) -> PointMessage:
+    return PointMessage(GaussianMessage.from_moments([1], [[mean, 0.0]], variance * np.eye(2)[None]))
+
+
+@pytest.mark.parametrize(
+    ("feature", "say", "expected"),
+    [
+        (PixelLabels(), nan_mask, "to 'pixels': mask: got NaN or infinity, expected finite numbers"),
+        (PointTracks(), lambda: points_at(np.nan, 1.0), "to 'points': vector: got NaN or infinity, "),
+        (PointTracks(), lambda: points_at(np.inf, 1.0), "to 'points': vector: got NaN or infinity, "),
+        (PointTracks(), lambda: points_at(0.0, np.nan), "to 'points': .*: got .*, expected "),
+    ],
+)  # fmt: skip
+def test_numbers_that_are_not_finite_are_refused_with_the_chain_and_the_feature(
+    feature: Any, say: Any, expected: str
+) -> None:
+    chain = DiscreteChain("door", np.ones(1), np.eye(1), {})
+    chain.ports = (Port(type(feature)),)
+    chain.message = lambda *_: say()  # type: ignore[method-assign]
+    reader = DiscreteChain("reader", np.ones(1), np.eye(1), {})
+    reader.ports = chain.ports
+    model = MultiChain().connect(chain, feature).connect(reader, feature, feedback=False)
+    with pytest.raises(ValueError, match=f"^message from 'door' {expected}"):
+        RecursiveBP(model).step(RunState(), Frame(image(1), 0.0, 1))
 
 
 def test_a_time_slice_is_gone_when_nobody_needs_it() -> None:
