@@ -227,7 +227,8 @@ def log_evidence(pixels, before, light_field, model, shift):
                 distance[x] = d0 * d0
         variance, noise = before.variance[row], before.noise[row]
         if shift.size > 1:
-            added[:] = shift[row]
+            for x in range(width):
+                added[x] = shift[y * width + x]
         in_row = _f4(0)
         for x in range(width):
             known = variance_of(variance[x])

@@ -87,17 +87,20 @@ def subtract_mixture(first, end, width, planes, mixture, share, log_prior, log_o
 @compiled
 def mixture_log_evidence(width, planes, mixture, share, log_prior, shift):
     """Return the sum over pixels of log(exp(log odds + shift) + 1), neither rounded nor saturated."""
-    odds, added = np.empty(width, np.float32), np.full(width, shift[0])
+    odds = np.empty(width, np.float32)
     total = 0.0
     for y in range(planes.shape[1] // width):
         here = slice(y * width, (y + 1) * width)
         _row_log_odds(planes, mixture, here, share, log_prior, odds)
         if shift.size > 1:
-            added[:] = shift[here]
+            for x in range(width):
+                odds[x] += shift[y * width + x]
+        else:
+            for x in range(width):
+                odds[x] += shift[0]
         in_row = _f4(0)
         for x in range(width):
-            sum_of_both = odds[x] + added[x]
-            in_row += max(sum_of_both, _f4(0)) + logarithm(_f4(1) + exponential(-abs(sum_of_both)))
+            in_row += max(odds[x], _f4(0)) + logarithm(_f4(1) + exponential(-abs(odds[x])))
         total += in_row
     return total
 
