@@ -4,8 +4,10 @@ import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from ...models.core.short_repr import short_repr
 from ...models.numerics.compiled import compiled, logarithm, put
@@ -48,137 +50,54 @@ LUMA_NOISE = 20.0
 """Squared grey levels: what luma differs by in any case, so that two flat surfaces are alike."""
 
 
-@compiled
-def interpolate(blocks, left, share, rows):
-    """Interpolate the field along x at the blocks' centres, between block `left` of every pixel and the next.
-
-    There is one more block on every side, as the slope of the logarithm goes on; all are within bounds.
-    """
-    around = beyond(np.log(blocks).astype(np.float64))
-    for row in range(rows.shape[0]):
-        out = rows[row]
-        values = np.empty(around.shape[1], np.float32)
-        for column in range(values.size):
-            values[column] = min(max(np.exp(around[row, column]), DARKEST), BRIGHTEST)
-        for x in range(out.size):
-            out[x] = values[left[x]] + share[x] * (values[left[x] + 1] - values[left[x]])
-
-
-@compiled
-def beyond(blocks):
-    """Return the blocks with one more all around, extrapolated by their slopes."""
-    rows, columns = blocks.shape
-    out = np.empty((rows + 2, columns + 2), blocks.dtype)
-    for row in range(rows):
-        for column in range(columns):
-            out[row + 1, column + 1] = blocks[row, column]
-        out[row + 1, 0] = 2 * out[row + 1, 1] - out[row + 1, 2]
-        out[row + 1, columns + 1] = 2 * out[row + 1, columns] - out[row + 1, columns - 1]
-    for column in range(columns + 2):
-        out[0, column] = 2 * out[1, column] - out[2, column]
-        out[rows + 1, column] = 2 * out[rows, column] - out[rows - 1, column]
-    return out
-
-
-@compiled
-def follow(blocks, ratios, agreement, texture, covered, fastest, slowly, hidden, after):
-    """Update the blocks of light by what is measured in a frame (see `light_ratios`).
+def follow(
+    blocks: Planes,
+    ratios: Planes,
+    agreement: Planes,
+    texture: Planes,
+    covered: Planes,
+    fastest: float,
+    slowly: float,
+    hidden: float,
+) -> Planes:
+    """Return the blocks of light, updated by what is measured in a frame (see `light_ratios`).
 
     `fastest` is the log of the most that it changes; of a slight change only the share `slowly` is followed,
     and the share `hidden` is what a block that is not seen takes from those around it.
     """
-    rows, columns = blocks.shape
-    change, weight = np.log(ratios).astype(np.float64), np.empty((rows, columns), np.float64)
-    for row in range(rows):
-        for column in range(columns):
-            # by what is known to be there (the median is that of the larger half), and by its texture
-            clear = min(max(1 - 2 * np.float64(covered[row, column]), 0.0), 1.0) ** 2
-            clear = min(max(clear, UNSEEN), 1 - UNSEEN)
-            odds = np.log(clear) - np.log1p(-clear) + texture[row, column]
-            seen = 1 / (1 + np.exp(-min(max(odds, -30.0), 30.0)))
-            agreed = np.float64(agreement[row, column])
-            weight[row, column] = seen * agreed if agreed > LEAST_AGREEMENT else 0.0
-    smooth = _smoothed(beyond(_medians(beyond(_filled(change, weight)))))
-    moved = np.empty((rows, columns), np.float64)
-    for row in range(rows):
-        for column in range(columns):
-            step = smooth[row, column]
-            if abs(change[row, column] - step) >= SAME_LIGHT:
-                weight[row, column] = 0.0
-            step *= 1.0 if abs(step) > STEADY_LIGHT else slowly
-            moved[row, column] = np.log(blocks[row, column]) + min(max(step, -fastest), fastest)
-    around = _filled(moved, weight)
-    for row in range(rows):
-        for column in range(columns):
-            share = (1 - weight[row, column]) * hidden
-            value = moved[row, column] + share * (around[row, column] - moved[row, column])
-            after[row, column] = min(max(np.exp(value), DARKEST), BRIGHTEST)
+    # by what is known to be there (the median is that of the larger half), and by its texture
+    clear = np.square((1 - 2 * covered.astype(np.float64)).clip(0, 1)).clip(UNSEEN, 1 - UNSEEN)
+    odds = np.log(clear) - np.log1p(-clear) + texture
+    weight = np.where(agreement > LEAST_AGREEMENT, agreement / (1 + np.exp(-odds.clip(-30, 30))), 0.0)
+    change = np.log(ratios).astype(np.float64)
+    medians = ndimage.median_filter(_extrapolated(_filled(change, weight)), 3)[1:-1, 1:-1]
+    padded = _extrapolated(medians)  # smoothed by 1 2 1 both ways: errors of no wavelength grow
+    rows = padded[:-2] + 2 * padded[1:-1] + padded[2:]
+    step = (rows[:, :-2] + 2 * rows[:, 1:-1] + rows[:, 2:]) / 16
+    weight[np.abs(change - step) >= SAME_LIGHT] = 0
+    step *= np.where(np.abs(step) > STEADY_LIGHT, 1.0, slowly)
+    moved = np.log(blocks) + step.clip(-fastest, fastest)
+    moved += (1 - weight) * hidden * (_filled(moved, weight) - moved)
+    return np.exp(moved).clip(DARKEST, BRIGHTEST).astype(np.float32)
 
 
-@compiled
-def _filled(values, weight):
+def _extrapolated(blocks: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the blocks with one more all around, by their slopes."""
+    rows = np.vstack((2 * blocks[0] - blocks[1], blocks, 2 * blocks[-1] - blocks[-2])).T
+    return np.vstack((2 * rows[0] - rows[1], rows, 2 * rows[-1] - rows[-2])).T
+
+
+def _filled(values: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
     """Normalised convolution over narrowing windows: where the weight is small, what is around counts."""
-    rows, columns = weight.shape
-    sums = np.zeros((2, rows + 1, columns + 1))  # of all that is above and left
-    for row in range(rows):
-        for column in range(columns):
-            for k in range(2):
-                own = weight[row, column] * (values[row, column] if k == 0 else 1.0)
-                before = sums[k, row, column + 1] + sums[k, row + 1, column] - sums[k, row, column]
-                sums[k, row + 1, column + 1] = own + before
-    filled = np.full((rows, columns), sums[0, rows, columns] / (sums[1, rows, columns] + 1))
-    reach = 1
-    while 2 * reach < max(rows, columns):
-        reach *= 2
-    while True:
+    both = np.dstack((weight * values, weight))
+    sums = both.sum(axis=(0, 1))
+    filled = np.full(weight.shape, sums[0] / (sums[1] + 1))
+    for reach in (*(2**k for k in reversed(range((max(weight.shape) - 1).bit_length()))), 0):
         wider = WINDOW_WEIGHT if reach > 0 else OWN_WEIGHT
-        for row in range(rows):
-            top, bottom = max(row - reach, 0), min(row + reach + 1, rows)
-            for column in range(columns):
-                left, right = max(column - reach, 0), min(column + reach + 1, columns)
-                above = wider * filled[row, column]
-                below = wider
-                above += (
-                    sums[0, bottom, right] - sums[0, top, right] - sums[0, bottom, left] + sums[0, top, left]
-                )
-                below += (
-                    sums[1, bottom, right] - sums[1, top, right] - sums[1, bottom, left] + sums[1, top, left]
-                )
-                filled[row, column] = above / below
-        if reach == 0:
-            return filled
-        reach //= 2
-
-
-@compiled
-def _medians(blocks):
-    """Of 3 x 3 blocks, without those at the border."""
-    out = np.empty((blocks.shape[0] - 2, blocks.shape[1] - 2))
-    nine = np.empty(9)
-    for row in range(out.shape[0]):
-        for column in range(out.shape[1]):
-            for k in range(9):
-                value, place = blocks[row + k // 3, column + k % 3], k
-                while place > 0 and nine[place - 1] > value:
-                    nine[place] = nine[place - 1]
-                    place -= 1
-                nine[place] = value
-            out[row, column] = nine[4]
-    return out
-
-
-@compiled
-def _smoothed(blocks):
-    """By 1 2 1 both ways, without those at the border: errors of no wavelength grow."""
-    out = np.empty((blocks.shape[0] - 2, blocks.shape[1] - 2))
-    for row in range(out.shape[0]):
-        for column in range(out.shape[1]):
-            value = 0.0
-            for k in range(9):
-                weight = (2 - abs(k // 3 - 1)) * (2 - abs(k % 3 - 1))
-                value += weight * blocks[row + k // 3, column + k % 3]
-            out[row, column] = value / 16
-    return out
+        window = (2 * reach + 1, 2 * reach + 1)
+        inside = cv2.boxFilter(both, -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        filled = (inside[:, :, 0] + wider * filled) / (inside[:, :, 1] + wider)
+    return filled
 
 
 @compiled
@@ -313,9 +232,10 @@ class LightField:
     def along_rows(self) -> Light:
         """Field along x at the blocks' centres, and where between them each row lies."""
         left, share = _neighbours(self.size[1], self.blocks.shape[1])
-        rows: Planes = np.empty((len(self.blocks) + 2, self.size[1]), np.float32)
-        interpolate(self.blocks, left, share, rows)
-        return Light(rows, _positions(self.size[0], self.blocks.shape[0]))
+        around = np.exp(_extrapolated(np.log(self.blocks).astype(np.float64))).clip(DARKEST, BRIGHTEST)
+        values = around.astype(np.float32)
+        here, right = values.take(left, axis=1), values.take(left + 1, axis=1)
+        return Light(here + share * (right - here), _positions(self.size[0], self.blocks.shape[0]))
 
 
 @lru_cache(maxsize=16)
@@ -362,10 +282,8 @@ def track_light(
 
     over_bands(work, len(before.blocks))
     slowly, hidden = (-math.expm1(-elapsed / time) for time in (LIGHT_TIME, HIDDEN_TIME))
-    blocks: Planes = np.empty_like(before.blocks)
-    follow(
-        before.blocks, ratios, agreement, texture, covered, FASTEST_LIGHT * elapsed, slowly, hidden, blocks
-    )
+    fastest = FASTEST_LIGHT * elapsed
+    blocks = follow(before.blocks, ratios, agreement, texture, covered, fastest, slowly, hidden)
     return LightField(blocks, before.size)
 
 
