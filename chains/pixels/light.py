@@ -78,7 +78,8 @@ def follow(
     step *= np.where(np.abs(step) > STEADY_LIGHT, 1.0, slowly)
     moved = np.log(blocks) + step.clip(-fastest, fastest)
     moved += (1 - weight) * hidden * (_filled(moved, weight) - moved)
-    return np.exp(moved).clip(DARKEST, BRIGHTEST).astype(np.float32)
+    after: Planes = np.exp(moved).clip(DARKEST, BRIGHTEST).astype(np.float32)
+    return after
 
 
 def _extrapolated(blocks: NDArray[np.float64]) -> NDArray[np.float64]:
