@@ -6,7 +6,7 @@ more memory than one, and two runs over the same scene see the same bytes.
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Annotated, Literal
 
 import cv2
@@ -479,7 +479,7 @@ class Scene(GeneratedFilm):
     def _composed(self, index: int) -> Pixels:
         """`(height, width, 3)` float32 of frame `index` under even light, without noise."""
         picture = self._ground.copy()
-        for layer in self._layers(index):
+        for layer in _layers_of(self, index):
             layer.paint(picture)
         return picture
 
@@ -526,8 +526,13 @@ class Scene(GeneratedFilm):
         return car, self._figure.posed(feet, 0.94 * height, walked, gait, index * self.dt)
 
     def _visible(self, index: int) -> tuple[Mask, Mask]:
-        car, person = (layer.mask(self.size) for layer in self._layers(index))
+        car, person = (layer.mask(self.size) for layer in _layers_of(self, index))
         return car & ~person, person
+
+
+@lru_cache(maxsize=1)  # the picture and the masks of a frame show the same layers
+def _layers_of(scene: Scene, index: int) -> tuple[Layer, Layer]:
+    return scene._layers(index)
 
 
 @dataclass(frozen=True, eq=False)
