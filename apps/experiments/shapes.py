@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...inference.sfm.nonrigid.learning import LEAST_FRAMES, learn_shape
 from ...inference.sfm.nonrigid.shape import NonrigidShape, shape_error
+from ..io.point_files import read_shapes
 from .datasets import data_folder
 from .experiment import Findings, Plot, by_seed
 from .record import Expectation, Table, over_seeds
@@ -95,7 +96,7 @@ def shapes() -> Findings:
     OSError
         if the sequences cannot be found.
     """
-    truths = {name: read_truth(sequence_file(name)) for name in BASES}
+    truths = {name: read_shapes(sequence_file(name)) for name in BASES}
     learn = partial(learn_withheld, truths, BASES)
     # nothing is random where nothing is withheld
     measured = by_seed("whole tracks", learn, [(name, MISSING[0]) for name in BASES], SEEDS[:1])
@@ -162,29 +163,6 @@ def sequence_file(name: str) -> Path:
         if it cannot be found.
     """
     return data_folder("nrsfm-mocap" if name in MOTION_CAPTURE else "nrsfm-torresani") / f"{name}.mat"
-
-
-def read_truth(path: Path) -> Numbers:
-    """Read a sequence, `(n_frames, n_points, 3)` in the camera's axes.
-
-    Its `P3_gt` has all frames' X, then all Y, then all Z; or its `X` is `(3, n_points, n_frames)`.
-
-    Raises
-    ------
-    ValueError
-        if there is no such array.
-    OSError
-        if the file cannot be read.
-    """
-    from scipy.io import loadmat
-
-    content = loadmat(path)
-    if "X" in content and content["X"].ndim == 3 and len(content["X"]) == 3:
-        return np.ascontiguousarray(content["X"].transpose(2, 1, 0), np.float64)
-    rows = np.asarray(content.get("P3_gt", np.zeros(0)), np.float64)
-    if rows.ndim != 2 or len(rows) % 3:
-        raise ValueError(f"{path}: got {rows.shape}, expected 'P3_gt' (3 n_frames, n_points)")
-    return np.stack(np.split(rows, 3), axis=-1)
 
 
 def withheld(tracks: Numbers, share: float, random: np.random.Generator) -> Numbers:

@@ -31,7 +31,6 @@ CURVES = "curves"  # the part that is a record of its own: there nothing is besi
 PARTS = {
     "background": "background:speeds",
     "large": "background:large",
-    "objects": "background:objects",
     "command": "background:whole_command",
     "start": "background:start",
     "points": "points:points",

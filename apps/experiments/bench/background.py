@@ -34,7 +34,7 @@ from ..compare import Model
 from ..datasets import data_folder
 from ..experiment import Findings
 from ..record import Expectation
-from .timing import ROUNDS, in_turns, of_chains, over_frames, over_rounds
+from .timing import ROUNDS, in_turns, over_frames, over_rounds
 
 SIZE = (768, 576)
 N_FRAMES = 240  # preloaded: 320 MB
@@ -45,7 +45,6 @@ WANTED = {1: (0.12, 0.35, 0.45), 2: (0.15, 0.45, 0.6)}
 
 LARGE, N_OBJECTS = (1920, 1080), 20
 WANTED_LARGE = {1: 0.3, 2: 0.4}
-MIDDLE, FEW, MANY = (1280, 720), 10, 100
 CROWD_TURN, CROWD_WARM_UP = 6, 30  # frames, of scenes with a crowd, which is found in the first second
 
 SHORT, LONG = 50, 250
@@ -174,25 +173,6 @@ def _of_large(at: str, wanted: float, seconds: Mapping[str, float]) -> list[Expe
         Expectation(f"{at}: MOG2, ms a frame", 1e3 * mog2),
         Expectation(f"{at}: all chains, ms a frame", 1e3 * ours),
         Expectation(f"{at}: all chains over MOG2", ours / mog2, "<=", wanted),
-    ]
-
-
-def objects() -> Findings:
-    """Measure the blob tracker with many objects, beside few."""
-    set_threads(1)
-    spent = {}
-    for count in (FEW, MANY):
-        frames = crowd(count, CROWD_WARM_UP + ROUNDS * CROWD_TURN, MIDDLE[::-1])
-        seconds = [each["blobs"] for each in of_chains(build_model(), frames)[0][CROWD_WARM_UP:]]
-        spent[count] = np.reshape(seconds, (ROUNDS, CROWD_TURN)).mean(axis=1).tolist()
-    return Findings("Many objects", [], over_rounds(_of_objects, spent))
-
-
-def _of_objects(seconds: Mapping[int, float]) -> list[Expectation]:
-    what = f"tracker of blobs, {MIDDLE[0]}x{MIDDLE[1]}, 1 thread"
-    return [
-        *(Expectation(f"{what}: {n} objects, ms a frame", 1e3 * seconds[n]) for n in (FEW, MANY)),
-        Expectation(f"{what}: {MANY} objects over {FEW}, time", seconds[MANY] / seconds[FEW], "<=", 3.0),
     ]
 
 

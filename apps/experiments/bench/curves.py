@@ -1,10 +1,10 @@
-"""Cost as curves: over pixels, objects, points, observations, tracks, samples, experts, texels and frames."""
+"""Cost as curves: over pixels, objects, points, samples, experts, texels and frames."""
 
 import itertools
 import math
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -15,11 +15,7 @@ import psutil
 from numpy.typing import NDArray
 
 from ....chains import ArticulatedPose, FleshTracker, PointTracker
-from ....chains.structure.track_association import associate_tracks
 from ....inference import MultiChain
-from ....inference.sfm.factor_analysis.em import Posterior, expectation_maximisation
-from ....inference.sfm.factor_analysis.factorisation import around_start
-from ....inference.sfm.factor_analysis.observations import Array, Observations, SparseObservations
 from ....models import Frame, PointTracks
 from ....models.numerics.threads import set_threads
 from ...background.application import build_model
@@ -31,16 +27,14 @@ from .background import in_steps, preloaded, subtracting
 from .people import EXPERTS as USUAL_EXPERTS
 from .people import FACE_FRAMES, SIZE, BodyFilm, seconds_a_frame
 from .people import TEXELS as USUAL_TEXELS
-from .points import turning_points
-from .timing import in_turns, of_chains, over_frames
+from .timing import of_chains, over_frames
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-WANTED: Mapping[str, float] = {"frames so far": 0.05, "tracks": 1.2}
-"""Powers of time by unit; of all others `LINEAR`."""
+LINEAR, CONSTANT = 1.1, 0.05
+"""Largest powers of time: in the frames so far it is to stay constant."""
 
-LINEAR = 1.1
 PEER = "MOG2"
 N_WATCHED, GROWN = 1500, 32.0
 """Frames of the film over which time and memory are watched, and MB by which memory may grow."""
@@ -49,8 +43,6 @@ SIZES = ((320, 240), (640, 480), (1280, 720), (1920, 1080), (3840, 2160))
 OF_CROWD = (1920, 1080)
 OBJECTS = (1, 3, 10, 30, 100, 300)
 POINTS = (100, 1000, 10_000, 100_000)
-OBSERVATIONS = (10**3, 10**4, 10**5, 10**6, 10**7)
-TRACKS = (250, 500, 1000, 2000)
 SAMPLES = (250, 1000, 4000, 16_000)
 EXPERTS = (1, 5, 20, 80)
 TEXELS = (1000, 4000, 16_000)
@@ -59,8 +51,6 @@ ROUNDS, TURN, WARM_UP, CROWD_WARM_UP = 7, 2, 16, 30
 """All but the first in frames; a crowd of many takes longer to be found."""
 
 SIDE, SHIFT = 2560, (1.4, -0.7)  # px, of a picture that has corners for all points, and from frame to frame
-LENGTH = 30  # frames in which a point is seen
-PIECES, PIECE = 4, 15  # tracks of a point, and frames of each
 
 
 @dataclass(frozen=True)
@@ -98,11 +88,12 @@ def curves() -> Findings:
     set_threads(1)
     over_time, grown = over_frames_of_a_film(N_WATCHED)
     found = [
-        *over_pixels(), *over_objects(), over_time, over_points(), over_observations(), over_tracks(),
-        over_samples(), of_face("experts", EXPERTS), of_face("texels", TEXELS),
+        *over_pixels(), *over_objects(), over_time, over_points(), over_samples(),
+        of_face("experts", EXPERTS), of_face("texels", TEXELS),
     ]  # fmt: skip
     expectations = [
-        each.expectation(None if each.name == PEER else WANTED.get(each.unit, LINEAR)) for each in found
+        each.expectation(None if each.name == PEER else CONSTANT if each is over_time else LINEAR)
+        for each in found
     ]
     what = f"memory grown over the last four fifths of {N_WATCHED} frames, MB"
     expectations.append(Expectation(what, grown, "<=", GROWN))
@@ -191,7 +182,7 @@ def over_frames_of_a_film(count: int) -> tuple[Curve, float]:
     return Curve.of("all chains, PETS2009", "frames so far", rounds), grown
 
 
-# --- points and structure -----------------------------------------------------------------------------------
+# --- points -----------------------------------------------------------------------------------------------
 
 
 def over_points() -> Curve:
@@ -213,68 +204,6 @@ def _moved(texture: NDArray[np.uint8], number: int) -> NDArray[np.uint8]:
     shift = np.array([[1.0, 0.0, number * SHIFT[0]], [0.0, 1.0, number * SHIFT[1] + 32]])
     moved = cv2.warpAffine(texture, shift, (SIDE, SIDE), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
     return np.asarray(moved, np.uint8)
-
-
-def over_observations() -> Curve:
-    """Measure an iteration of EM, of tracks of 30 frames each: the difference of few and more."""
-    rounds: dict[float, list[float]] = {}
-    for count in OBSERVATIONS:
-        observations, start = turning(count)
-        steps: dict[str, Callable[[], object]] = {
-            str(n): partial(expectation_maximisation, observations, start, iterations=n, tolerance=-np.inf)
-            for n in (2, 7)
-        }
-        spent = in_turns(steps, ROUNDS)
-        rounds[observations.count] = ((np.array(spent["7"]) - spent["2"]) / 5).tolist()
-    return Curve.of("an iteration of EM", "observations", rounds)
-
-
-def turning(count: int) -> tuple[Observations, Posterior]:
-    """Return so many observations of points before a turning camera, and a start of EM near the truth.
-
-    Positions are in units of their standard deviation; they are lists, without a table of frames and points.
-    """
-    generator, errors = np.random.default_rng(0), np.random.default_rng(1)
-    n_frames, n_points = max(40, round(np.sqrt(count) / 2)), count // LENGTH
-    shape = generator.standard_normal((n_points, 3))
-    angle = np.linspace(0, n_frames / 50, n_frames)
-    cameras = np.zeros((n_frames, 2, 4))
-    cameras[:, 0, 0], cameras[:, 0, 2], cameras[:, 1, 1] = np.cos(angle), np.sin(angle), 1.0
-    first = generator.integers(0, n_frames - LENGTH, n_points, endpoint=True)
-    point = np.repeat(np.arange(n_points), LENGTH)
-    frame = np.repeat(first, LENGTH) + np.tile(np.arange(LENGTH), n_points)
-    x, y = (
-        np.einsum("nj,nj->n", cameras[frame, row, :3], shape[point])
-        + 0.01 * errors.standard_normal(len(frame))
-        for row in range(2)
-    )
-    listed = SparseObservations.sorted_by(point, n_points, frame, x, y, np.ones(len(point)))
-    observations = Observations(listed.transposed(n_frames), listed, np.zeros(2), 1.0, 1.0)
-    near = shape + 0.1 * generator.standard_normal(shape.shape)
-    all_frames, all_points = np.ones(n_frames, np.bool_), np.ones(n_points, np.bool_)
-    return observations, around_start(observations, cameras, near, all_frames, all_points, coherent=False)
-
-
-def over_tracks() -> Curve:
-    """Measure which tracks show one point: robust factor analysis, association, and the reading of both."""
-    steps = {count: partial(associate_tracks, broken_tracks(count)) for count in TRACKS}
-    turns = {count: 2 if count > TRACKS[1] else ROUNDS for count in TRACKS}
-    rounds: dict[float, list[float]] = {
-        count: in_turns({"ours": step}, turns[count])["ours"] for count, step in steps.items()
-    }
-    return Curve.of("association", "tracks", rounds)
-
-
-def broken_tracks(count: int) -> Array:
-    """Return positions `(n_frames, count, 2)` px of points tracked in four pieces, NaN between."""
-    n_frames, n_points = PIECES * PIECE, count // PIECES
-    positions = turning_points(n_frames, n_points, n_frames)
-    begun = np.random.default_rng(0).integers(0, PIECE, n_points)
-    piece, since = np.divmod(np.arange(n_frames)[:, None] + begun, PIECE)
-    frame, point = np.nonzero((piece < PIECES) & (since > 0))  # lost for a frame
-    broken = np.full((n_frames, PIECES * n_points, 2), np.nan)
-    broken[frame, point + n_points * piece[frame, point]] = positions[frame, point]
-    return broken
 
 
 # --- poses --------------------------------------------------------------------------------------------------

@@ -1,9 +1,9 @@
-"""Speed of G-flow, beside optic flow and `cv2.remap`, and of the body tracker on one thread and on two."""
+"""Speed of G-flow, beside optic flow, and of the body tracker on one thread and on two."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, Self
 
 import cv2
@@ -15,13 +15,9 @@ from ....chains.body.dynamics import BodyDynamics
 from ....chains.body.fixed_lag import BLOCK, FixedLag
 from ....chains.body.flesh_tracker import FleshTracker
 from ....chains.face.gflow import GFlow, GFlowState
-from ....chains.face.texture_filter import Texture
-from ....chains.face.texture_likelihood import TexturedObject, TextureLikelihood, image_pyramid
 from ....inference import MultiChain, RecursiveBP, RunState
 from ....inference.engine.protocols import Incoming
 from ....models import BodyParts, Frame, HaarFaces, UpperBody
-from ....models.face.morphable_model import Poses
-from ....models.face.surface import SurfaceTexels
 from ....models.numerics.threads import set_threads
 from ....models.pixels.pixel_labels import PixelLabels, PixelMessage
 from ...io.sources.open_source import open_source
@@ -52,7 +48,7 @@ def faces() -> Findings:
     set_threads(2)
     rates = rate_expectations(scene)
     set_threads(1)
-    return Findings("Faces", [], [*rates, *flow_expectations(scene), *fused_expectations(scene)])
+    return Findings("Faces", [], [*rates, *flow_expectations(scene)])
 
 
 @lru_cache(maxsize=1)
@@ -97,10 +93,6 @@ def rate_expectations(scene: FaceScene) -> list[Expectation]:
     return over_rounds(judge, spent)
 
 
-def _over(what: str, peer: str, ours: str, bound: float, seconds: Mapping[Any, float]) -> list[Expectation]:
-    return [Expectation(what, seconds[peer] / seconds[ours], ">=", bound)]
-
-
 def flow_expectations(scene: FaceScene) -> list[Expectation]:
     """Compare one dense expert with optic flow of as many points, forwards only and without a model."""
     after = _frames(scene)[FACE_WARM_UP + 1]
@@ -118,47 +110,9 @@ def flow_expectations(scene: FaceScene) -> list[Expectation]:
         "flow": lambda: cv2.calcOpticalFlowPyrLK(here, there, points[:, None], nowhere),
     }
     what = f"G-flow: PyrLK of {TEXELS} points over one expert of {TEXELS} texels, time"
-    return over_rounds(partial(_over, what, "flow", "expert", 1.0), in_turns(steps, ROUNDS, TURNS))
-
-
-def fused_expectations(scene: FaceScene) -> list[Expectation]:
-    """Compare the normal equations of one expert with three remaps and numpy."""
-    surface, poses = TexturedObject(scene.model, SurfaceTexels.dense(scene.model, TEXELS)), scene.poses[0]
-    level = image_pyramid(scene.image(1), float(poses.sizes[0]), n_levels=1, local_mean=True)
-    texture = Texture.unknown(1, 1, len(surface.texels), learn=False)
-    temperature = np.full_like(texture.variance, 36)
-    likelihood = TextureLikelihood(surface, level, texture.mean, temperature, surface.visible(poses))
-    slopes = [cv2.Sobel(level[0].image, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))]
-    owner = np.zeros(1, np.int64)
-    steps = {
-        "fused": lambda: likelihood.equations(0, poses, owner),
-        "remap": lambda: _by_remap(surface, likelihood, [level[0].image, *slopes], poses),
-    }
-    what = f"G-flow: remap and numpy over the fused normal equations, {TEXELS} texels, time"
-    return over_rounds(partial(_over, what, "remap", "fused", 6.0), in_turns(steps, TURNS, 5))
-
-
-def _by_remap(
-    surface: TexturedObject, likelihood: TextureLikelihood, pictures: list[Any], poses: Poses
-) -> tuple[Numbers, Numbers]:
-    """The same normal equations with a Jacobian of every texel."""
-    texels = surface.texels
-    positions, rows, write = surface.rows(poses)
-    write(0, len(poses))
-    corners = surface.used_texels.groups[texels.group_of_texel]
-    places = np.einsum("na,nac->nc", texels.weights, positions[0][corners])
-    texel_rows = np.einsum("na,nacd->ncd", texels.weights, rows[0][corners][..., : poses.dimension])
-    value, across, down = (
-        cv2.remap(picture, places[:, 0], places[:, 1], cv2.INTER_LINEAR)[:, 0] for picture in pictures
+    return over_rounds(
+        lambda of: [Expectation(what, of["flow"] / of["expert"], ">=", 1.0)], in_turns(steps, ROUNDS, TURNS)
     )
-    jacobian = across[:, None] * texel_rows[:, 0] + down[:, None] * texel_rows[:, 1]
-    triangles = positions[0][surface.used_texels.groups]
-    edges = triangles[:, 1:] - triangles[:, :1]
-    size = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
-    area = (size / texels.counts)[texels.group_of_texel]
-    weight = area * likelihood.visible[0] / likelihood.temperature[0]
-    weighted = jacobian * weight[:, None]
-    return weighted.T @ jacobian, weighted.T @ (value - likelihood.mean[0, 0])
 
 
 # --- bodies -------------------------------------------------------------------------------------------------

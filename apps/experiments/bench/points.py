@@ -1,6 +1,5 @@
-"""Points beside filterpy, simdkalman and OpenCV, structure beside bundle adjustment, all on one thread."""
+"""Points beside filterpy and OpenCV, structure beside bundle adjustment, all on one thread."""
 
-import math
 import statistics
 import time
 from collections.abc import Callable, Mapping
@@ -9,32 +8,22 @@ from typing import Any
 
 import cv2
 import numpy as np
-import simdkalman
-from filterpy.kalman import KalmanFilter, rts_smoother
+from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from scipy.optimize import least_squares as minimise
 from scipy.sparse import csr_array
-from scipy.sparse.linalg import svds
 
-from ....chains.reconstruction import structure_engine
 from ....inference.kalman import PointStates, filter_tracks, kinematic, predict, smooth, update
-from ....inference.sfm.factor_analysis.em import expectation_maximisation
-from ....inference.sfm.factor_analysis.factorisation import around_start, factorise
-from ....inference.sfm.factor_analysis.initialisation import mean_filled
-from ....inference.sfm.factor_analysis.observations import Observations
+from ....inference.sfm.factor_analysis.factorisation import factorise
 from ....models.points.patches import sample_patches
 from ....models.points.point_tracks import PointTracks
 from ....models.points.search import GRID, NEAR, REACH, WHOLE, PreviousView, find_points
-from ...io.point_files import frames_of_tracks
-from ...scenes import cylinder
 from ..experiment import Findings
 from ..record import Expectation
-from .timing import Spent, in_turns, over_rounds
+from .timing import in_turns, over_rounds
 
 Numbers = NDArray[np.float64]
 Grey = NDArray[np.uint8]
-
-# --- following points ---------------------------------------------------------------------------------------
 
 FOLLOWED = 500
 STEPS = 30
@@ -78,15 +67,12 @@ def kalman_expectations() -> list[Expectation]:
         return states
 
     filtered = filter_tracks(prior, times, information, vector, ACCELERATION)
-    passed = [_filterpy_filter(places[:, k]) for k in range(FOLLOWED)]
     spent = in_turns(
         {
             "frame by frame": frame_by_frame,
             "filter": lambda: filter_tracks(prior, times, information, vector, ACCELERATION),
             "smoother": lambda: smooth(filtered, times, ACCELERATION),
             "filterpy": lambda: [_filterpy_filter(places[:, k]) for k in range(FOLLOWED)],
-            "filterpy smoother": lambda: [_filterpy_smoother(*states) for states in passed],
-            "simdkalman": lambda: _simdkalman(places),
         },
         rounds=7,
     )
@@ -102,53 +88,20 @@ def _of_filters(seconds: Mapping[str, float]) -> list[Expectation]:
         Expectation("RTS smoother, us a point and step", smoother),
         Expectation("filterpy over filter frame by frame", of["filterpy"] / one, ">=", 150),
         Expectation("filterpy over filter of whole tracks", of["filterpy"] / whole, ">=", 150),
-        Expectation("simdkalman over filter frame by frame", of["simdkalman"] / one, ">=", 8),
-        Expectation("simdkalman over filter of whole tracks", of["simdkalman"] / whole, ">=", 8),
-        Expectation("filterpy's smoother over RTS smoother", of["filterpy smoother"] / smoother, ">=", 45),
     ]
 
 
-def _moving(axes: int) -> tuple[Numbers, Numbers]:
-    """Transition and its noise over a frame, positions before velocities."""
-    transition, noise = kinematic(2, FRAME).along(axes)
-    return transition, ACCELERATION * noise
-
-
-def _filterpy_filter(places: Numbers) -> tuple[Numbers, Numbers]:
-    """Means and covariances of one point seen at `(n_frames, 2)`."""
+def _filterpy_filter(places: Numbers) -> None:
+    """Filter one point seen at `(n_frames, 2)`."""
     one = KalmanFilter(dim_x=4, dim_z=2)
     one.x = np.array([*places[0], 0.0, 0.0])
     one.P = np.diag([FIRST**2, FIRST**2, SPEED**2, SPEED**2])
     one.H, one.R = np.eye(2, 4), NOISE**2 * np.eye(2)
-    one.F, one.Q = _moving(2)
-    means, covariances = np.empty((len(places), 4)), np.empty((len(places), 4, 4))
-    for t, place in enumerate(places):
+    one.F, noise = kinematic(2, FRAME).along(2)  # positions before velocities
+    one.Q = ACCELERATION * noise
+    for place in places:
         one.predict()
         one.update(place)
-        means[t], covariances[t] = one.x, one.P
-    return means, covariances
-
-
-def _filterpy_smoother(means: Numbers, covariances: Numbers) -> object:
-    transition, noise = _moving(2)
-    smoothed: object = rts_smoother(means, covariances, [transition] * len(means), [noise] * len(means))
-    return smoothed
-
-
-def _simdkalman(places: Numbers) -> object:
-    """All points' x and y as series of their own, which is the faster way for it."""
-    transition, noise = _moving(1)
-    series = places.reshape(STEPS, -1).T
-    model = simdkalman.KalmanFilter(transition, noise, np.array([[1.0, 0.0]]), NOISE**2)
-    result: object = model.compute(
-        series,
-        0,
-        initial_value=np.stack([series[:, 0], np.zeros(len(series))], axis=1)[:, :, None],
-        initial_covariance=np.diag([FIRST**2, SPEED**2]),
-        filtered=True,
-        smoothed=False,
-    )
-    return result
 
 
 # --- search for patches -------------------------------------------------------------------------------------
@@ -239,16 +192,29 @@ def _pictures() -> tuple[Grey, Grey]:
 # --- structure ----------------------------------------------------------------------------------------------
 
 N_FRAMES, N_POINTS = 300, 2000
-STRUCTURE_ROUNDS = 7
-N_STARTS = 25
-PX = 100.0  # per radius of the cylinder
 SAME = 5e-6  # relative difference of errors that agree to five digits
 
 
 def structure() -> Findings:
-    """Measure all of them, on one thread."""
-    expectations = [*iteration_expectations(), *solve_expectations(), *feedback_expectations()]
-    return Findings("Structure", [], [*expectations, *start_expectations()])
+    """Compare start and polish with bundle adjustment, which is given a start."""
+    expectations = []
+    for length, bound in ((N_FRAMES, 10.0), (60, None)):
+        positions = turning_points(N_FRAMES, N_POINTS, length)
+        found = factorise(positions)
+        ours = statistics.median(in_turns({"ours": partial(factorise, positions)}, 3)["ours"])
+        generator = np.random.default_rng(1)
+        near = found.cameras + 50 * generator.normal(size=found.cameras.shape)
+        shape = found.shape + 0.5 * generator.normal(size=found.shape.shape)
+        started = time.perf_counter()
+        error = bundle_adjustment(positions, near, shape)
+        theirs = time.perf_counter() - started
+        seen = f"{N_FRAMES} x {N_POINTS}, {'all' if length == N_FRAMES else f'{length} frames a point'}"
+        expectations += [
+            Expectation(f"{seen}: a solve from nothing, s", ours),
+            Expectation(f"{seen}: bundle adjustment, given a start, over that", theirs / ours, ">=", bound),
+            Expectation(f"{seen}: error over that of bundle adjustment", found.rmse / error, "<=", 1 + SAME),
+        ]
+    return Findings("Structure", [], expectations)
 
 
 def turning_points(n_frames: int, n_points: int, length: int, seed: int = 0) -> Numbers:
@@ -270,90 +236,6 @@ def turning_points(n_frames: int, n_points: int, length: int, seed: int = 0) -> 
         times = np.arange(n_frames)[:, None]
         positions[(times < first) | (times >= first + length)] = np.nan
     return positions
-
-
-def turntable(
-    n_frames: int = 36, n_points: int = 319, seen: float = 0.231, noise: float = 1.0, seed: int = 0
-) -> Numbers:
-    """Return positions `(n_frames, n_points, 2)` px like those of the public dinosaur: short tracks on a
-    turntable.
-
-    Ten degrees a frame, a little perspective (which no affine camera explains), tracks of 2 frames and more
-    with a geometric distribution, noise with heavy tails (Student, three degrees of freedom).
-    """
-    generator = np.random.default_rng(seed)
-    around, height = generator.uniform(0, 2 * np.pi, n_points), generator.uniform(-1, 1, n_points)
-    radius = 200 * (0.5 + 0.3 * np.cos(2 * around)) * (1 - 0.5 * height**2)
-    shape = np.stack([radius * np.cos(around), radius * np.sin(around), 220 * height], axis=1)
-    shape += 8 * generator.normal(size=shape.shape)
-    angle, tilt = np.radians(10) * np.arange(n_frames)[:, None], np.radians(20)
-    toward = shape[:, 0] * np.cos(angle) - shape[:, 1] * np.sin(angle)
-    across = shape[:, 0] * np.sin(angle) + shape[:, 1] * np.cos(angle)
-    nearer = 1 / (1 - (toward * np.cos(tilt) + shape[:, 2] * np.sin(tilt)) / 4000)
-    up = shape[:, 2] * np.cos(tilt) - toward * np.sin(tilt)
-    positions = np.stack([300 + nearer * across, 280 - nearer * up], axis=2)
-    positions += noise / np.sqrt(3) * generator.standard_t(3, positions.shape)
-    lengths = np.minimum(1 + generator.geometric(1 / (seen * n_frames - 1), n_points), n_frames)
-    facing = np.mod(-around, 2 * np.pi) / np.radians(10) + 2 * generator.normal(size=n_points)
-    first = np.clip(facing.astype(np.int64) - lengths // 2, 0, n_frames - lengths)
-    times = np.arange(n_frames)[:, None]
-    positions[(times < first) | (times >= first + lengths)] = np.nan
-    return positions
-
-
-# --- one iteration ------------------------------------------------------------------------------------------
-
-
-def iteration_expectations() -> list[Expectation]:
-    """Compare an iteration of EM with the first three singular vectors of the same matrix."""
-    positions = turning_points(N_FRAMES, N_POINTS, N_FRAMES)
-    table = positions.transpose(0, 2, 1).reshape(2 * N_FRAMES, N_POINTS)
-    table = table - table.mean(axis=1, keepdims=True)
-    observations = Observations.from_arrays(positions)
-    steps: dict[str, Callable[[], object]] = {"svds": lambda: svds(table, k=3)}
-    everything = np.ones(N_FRAMES, np.bool_), np.ones(N_POINTS, np.bool_)
-    for name, coherent in (("EM", False), ("EM with coherence", True)):
-        start = around_start(observations, *mean_filled(observations), *everything, coherent=coherent)
-        for n in (2, 12):
-            steps[f"{name} {n}"] = partial(
-                expectation_maximisation, observations, start, iterations=n, tolerance=-np.inf
-            )
-    return over_rounds(_of_iterations, in_turns(steps, STRUCTURE_ROUNDS))
-
-
-def _of_iterations(seconds: Mapping[str, float]) -> list[Expectation]:
-    peer = seconds["svds"]
-    expectations = [Expectation(f"svds(k=3), {2 * N_FRAMES} x {N_POINTS}, ms", 1e3 * peer)]
-    for name, bound in (("EM", 0.25), ("EM with coherence", None)):
-        iteration = (seconds[f"{name} 12"] - seconds[f"{name} 2"]) / 10
-        expectations.append(Expectation(f"{name}: an iteration, ms", 1e3 * iteration))
-        expectations.append(Expectation(f"{name}: an iteration over svds", iteration / peer, "<=", bound))
-    return expectations
-
-
-# --- a converged solve --------------------------------------------------------------------------------------
-
-
-def solve_expectations() -> list[Expectation]:
-    """Compare start and polish with bundle adjustment, which is given a start."""
-    expectations = []
-    for length, bound in ((N_FRAMES, 10.0), (60, None)):
-        positions = turning_points(N_FRAMES, N_POINTS, length)
-        found = factorise(positions)
-        ours = statistics.median(in_turns({"ours": partial(factorise, positions)}, 3)["ours"])
-        generator = np.random.default_rng(1)
-        near = found.cameras + 50 * generator.normal(size=found.cameras.shape)
-        shape = found.shape + 0.5 * generator.normal(size=found.shape.shape)
-        started = time.perf_counter()
-        error = bundle_adjustment(positions, near, shape)
-        theirs = time.perf_counter() - started
-        seen = f"{N_FRAMES} x {N_POINTS}, {'all' if length == N_FRAMES else f'{length} frames a point'}"
-        expectations += [
-            Expectation(f"{seen}: a solve from nothing, s", ours),
-            Expectation(f"{seen}: bundle adjustment, given a start, over that", theirs / ours, ">=", bound),
-            Expectation(f"{seen}: error over that of bundle adjustment", found.rmse / error, "<=", 1 + SAME),
-        ]
-    return expectations
 
 
 def bundle_adjustment(positions: Numbers, cameras: Numbers, shape: Numbers, most_steps: int = 60) -> float:
@@ -395,43 +277,3 @@ def bundle_adjustment(positions: Numbers, cameras: Numbers, shape: Numbers, most
         max_nfev=most_steps,
     )
     return float(np.sqrt(np.mean(found.fun**2)))
-
-
-# --- feedback ----------------------------------------------------------------------------------------------
-
-
-def feedback_expectations() -> list[Expectation]:
-    """Compare a round of coordinate ascent with feedback from the shape with one without."""
-    frames = frames_of_tracks(PX * cylinder(p_loose=0.1, p_drift=0.1, seed=0).tracks())
-    spent: Spent = {"without": [], "with": []}
-    for _ in range(STRUCTURE_ROUNDS):
-        rounds = structure_engine(frames, "second-order", "dual-chain").rounds(frames)
-        for name in spent:
-            started = time.perf_counter()
-            next(rounds)
-            spent[name].append(time.perf_counter() - started)
-    what = "structure: a round with feedback over one without, time"
-    return over_rounds(lambda of: [Expectation(what, of["with"] / of["without"], "<=", 1.1)], spent)
-
-
-# --- starts that succeed ------------------------------------------------------------------------------------
-
-
-def start_expectations() -> list[Expectation]:
-    """Return the share of random cameras from which the best known optimum is reached, to five digits."""
-    expectations = []
-    for what, positions, bound in (
-        ("turntable, 77 % missing", turntable(), 0.9),
-        ("turntable, 86 % missing", turntable(seen=0.15, seed=1), 0.9),
-        ("turntable, 89 % missing", turntable(seen=0.12, seed=5), None),
-        ("turntable, noise 10 px", turntable(noise=10.0, seed=2), None),
-    ):
-        cameras = [
-            np.random.default_rng(seed).normal(size=(len(positions), 2, 4)) for seed in range(N_STARTS)
-        ]
-        errors = np.array([factorise(positions, start=each).rmse for each in cameras])
-        reached = float(np.mean(errors <= errors.min() * (1 + SAME)))
-        what = f"{what}: share of {N_STARTS} random starts at the optimum"
-        error = math.sqrt(reached * (1 - reached) / N_STARTS)
-        expectations.append(Expectation(what, reached, ">=", bound, error, N_STARTS))
-    return expectations

@@ -29,7 +29,7 @@ def test_tables_and_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(shapes, "data_folder", lambda name: tmp_path)
-    monkeypatch.setattr(shapes, "read_truth", lambda path: deforming(n_frames=20)[1])
+    monkeypatch.setattr(shapes, "read_shapes", lambda path: deforming(n_frames=20)[1])
     monkeypatch.setattr(shapes, "BASES", {"face": N_BASES})
     monkeypatch.setattr(shapes, "MISSING", (0.0, 0.2))
     monkeypatch.setattr(shapes, "SEEDS", range(2))
@@ -40,24 +40,11 @@ def test_tables_and_page(
     assert (tmp_path / "out" / "index.html").read_text().count("<img") == 2
 
 
-def test_truth_files(tmp_path: Path) -> None:
-    from scipy.io import savemat
-
-    truth = deforming(n_frames=5)[1]
-    savemat(tmp_path / "a.mat", {"P3_gt": np.concatenate([truth[..., axis] for axis in range(3)])})
-    assert (shapes.read_truth(tmp_path / "a.mat") == truth).all()
-    savemat(tmp_path / "c.mat", {"X": truth.transpose(2, 1, 0)})
-    assert (shapes.read_truth(tmp_path / "c.mat") == truth).all()
-    savemat(tmp_path / "b.mat", {"P3_gt": np.zeros((4, 5))})
-    with pytest.raises(ValueError, match=r"got \(4, 5\), expected 'P3_gt'"):
-        shapes.read_truth(tmp_path / "b.mat")
-
-
 @pytest.mark.parametrize("name", sorted(shapes.BASES))
 @pytest.mark.slow
 def test_public_sequences(name: str) -> None:
     try:
-        truth = shapes.read_truth(shapes.sequence_file(name))
+        truth = shapes.read_shapes(shapes.sequence_file(name))
     except OSError as missing:
         pytest.skip(str(missing))
     learned = learn_shape(shapes.withheld(truth[..., :2], 0.2, np.random.default_rng(0)), shapes.BASES[name])
