@@ -1,10 +1,7 @@
 """The usual pipeline to compare with: OpenCV's background subtractors, a clean-up, Kalman and Hungarian."""
 
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
-from itertools import product
-from typing import Generic, Protocol, TypeVar, cast
+from dataclasses import dataclass
+from typing import Protocol, cast
 
 import cv2
 import numpy as np
@@ -16,7 +13,8 @@ from ..evaluation.tracks import box_overlap
 
 Boxes = NDArray[np.float64]  # `(n, 4)`: x, y, width, height (px)
 Image = NDArray[np.uint8]
-T = TypeVar("T")
+TrackerParameters = tuple[float, int, int]
+"""Of `KalmanHungarian`: least overlap, least hits, and frames without a find."""
 
 
 class Subtractor(Protocol):
@@ -44,28 +42,6 @@ def opencv_subtractor(method: str, history: int, threshold: float) -> Subtractor
 
 
 @dataclass(frozen=True)
-class Setting:
-    """Subtractor to be tried: its method, its parameters in words, and what makes a new one."""
-
-    method: str
-    parameters: str
-    make: Callable[[], Subtractor]
-
-
-SETTINGS = tuple(
-    Setting(
-        method,
-        f"history {history}, threshold {threshold}",
-        partial(opencv_subtractor, method, history, threshold),
-    )
-    for method, thresholds in (("MOG2", (8, 16, 32, 64)), ("KNN", (200, 400, 800, 1600)))
-    for history in (100, 200, 500, 1000)
-    for threshold in thresholds
-)
-"""The settings of MOG2 and KNN to compare with."""
-
-
-@dataclass(frozen=True)
 class CleanUp:
     """Clean-up of a mask: shadows, median, opening, closing, least area, in this order."""
 
@@ -78,51 +54,42 @@ class CleanUp:
 
     def apply(self, mask: Image) -> Image:
         """Return the cleaned `(height, width)` mask, 0 or 255."""
-        return next(_clean(mask, [self]))[1]
+        smooth: cv2.typing.MatLike = np.where(mask >= (127 if self.keep_shadows else 255), np.uint8(255), 0)
+        if self.median:
+            smooth = cv2.medianBlur(smooth, self.median)
+        for operation, size in ((cv2.MORPH_OPEN, self.opening), (cv2.MORPH_CLOSE, self.closing)):
+            if size:
+                element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+                smooth = cv2.morphologyEx(smooth, operation, element)
+        if self.min_area:
+            labels, statistics = _labelled(smooth)
+            large = statistics[:, cv2.CC_STAT_AREA] >= self.min_area
+            large[0] = False
+            smooth = np.where(large, np.uint8(255), np.uint8(0))[labels]
+        return np.asarray(smooth, np.uint8)
 
-
-CLEAN_UPS = tuple(
-    CleanUp(keep_shadows, median, opening, closing, min_area)
-    for keep_shadows, (median, opening, closing), min_area in product(
-        (False, True),
-        ((0, 0, 0), (5, 0, 0), (5, 0, 9), (0, 3, 0), (0, 3, 9), (0, 3, 15), (0, 3, 21)),
-        (100, 400, 800),
-    )
-)
-"""The clean-ups of which each method gets its best one."""
+    def __str__(self) -> str:
+        parts = ["shadows kept"] if self.keep_shadows else []
+        for name in ("median", "opening", "closing"):
+            parts += [f"{name} {getattr(self, name)}"] if getattr(self, name) else []
+        return ", ".join([*parts, *([f"area {self.min_area}"] if self.min_area else [])])
 
 
 @dataclass(frozen=True)
-class Row(Generic[T]):
-    """One setting with one clean-up, and the value of every evaluated frame."""
+class Setting:
+    """OpenCV's "MOG2" or "KNN" with a memory of `history` frames, and how its masks are cleaned."""
 
-    setting: Setting
-    clean_up: CleanUp
-    values: list[T]
+    method: str
+    history: int
+    threshold: float  # as of `opencv_subtractor`
+    clean_up: CleanUp = CleanUp()
 
+    def make(self) -> Subtractor:
+        """Return a new subtractor."""
+        return opencv_subtractor(self.method, self.history, self.threshold)
 
-def sweep_subtractors(
-    frames: Callable[[], Iterable[tuple[int, Image]]],
-    wanted: Container[int],
-    evaluate: Callable[[int, Image], T],
-    settings: Sequence[Setting],
-    clean_ups: Sequence[CleanUp],
-) -> Iterator[Row[T]]:
-    """Run every setting once over the frames, with every clean-up at the wanted ones; yield a row for each.
-
-    `frames` starts over and yields number and picture of all frames in order; it is called once per setting.
-    `wanted` are the frame numbers of which `evaluate` takes the number and the cleaned foreground, 0 or 255.
-    One subtractor and one frame are in memory at a time.
-    """
-    for setting in settings:
-        subtractor = setting.make()
-        rows: dict[CleanUp, Row[T]] = {clean_up: Row(setting, clean_up, []) for clean_up in clean_ups}
-        for number, image in frames():
-            mask = subtractor.apply(image)
-            if number in wanted:
-                for clean_up, cleaned in _clean(mask, clean_ups):
-                    rows[clean_up].values.append(evaluate(number, cleaned))
-        yield from rows.values()
+    def __str__(self) -> str:
+        return f"history {self.history}, threshold {self.threshold:g}, {self.clean_up}"
 
 
 def components(mask: Image) -> NDArray[np.float64]:
@@ -216,30 +183,6 @@ class _BoxTrack:
 
 def _centre_and_size(box: Boxes) -> Boxes:
     return np.concatenate([box[:2] + box[2:] / 2, box[2:]])
-
-
-def _clean(mask: Image, clean_ups: Sequence[CleanUp]) -> Iterator[tuple[CleanUp, Image]]:
-    """Clean a mask in several ways; ways that differ in the least area alone share the rest of the work."""
-    groups: dict[CleanUp, list[CleanUp]] = {}
-    for clean_up in clean_ups:
-        groups.setdefault(replace(clean_up, min_area=0), []).append(clean_up)
-    for shared, group in groups.items():
-        least = 127 if shared.keep_shadows else 255
-        smooth: cv2.typing.MatLike = np.where(mask >= least, np.uint8(255), np.uint8(0))
-        if shared.median:
-            smooth = cv2.medianBlur(smooth, shared.median)
-        for operation, size in ((cv2.MORPH_OPEN, shared.opening), (cv2.MORPH_CLOSE, shared.closing)):
-            if size:
-                element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-                smooth = cv2.morphologyEx(smooth, operation, element)
-        if group == [shared]:
-            yield shared, smooth.astype(np.uint8, copy=False)
-            continue
-        labels, statistics = _labelled(smooth)
-        for clean_up in group:
-            value = np.where(statistics[:, cv2.CC_STAT_AREA] >= clean_up.min_area, np.uint8(255), np.uint8(0))
-            value[0] = 0
-            yield clean_up, value[labels]
 
 
 def _labelled(mask: cv2.typing.MatLike) -> tuple[cv2.typing.MatLike, cv2.typing.MatLike]:

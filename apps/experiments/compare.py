@@ -23,7 +23,7 @@ from ..io.tracks import TrackedBox
 from ..runs.interruption import Interruption, Outcome
 from ..runs.progress import Progress
 from ..runs.region import inside, read_region
-from .baselines import CleanUp, KalmanHungarian, Subtractor, components, opencv_subtractor
+from .baselines import CleanUp, KalmanHungarian, Setting, TrackerParameters, components
 from .experiment import Findings, Picture, Plot, fitting, mosaic, publish
 from .record import Table
 
@@ -73,31 +73,19 @@ class Model:
         return picture
 
 
-class ModelSubtractor:
-    """Model as a background subtractor."""
-
-    def __init__(
-        self, engine: Engine, size: tuple[int, int], rate: float, parameters: Parameters | None = None
-    ) -> None:
-        self._model, self._rate, self._count = Model("", engine, size, parameters), rate, 0
-
-    def apply(self, image: Image, /) -> Image:
-        """Take the next picture; return 0 background, 255 foreground."""
-        self._count += 1
-        return self._model.step(Frame(image, self._count / self._rate, self._count)).foreground
-
-
 class BaselineTracker:
     """Usual pipeline: a subtractor, a clean-up of its mask, Kalman filters and assignment by overlap.
 
-    `size` is `(width, height)` px of the pictures.
+    `size` is `(width, height)` px of the pictures, `parameters` are those of `KalmanHungarian`.
     """
 
     tracks = True
 
-    def __init__(self, name: str, subtractor: Subtractor, clean_up: CleanUp, size: tuple[int, int]) -> None:
-        self.name, self._subtractor, self._clean_up = name, subtractor, clean_up
-        self._tracker = KalmanHungarian()
+    def __init__(
+        self, name: str, setting: Setting, size: tuple[int, int], parameters: TrackerParameters = (0.1, 5, 20)
+    ) -> None:
+        self.name, self._subtractor, self._clean_up = name, setting.make(), setting.clean_up
+        self._tracker = KalmanHungarian(*parameters)
         self._mask: Image = np.zeros((size[1], size[0]), np.uint8)
 
     def step(self, frame: Frame) -> FrameResult:
@@ -232,8 +220,8 @@ def methods_of_figure_8(
     return [
         *(Model(name, engine, size, given, camera) for name, engine, given in alone),
         *(Model(name, engine, size, parameters, camera) for name, engine in CHAINS),
-        BaselineTracker("MOG2, 5x5 median", opencv_subtractor("MOG2", 500, 16), clean_up, size),
-        BaselineTracker("KNN, 5x5 median", opencv_subtractor("KNN", 500, 400), clean_up, size),
+        BaselineTracker("MOG2, 5x5 median", Setting("MOG2", 500, 16, clean_up), size),
+        BaselineTracker("KNN, 5x5 median", Setting("KNN", 500, 400, clean_up), size),
     ]
 
 

@@ -5,9 +5,8 @@ method is tried over seeds of noise, and a score is a mean, with its standard de
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from itertools import product
 from pathlib import Path
 from typing import Self
 
@@ -26,27 +25,16 @@ from ..io.sources.open_source import open_source
 from ..runs.interruption import Interruption
 from ..runs.parallel import in_parallel
 from ..runs.progress import Progress
-from .baselines import (
-    CLEAN_UPS,
-    SETTINGS,
-    CleanUp,
-    KalmanHungarian,
-    Row,
-    Setting,
-    components,
-    sweep_subtractors,
-)
-from .compare import CHAINS, PRIORS, SHOWN_PRIOR, TRACKS, Gallery, Model, ModelSubtractor, errors_plot
+from .baselines import CleanUp, KalmanHungarian, Setting, TrackerParameters
+from .compare import CHAINS, PRIORS, SHOWN_PRIOR, TRACKS, BaselineTracker, Gallery, Model, errors_plot
 from .datasets import data_folder
 from .experiment import Findings, by_seed, noisy
 from .record import Expectation, Table, over_seeds
 
-Image = NDArray[np.uint8]
 Tracks = NDArray[np.float64]  # `(n, 6)`: frame, identity, x, y, width, height (px)
 BySeed = Mapping[str, Sequence[TrackScores]]  # scores of methods by name, one for each seed
-Parameters = tuple[float, int, int]
-"""Of `KalmanHungarian`: least overlap, hits from which a track counts, frames without a find after which it
-ends."""
+Make = Callable[..., Model | BaselineTracker]
+"""Makes a method, given the `size` of the pictures; can be sent to another process."""
 
 NOISE_SEEDS = range(5)
 
@@ -77,11 +65,6 @@ class AnnotatedFilm:
             pictures = film.pictures
         found = read_detections(detections, pictures=pictures) if detections.exists() else None
         return cls(name, str(source), boxes, found)
-
-    def frames(self, seed: int, step: int = 1, every: int | None = None) -> Iterator[Frame]:
-        """Yield frames with noise; with the detector's boxes on every `every`-th, if that is given."""
-        with open_source(self.source, step=step) as source:
-            yield from self.prepare(source, seed, every)
 
     def prepare(self, frames: Iterable[Frame], seed: int, every: int | None) -> Iterator[Frame]:
         """Add noise and boxes to frames of an open source."""
@@ -137,16 +120,15 @@ def cells(scores: Sequence[TrackScores]) -> list[str]:
     return found
 
 
-def model_tracks(film: AnnotatedFilm, engine: Engine, step: int, every: int | None, seed: int) -> Tracks:
-    """Track with a multi-chain model on every `step`-th frame, perhaps with the detector's boxes."""
-    system: Model | None = None
-    rows: list[tuple[float, ...]] = []
-    for frame in film.frames(seed, step, every):
-        if system is None:
-            assert frame.image is not None
-            system = Model("", engine, (frame.image.shape[1], frame.image.shape[0]))
-        rows += [(frame.number, each.identity, *each.box) for each in system.step(frame).tracks]
-    return _table(rows)
+def online_tracks(film: AnnotatedFilm, make: Make, step: int, every: int | None, seed: int) -> Tracks:
+    """Track with a method on every `step`-th frame, perhaps with the detector's boxes."""
+    with open_source(film.source, step=step) as source:
+        method = make(size=source.size)
+        return _table(
+            (frame.number, each.identity, *each.box)
+            for frame in film.prepare(source, seed, every)
+            for each in method.step(frame).tracks
+        )
 
 
 def whole_film_tracks(film: AnnotatedFilm, every: int | None, seed: int) -> Tracks:
@@ -158,182 +140,33 @@ def whole_film_tracks(film: AnnotatedFilm, every: int | None, seed: int) -> Trac
         count = source.n_frames
     assert count is not None
     return _table(
-        [(index + 1, track.identity, *track.box) for index in range(count) for track in objects.at(index)]
+        (index + 1, track.identity, *track.box) for index in range(count) for track in objects.at(index)
     )
 
 
-def usual_tracks(
-    film: AnnotatedFilm, setting: Setting, clean_up: CleanUp, parameters: Parameters, seed: int
-) -> Tracks:
-    """Track with a subtractor, a clean-up, Kalman filters and assignment."""
-    subtractor, tracker = setting.make(), KalmanHungarian(*parameters)
-    rows: list[tuple[float, ...]] = []
-    for frame in film.frames(seed):
-        if frame.image is not None:
-            boxes = components(clean_up.apply(subtractor.apply(frame.image)))[:, :4]
-            rows += [(frame.number, *track) for track in tracker.update(boxes).tolist()]
-    return _table(rows)
-
-
-def _table(rows: Sequence[tuple[float, ...]]) -> Tracks:
-    return np.array(rows, np.float64).reshape(-1, 6)
-
-
-# --- association of detections without pictures -------------------------------------------------------------
-
-SCORE_QUANTILES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-ASSOCIATIONS: Sequence[Parameters] = tuple(product((0.1, 0.3), (1, 3, 5), (10, 20)))
+def _table(rows: Iterable[tuple[float, ...]]) -> Tracks:
+    return np.array(list(rows), np.float64).reshape(-1, 6)
 
 
 def associated(
-    film: AnnotatedFilm, every: int, quantile: float, parameters: Parameters, seed: int = 0
+    film: AnnotatedFilm, every: int, quantile: float, parameters: TrackerParameters, seed: int = 0
 ) -> Tracks:
     """Track the detector's boxes on every `every`-th frame with Kalman filters and assignment.
 
     In between, tracks are where their filters predict them. `quantile` is the share of the boxes that is left
     out, those with the lowest scores. The seed is not used: nothing is seen of the pictures.
     """
-    found = film.detections
+    found, tracker = film.detections, KalmanHungarian(*parameters)
     assert found is not None
     least = -np.inf if found.confidence is None else np.quantile(found.confidence, quantile)
-    tracker = KalmanHungarian(*parameters)
     rows: list[tuple[float, ...]] = []
     for index, number in enumerate(range(1, film.truth.frames[-1] + 1)):
-        boxes = found.at(number) if index % every == 0 else None
-        given = None
+        boxes, given = found.at(number) if index % every == 0 else None, None
         if boxes is not None:
             kept = boxes.xyxy if boxes.confidence is None else boxes.xyxy[boxes.confidence >= least]
             given = np.column_stack([kept[:, :2], kept[:, 2:] - kept[:, :2]])
         rows += [(number, *track) for track in tracker.update(given).tolist()]
     return _table(rows)
-
-
-def best_associations(film: AnnotatedFilm, every: int) -> dict[str, tuple[str, partial[Tracks]]]:
-    """Return the best plain association in IDF1 and in MOTA on this film: in words, and its tracks."""
-    combined = list(product(SCORE_QUANTILES, ASSOCIATIONS))
-    work = [(_association_scores, (film, every, *each)) for each in combined]
-    scores: list[TrackScores] = in_parallel(f"{film.name}, association", work)
-    best = {}
-    for title in ("IDF1", "MOTA"):
-        values = [getattr(each, TRACKS[title]) for each in scores]
-        quantile, parameters = combined[int(np.argmax(values))]
-        described = f"lowest {quantile:.0%} left out; {_in_words(parameters)}"
-        best[title] = described, partial(associated, film, every, quantile, parameters)
-    return best
-
-
-def _association_scores(
-    film: AnnotatedFilm, every: int, quantile: float, parameters: Parameters
-) -> TrackScores:
-    return evaluate_tracks(associated(film, every, quantile, parameters), film.truth)
-
-
-def _in_words(parameters: Parameters) -> str:
-    overlap, hits, age = parameters
-    return f"overlap {overlap}, hits {hits}, age {age}"
-
-
-# --- subtractors, clean-ups and trackers, of which the best are tried ---------------------------------------
-
-MIDDLE_SETTINGS = {
-    f"history {history}, threshold {threshold}" for history in (200, 500) for threshold in (16, 32, 400, 800)
-}
-# Which clean-up serves tracks best is not the one with the fewest errors, so they are chosen by themselves.
-TRACK_CLEAN_UPS = tuple(
-    CleanUp(keep_shadows, median, opening, closing)
-    for keep_shadows, (median, opening, closing) in product((False, True), ((5, 0, 0), (0, 3, 9), (0, 3, 15)))
-)
-TRACK_AREAS = (100, 200, 400)
-TRACKER_PARAMETERS: Sequence[Parameters] = tuple(product((0.1, 0.3), (3, 5), (10, 20)))
-FIRST_AREA, FIRST_PARAMETERS = 200, (0.1, 5, 20)  # what settings and clean-ups are first compared with
-N_FINALISTS = 2  # so many of each method, by IDF1 and by MOTA, are tried with all areas and parameters
-Component = tuple[int, NDArray[np.float64]]  # a frame's number and its components' boxes and areas `(n, 5)`
-
-
-@dataclass(frozen=True)
-class ScoredBaseline:
-    """Subtractor, clean-up and a tracker's parameters, and the scores of their tracks."""
-
-    row: Row[Component]
-    clean_up: CleanUp
-    parameters: Parameters
-    scores: TrackScores
-
-    @property
-    def method(self) -> str:
-        """Name of the subtractor."""
-        return self.row.setting.method
-
-    @property
-    def described(self) -> str:
-        """The parameters in words."""
-        return f"{self.method}, {_described(self.row.setting, self.clean_up)}; {_in_words(self.parameters)}"
-
-
-def best_usual(tried: Sequence[ScoredBaseline]) -> dict[str, ScoredBaseline]:
-    """Return by name those with the best IDF1 of MOG2 and KNN, and with the best MOTA."""
-    best = {
-        name: max((each for each in tried if each.method == name), key=lambda each: each.scores.idf1)
-        for name in ("MOG2", "KNN")
-    }
-    most_accurate = max(tried, key=lambda each: each.scores.mota)
-    return best if most_accurate in best.values() else {**best, BEST_MOTA: most_accurate}
-
-
-def _tracks_of_usual(film: AnnotatedFilm, settings: Sequence[Setting]) -> list[ScoredBaseline]:
-    """Track measures of subtractors with Kalman filters and assignment behind them, on the film as it is."""
-
-    def detect(number: int, mask: Image) -> Component:
-        every = components(mask)
-        return number, every[every[:, 4] >= min(TRACK_AREAS)]
-
-    frames = film.truth.frames
-    with Progress("components", len(frames) * len(settings)) as progress:
-        images = partial(_readable, film.source, progress)
-        rows = list(sweep_subtractors(images, frames, detect, settings, TRACK_CLEAN_UPS))
-    first = _tried(film.truth, rows, [FIRST_AREA], [FIRST_PARAMETERS])
-    finalists: list[Row[Component]] = []
-    for method in ("MOG2", "KNN"):
-        own = [tried for tried in first if tried.method == method]
-        for measure in ("idf1", "mota"):
-            own.sort(key=lambda tried: float(getattr(tried.scores, measure)), reverse=True)
-            finalists += [tried.row for tried in own[:N_FINALISTS] if tried.row not in finalists]
-    return _tried(film.truth, finalists, TRACK_AREAS, TRACKER_PARAMETERS)
-
-
-def _tried(
-    truth: BoxTruth, rows: Sequence[Row[Component]], areas: Sequence[int], parameters: Sequence[Parameters]
-) -> list[ScoredBaseline]:
-    combined = list(product(rows, areas, parameters))
-    made = []
-    with Progress("usual tracks", len(truth.frames) * len(combined)) as progress:
-        for row, area, chosen in combined:
-            tracker = KalmanHungarian(*chosen)
-            tracks: list[tuple[float, ...]] = []
-            for number, found in row.values:
-                boxes = found[found[:, 4] >= area, :4]
-                tracks += [(number, *track) for track in tracker.update(boxes).tolist()]
-                progress.update()
-            scores = evaluate_tracks(_table(tracks), truth)
-            made.append(ScoredBaseline(row, replace(row.clean_up, min_area=area), chosen, scores))
-    return made
-
-
-def _readable(video: str, progress: Progress) -> Iterator[tuple[int, Image]]:
-    """Yield number and picture of every frame that can be read, and count all of them as done."""
-    with open_source(video) as source:
-        for frame in source:
-            if frame.image is not None:
-                yield frame.number, frame.image
-            progress.update()
-
-
-def _described(setting: Setting, clean_up: CleanUp) -> str:
-    parts = [setting.parameters] if setting.parameters else []
-    parts += ["shadows kept"] if clean_up.keep_shadows and setting.parameters else []
-    for name in ("median", "opening", "closing"):
-        parts += [f"{name} {getattr(clean_up, name)}"] if getattr(clean_up, name) else []
-    return ", ".join([*parts, f"area {clean_up.min_area}"])
 
 
 # --- what is compared ---------------------------------------------------------------------------------------
@@ -345,6 +178,51 @@ BEST_MOTA = "MOG2 or KNN, best MOTA"
 WHOLE, WHOLE_DETECTED = "RSMCM, whole film", "RSMCM, whole film, detector"
 DETECTED, CUT, RARE = "RSMCM, detector", "feed-forward, detector", "RSMCM, detector on every fifth frame"
 PLAIN, RARE_PLAIN = "association", "association, every fifth frame"
+
+# Peers have the settings that served them best on these films, of those that were tried in November 2026:
+# histories of 200 and 500 frames, four thresholds, shadows or none, medians, openings and closings, least
+# areas and parameters of the tracker; of associations seven shares of boxes and twelve sets of parameters.
+IN_ERRORS = CleanUp(opening=3, closing=21, min_area=800)
+KEPT = CleanUp(keep_shadows=True, opening=3, closing=21, min_area=800)
+MEDIAN = CleanUp(median=5, min_area=400)
+USUAL_IN_ERRORS = {name: Setting(name, 500, least, KEPT) for name, least in (("MOG2", 16), ("KNN", 400))}
+USUAL: Mapping[str, tuple[Setting, TrackerParameters]] = {
+    "MOG2": (Setting("MOG2", 500, 32, MEDIAN), (0.1, 5, 20)),
+    "KNN": (Setting("KNN", 200, 800, MEDIAN), (0.1, 5, 20)),
+    BEST_MOTA: (Setting("MOG2", 500, 32, MEDIAN), (0.1, 3, 20)),
+}
+ASSOCIATIONS: Mapping[str, Mapping[str, tuple[float, TrackerParameters]]] = {
+    "PETS2009 S2.L1": {
+        f"{PLAIN}, best IDF1": (0.3, (0.1, 3, 20)),
+        f"{PLAIN}, best MOTA": (0.2, (0.3, 3, 10)),
+        f"{RARE_PLAIN}, best IDF1": (0.2, (0.1, 3, 20)),
+        f"{RARE_PLAIN}, best MOTA": (0.2, (0.1, 3, 10)),
+    },
+    "TUD-Campus": {
+        f"{PLAIN}, best IDF1": (0.1, (0.1, 3, 20)),
+        f"{PLAIN}, best MOTA": (0.1, (0.1, 3, 10)),
+        f"{RARE_PLAIN}, best IDF1": (0.2, (0.3, 1, 20)),
+        f"{RARE_PLAIN}, best MOTA": (0.3, (0.1, 1, 10)),
+    },
+}
+"""By film: the share of the boxes that is left out, and parameters of the tracker."""
+
+IN_ERROR_PLOT: Mapping[str, tuple[Make, CleanUp, str]] = {
+    **{
+        f"stand-alone, P(B) = {prior}": (
+            partial(Model, "alone", "stand-alone", parameters={"background": {"prior": prior}}),
+            IN_ERRORS,
+            str(IN_ERRORS),
+        )
+        for prior in PRIORS
+    },
+    **{name: (partial(Model, name, engine), IN_ERRORS, str(IN_ERRORS)) for name, engine in CHAINS},
+    **{
+        name: (partial(BaselineTracker, name, setting), CleanUp(), str(setting))
+        for name, setting in USUAL_IN_ERRORS.items()
+    },
+}
+"""The methods of Fig. 8: what makes them, the clean-up of their masks, and how they are set."""
 
 
 def pets() -> Findings:
@@ -360,27 +238,20 @@ def pets() -> Findings:
     """
     folder = data_folder("pets2009-s2l1")
     film = AnnotatedFilm.read("PETS2009 S2.L1", folder / "vtest.avi", folder, folder / "det.txt")
-    settings = [each for each in SETTINGS if each.parameters in MIDDLE_SETTINGS]
-    ranked = _errors(film, settings)
+    wrong = by_seed("errors", partial(count_errors, film), list(IN_ERROR_PLOT), NOISE_SEEDS)
+    errors = {name: of[""] for name, of in wrong.items()}
     gallery = _gallery(film)
 
-    half = Trial(HALF, "", partial(model_tracks, film, "recursive-bp", 2, None), step=2)
-    peers = [
-        Trial(
-            name,
-            each.described,
-            partial(usual_tracks, film, each.row.setting, each.clean_up, each.parameters),
-        )
-        for name, each in best_usual(_tracks_of_usual(film, settings)).items()
-    ]
-    trials = [*pixel_trials(film), half, *peers, *detector_trials(film)]
+    half = Trial(
+        HALF, "", partial(online_tracks, film, partial(Model, HALF, "recursive-bp"), 2, None), step=2
+    )
+    trials = [*pixel_trials(film), half, *usual_trials(film), *detector_trials(film)]
     tracks = run_trials(film.name, trials)
     scored = score_trials(trials, tracks, film.truth)
     crowd_trials, crowd = _crowd()
 
-    errors = {name: _sum(rows[0]) for name, rows in ranked.items()}
     expectations = [
-        *over_seeds(_expectations_of_errors, _errors_by_seed(film, ranked)),
+        *over_seeds(_expectations_of_errors, errors),
         *over_seeds(_expectations_of_tracks, scored),
         *over_seeds(_expectations_of_rates, _idf1_of_rates(tracks, film.truth)),
         *over_seeds(partial(detector_expectations, film.name, (0.87, 0.87), 15), scored),
@@ -390,11 +261,16 @@ def pets() -> Findings:
     lines = [
         {
             "method": name,
-            "clean-up": _described(ranked[name][0].setting, ranked[name][0].clean_up),
-            "missed pedestrians": found.missed_pedestrians,
-            "missed vehicles": found.missed_vehicles,
-            "ghosts": found.ghosts,
-            "total": found.errors,
+            "clean-up": IN_ERROR_PLOT[name][2],
+            **{
+                title: float(np.mean([getattr(each, of) for each in found]))
+                for title, of in (
+                    ("missed pedestrians", "missed_pedestrians"),
+                    ("missed vehicles", "missed_vehicles"),
+                    ("ghosts", "ghosts"),
+                    ("total", "errors"),
+                )
+            },
             **{title: mean(scored[name], of) for title, of in TRACKS.items() if name in scored},
         }
         for name, found in errors.items()
@@ -406,7 +282,7 @@ def pets() -> Findings:
         for each in tried
     ]
     caption = f"Mean and standard deviation over {len(NOISE_SEEDS)} seeds of noise."
-    in_every_tenth = "Errors in every tenth frame, with each method's best clean-up."
+    in_every_tenth = "Errors in every tenth frame, means over these seeds."
     tables = [
         Table(("film", "method", "setting", *TRACKS), track_lines, caption),
         Table(header, [[line.get(name, "") for name in header] for line in lines], in_every_tenth),
@@ -414,62 +290,17 @@ def pets() -> Findings:
     return Findings(film.name, tables, expectations, [errors_plot(lines), gallery.picture()])
 
 
-def _errors(film: AnnotatedFilm, settings: Sequence[Setting]) -> dict[str, list[Row[ErrorClasses]]]:
-    """What is wrong with the components of each method, the best clean-up first."""
+def count_errors(film: AnnotatedFilm, name: str, seed: int) -> dict[str, ErrorClasses]:
+    """Return what is wrong with the components of a method in every tenth frame."""
+    make, clean_up, _ = IN_ERROR_PLOT[name]
+    errors = ErrorClasses()
     with open_source(film.source) as source:
-        size, rate, n_frames = source.size, source.rate, source.n_frames or 795
-    priors: list[tuple[str, Engine, dict[str, dict[str, float]]]] = [
-        (f"stand-alone, P(B) = {prior}", "stand-alone", {"background": {"prior": prior}}) for prior in PRIORS
-    ]
-    everything = [
-        *(
-            Setting(name, "", partial(ModelSubtractor, engine, size, rate, parameters))
-            for name, engine, parameters in [*priors, *((*chain, {}) for chain in CHAINS)]
-        ),
-        *settings,
-    ]
-    with Progress("errors", n_frames * len(everything)) as progress:
-        rows = sweep_subtractors(
-            partial(_readable, film.source, progress),
-            range(FIRST_COUNTED, n_frames + 1, 10),
-            lambda number, mask: error_classes(mask, film.truth.at(number)),
-            everything,
-            CLEAN_UPS,
-        )
-        ranked: dict[str, list[Row[ErrorClasses]]] = {each.method: [] for each in everything}
-        for row in sorted(rows, key=lambda row: _sum(row).errors):
-            ranked[row.setting.method].append(row)
-    return ranked
-
-
-def _errors_by_seed(
-    film: AnnotatedFilm, ranked: Mapping[str, Sequence[Row[ErrorClasses]]]
-) -> dict[str, list[ErrorClasses]]:
-    """Errors with noise of the methods that are judged, each with the clean-up that is best without it."""
-    best = [ranked[name][0] for name in ("RSMCM", "feed-forward", "MOG2", "KNN")]
-    measured = by_seed(
-        "errors with noise",
-        partial(_count_errors, film),
-        [(row.setting, row.clean_up) for row in best],
-        NOISE_SEEDS,
-    )
-    return {name: errors for of_one in measured.values() for name, errors in of_one.items()}
-
-
-def _count_errors(film: AnnotatedFilm, method: tuple[Setting, CleanUp], seed: int) -> dict[str, ErrorClasses]:
-    setting, clean_up = method
-    (row,) = sweep_subtractors(
-        lambda: ((each.number, each.image) for each in film.frames(seed) if each.image is not None),
-        range(FIRST_COUNTED, film.truth.frames[-1] + 1, 10),
-        lambda number, mask: error_classes(mask, film.truth.at(number)),
-        [setting],
-        [clean_up],
-    )
-    return {setting.method: _sum(row)}
-
-
-def _sum(row: Row[ErrorClasses]) -> ErrorClasses:
-    return sum(row.values, ErrorClasses())
+        method = make(size=source.size)
+        for frame in film.prepare(source, seed, None):
+            mask = method.step(frame).foreground
+            if frame.number >= FIRST_COUNTED and frame.number % 10 == 0 and frame.image is not None:
+                errors += error_classes(clean_up.apply(mask), film.truth.at(frame.number))
+    return {"": errors}
 
 
 def _gallery(film: AnnotatedFilm) -> Gallery:
@@ -499,8 +330,25 @@ def _crowd() -> tuple[list[Trial], dict[str, list[TrackScores]]]:
 
 def pixel_trials(film: AnnotatedFilm) -> list[Trial]:
     """Return the trials without a detector: with and without feedback, and of the whole film."""
-    trials = [Trial(name, "", partial(model_tracks, film, engine, 1, None)) for name, engine in CHAINS]
+    trials = [
+        Trial(name, "", partial(online_tracks, film, partial(Model, name, engine), 1, None))
+        for name, engine in CHAINS
+    ]
     return [*trials, Trial(WHOLE, "", partial(whole_film_tracks, film, None))]
+
+
+def usual_trials(film: AnnotatedFilm) -> list[Trial]:
+    """Return the trials of subtractors with Kalman filters and assignment behind them."""
+    return [
+        Trial(
+            name,
+            f"{setting.method}, {setting}; {_in_words(parameters)}",
+            partial(
+                online_tracks, film, partial(BaselineTracker, name, setting, parameters=parameters), 1, None
+            ),
+        )
+        for name, (setting, parameters) in USUAL.items()
+    ]
 
 
 def detector_trials(film: AnnotatedFilm) -> list[Trial]:
@@ -510,16 +358,28 @@ def detector_trials(film: AnnotatedFilm) -> list[Trial]:
     """
     if film.detections is None:
         return []
+    chains: tuple[tuple[str, Engine, int], ...] = (
+        (DETECTED, "recursive-bp", 1),
+        (CUT, "feed-forward", 1),
+        (RARE, "recursive-bp", FIFTH),
+    )
     trials = [
-        Trial(DETECTED, "", partial(model_tracks, film, "recursive-bp", 1, 1)),
-        Trial(CUT, "", partial(model_tracks, film, "feed-forward", 1, 1)),
-        Trial(RARE, "", partial(model_tracks, film, "recursive-bp", 1, FIFTH)),
-        Trial(WHOLE_DETECTED, "", partial(whole_film_tracks, film, 1)),
+        Trial(name, "", partial(online_tracks, film, partial(Model, name, engine), 1, every))
+        for name, engine, every in chains
     ]
-    for name, every in ((PLAIN, 1), (RARE_PLAIN, FIFTH)):
-        for title, (described, run) in best_associations(film, every).items():
-            trials.append(Trial(f"{name}, best {title}", described, run, (0,)))
+    trials.append(Trial(WHOLE_DETECTED, "", partial(whole_film_tracks, film, 1)))
+    for name, (quantile, parameters) in ASSOCIATIONS[film.name].items():
+        described = f"lowest {quantile:.0%} left out; {_in_words(parameters)}"
+        every = FIFTH if name.startswith(RARE_PLAIN) else 1
+        trials.append(
+            Trial(name, described, partial(associated, film, every, quantile, parameters), seeds=(0,))
+        )
     return trials
+
+
+def _in_words(parameters: TrackerParameters) -> str:
+    overlap, hits, age = parameters
+    return f"overlap {overlap}, hits {hits}, age {age}"
 
 
 def _expectations_of_errors(errors: Mapping[str, Sequence[ErrorClasses]]) -> list[Expectation]:

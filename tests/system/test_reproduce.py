@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from rsmcm.apps.evaluation.masks import PixelScore, joined
 from rsmcm.apps.experiments import masks as experiment
 from rsmcm.apps.experiments import run_experiment
-from rsmcm.apps.experiments.baselines import SETTINGS, CleanUp, opencv_subtractor
-from rsmcm.apps.experiments.compare import COLUMNS, BaselineTracker, Gallery, Model, ModelSubtractor
+from rsmcm.apps.experiments.baselines import Setting
+from rsmcm.apps.experiments.compare import COLUMNS, BaselineTracker, Gallery, Model
 from rsmcm.apps.experiments.record import Expectation
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame
@@ -40,18 +40,8 @@ def test_gallery_shows_evenly_spaced_moments(n_frames: int) -> None:
     assert numbers[-1] > n_frames / 2 or n_frames < 2
 
 
-def test_a_model_as_subtractor_gives_the_same_masks() -> None:
-    scene = sleeping_man(20, size=SIZE, enter=0)
-    model = Model("RSMCM", "recursive-bp", SIZE)
-    subtractor = ModelSubtractor("recursive-bp", SIZE, 25.0)
-    for frame in scene:
-        assert frame.image is not None
-        np.testing.assert_array_equal(model.step(frame).foreground, subtractor.apply(frame.image))
-    assert model.background().shape == (72, 96, 3)
-
-
 def test_the_usual_pipeline_survives_missing_frames() -> None:
-    usual = BaselineTracker("MOG2", opencv_subtractor("MOG2", 100, 16), CleanUp(), SIZE)
+    usual = BaselineTracker("MOG2", Setting("MOG2", 100, 16), SIZE)
     scene = sleeping_man(30, size=SIZE, enter=0)
     masks = [
         usual.step(Frame(None, frame.time, frame.number) if frame.number in (1, 20) else frame).foreground
@@ -62,8 +52,8 @@ def test_the_usual_pipeline_survives_missing_frames() -> None:
 
 
 def test_scores_of_a_scene_name_all_methods() -> None:
-    scored = experiment.scores_of_scene(sleeping_man(8, size=SIZE, enter=0), SETTINGS[:1])
-    assert [name for name, _ in scored] == ["feed-forward", "RSMCM", "MOG2", "MOG2"]
+    scored = experiment.scores_of_scene(sleeping_man(8, size=SIZE, enter=0))
+    assert [name for name, _ in scored] == ["feed-forward", "RSMCM", "MOG2", "KNN"]
     assert all(len(score.numbers) == 8 for score in scored.values())
     first, second = (joined([score]) for score in list(scored.values())[:2])
     both = joined([first, second])

@@ -91,7 +91,7 @@ def _of_filters(seconds: Mapping[str, float]) -> list[Expectation]:
     ]
 
 
-def _filterpy_filter(places: Numbers) -> None:
+def _filterpy_filter(places: Numbers) -> KalmanFilter:
     """Filter one point seen at `(n_frames, 2)`."""
     one = KalmanFilter(dim_x=4, dim_z=2)
     one.x = np.array([*places[0], 0.0, 0.0])
@@ -102,6 +102,7 @@ def _filterpy_filter(places: Numbers) -> None:
     for place in places:
         one.predict()
         one.update(place)
+    return one
 
 
 # --- search for patches -------------------------------------------------------------------------------------

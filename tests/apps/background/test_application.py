@@ -229,17 +229,3 @@ def test_engines_differ_in_feedback_only() -> None:
     assert dual.chains.keys() == forward.chains.keys()
     assert set(dual.senders["pixels"]) - set(forward.senders["pixels"]) == {"blobs"}
     assert list(build_model("stand-alone").chains) == ["background"]
-
-
-def test_scores_are_restored(scene: Path) -> None:
-    truth = read_ground_truth(scene)
-    one, whole = Scoring(truth), Scoring(truth)
-    masks = {number: np.full((SIZE[1], SIZE[0]), 255, np.uint8) for number in range(1, 21)}
-    for number, mask in masks.items():
-        whole.add(number, mask)
-        if number == 10:
-            after = Scoring(truth)
-            after.restore(json.loads(json.dumps(one.saved())))
-            one = after
-        one.add(number, mask)
-    assert one.measures(None) == whole.measures(None)

@@ -1,19 +1,14 @@
 """What a background run records of its chains' predictions."""
 
 import json
-import signal
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from rsmcm.apps.background.application import build_model, run_background
-from rsmcm.apps.background.job import BackgroundJob
+from rsmcm.apps.background.application import build_model
 from rsmcm.apps.background.predictions import PixelScores, Predictions
-from rsmcm.apps.demo import write_scene
-from rsmcm.apps.evaluation.predictions import PairRecord, ScoreRecord, read_predictions
-from rsmcm.apps.runs.interruption import Interruption
+from rsmcm.apps.evaluation.predictions import PairRecord, ScoreRecord
 from rsmcm.apps.scenes import Scene, sleeping_man
 from rsmcm.inference import Belief, RecursiveBP, RunState
 from rsmcm.models import Frame, GivenBoxes
@@ -94,27 +89,3 @@ def test_a_detector_observes_what_blobs_and_ground_predict() -> None:
     assert isinstance(again, PairRecord)
     np.testing.assert_array_equal(again.predictions.first, boxes.predictions.first)
     np.testing.assert_array_equal(again.frames, boxes.frames)
-
-
-def test_a_resumed_run_records_what_a_whole_one_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_scene(SCENE, tmp_path / "scene")
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    run_background(BackgroundJob(str(tmp_path / "scene" / "input"), out=whole, masks="none"))
-    items = Interruption.items
-
-    def interrupted(self: Interruption, source: Iterator[Frame]) -> Iterator[Frame]:
-        for count, frame in enumerate(items(self, source), 1):
-            yield frame
-            if count == 45:
-                signal.raise_signal(signal.SIGINT)
-
-    job = BackgroundJob(str(tmp_path / "scene" / "input"), out=parts, masks="none")
-    with monkeypatch.context() as patch:
-        patch.setattr(Interruption, "items", interrupted)
-        run_background(job)
-    run_background(BackgroundJob(str(tmp_path / "scene" / "input"), out=parts, masks="none", resume=True))
-    (one,), (other,) = read_predictions(whole), read_predictions(parts)
-    assert isinstance(one, ScoreRecord)
-    assert isinstance(other, ScoreRecord)
-    np.testing.assert_array_equal(one.frames, other.frames)
-    np.testing.assert_array_equal(one.scores, other.scores)

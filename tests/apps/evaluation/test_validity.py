@@ -115,37 +115,6 @@ def test_costs_are_the_mean_divergence_of_posteriors(optimal: bool) -> None:
         assert abs(divergences.mean() - exact) < 4 * divergences.std() / np.sqrt(count)
 
 
-def test_costs_by_brute_force_on_a_grid() -> None:
-    """One dimension without any formula for Gaussians but their density: sums over mu, I and F."""
-    errors = scalars(0.8, 1.5, 0.5, 0.6, 0.9)
-    nodes, weights = np.polynomial.hermite_e.hermegauss(24)
-    weights = weights / weights.sum()
-    feature = np.linspace(-14, 14, 1401)
-
-    def density(x: Numbers, mean: Numbers | float, variance: float) -> Numbers:
-        return np.exp(-0.5 * (x - mean) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
-
-    observed = np.sqrt(0.6 + 0.9) * nodes  # under p(I | F before)
-    likelihood = density(observed[:, None], feature, 0.9)
-    prior = density(feature, 0.0, 0.6)
-    right = likelihood * prior
-    right /= right.sum(axis=1, keepdims=True)
-    root = np.linalg.cholesky([[0.8, 0.5], [0.5, 1.5]])
-    found = np.zeros(3)
-    for a, of_a in zip(nodes, weights, strict=True):
-        for b, of_b in zip(nodes, weights, strict=True):
-            first, second = root @ (a, b)
-            one, two = density(feature, first, 0.6 + 0.8), density(feature, second, 0.6 + 1.5)
-            for k, predicted in enumerate((one, two, one * two)):
-                wrong = likelihood * predicted
-                wrong /= wrong.sum(axis=1, keepdims=True)
-                divergence = (right * np.log((right + 1e-300) / (wrong + 1e-300))).sum(axis=1)
-                found[k] += of_a * of_b * (weights @ divergence)
-    costs = costs_of(errors)
-    expected = [costs.first.item(), costs.second.item(), costs.product.item()]
-    assert found == pytest.approx(expected, rel=1e-6)  # sums of smooth functions converge fast
-
-
 @given(SEEDS)
 @settings(max_examples=20)
 def test_lemma_1_no_noise_is_better_than_the_optimal_one(seed: int) -> None:

@@ -136,38 +136,6 @@ def test_the_scale_changes_nothing_else(path: Way, scale: float) -> None:
         assert (small.duration, small.direction) == (pytest.approx(large.duration), large.direction)
 
 
-@st.composite
-def walks(draw: st.DrawFn) -> tuple[list[float], list[float]]:
-    """Times (s) and columns (px) of somebody who walks at 0.8 heights/s between places and rests at some."""
-    columns = [draw(st.sampled_from([20.0, 60.0, 130.0, 170.0, 240.0, 300.0]))]
-    times = [0.0]
-    for _ in range(draw(st.integers(1, 4))):
-        to = draw(st.sampled_from([20.0, 60.0, 130.0, 170.0, 240.0, 300.0]).filter(columns[-1].__ne__))
-        times.append(times[-1] + abs(to - columns[-1]) / (0.8 * HEIGHT))
-        columns.append(to)
-        times.append(times[-1] + draw(st.sampled_from([0.0, 0.4, 3.2, 6.0])))
-        columns.append(to)
-    return times, columns
-
-
-@given(walks())
-def test_half_the_frames_give_the_same_events(walk: tuple[list[float], list[float]]) -> None:
-    times, columns = walk
-    strip = Zones(zones().zones[:1], zones().lines)
-    found = {}
-    for rate in (25.0, 12.5):
-        sampled = np.arange(0, times[-1], 1 / rate)
-        path = np.stack([np.interp(sampled, times, columns), np.full(len(sampled), 120.0)], axis=1)
-        found[rate] = sorted(
-            events(path, rate, watched=strip), key=lambda each: (each.kind, each.zone, each.moment.time)
-        )
-    assert kinds(found[25.0]) == kinds(found[12.5])
-    for one, other in zip(found[25.0], found[12.5], strict=True):
-        assert one.moment.time == pytest.approx(other.moment.time, abs=0.081)
-        assert (one.moment.frame - 1) / 25 == pytest.approx((other.moment.frame - 1) / 12.5, abs=0.081)
-        assert one.direction == other.direction
-
-
 def test_a_foot_at_the_border_does_not_flicker() -> None:
     """A minute on the border. 1500 errors of 0.15 of what is allowed for never reach it (6.7 deviations)."""
     noise = np.random.default_rng(0).normal(0, 0.15 * ERROR * HEIGHT, (1500, 2))

@@ -1,4 +1,4 @@
-"""The baselines do what their names say, and the sweep gives what running by hand gives."""
+"""The baselines do what their names say."""
 
 from collections.abc import Iterator
 
@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.experiments.baselines import (
-    CLEAN_UPS,
-    SETTINGS,
     CleanUp,
     KalmanHungarian,
-    opencv_subtractor,
-    sweep_subtractors,
+    Setting,
 )
 
 
@@ -31,7 +28,7 @@ def frames() -> Iterator[tuple[int, NDArray[np.uint8]]]:
 
 @pytest.mark.parametrize("method", ["MOG2", "KNN"])
 def test_subtractors_find_a_moving_square(method: str) -> None:
-    subtractor = opencv_subtractor(method, 100, 16 if method == "MOG2" else 400)
+    subtractor = Setting(method, 100, 16 if method == "MOG2" else 400).make()
     masks = {number: subtractor.apply(image) for number, image in frames()}
     mask = masks[40]
     assert set(np.unique(mask)) <= {0, 127, 255}
@@ -56,22 +53,6 @@ def test_clean_up_by_hand() -> None:
     gap = mask.copy()
     gap[10, :] = 0
     assert CleanUp(closing=5).apply(gap)[10, 10] == 255
-
-
-def test_sweep_equals_running_by_hand() -> None:
-    settings = [SETTINGS[0], SETTINGS[-1]]
-    clean_ups = [CLEAN_UPS[0], CLEAN_UPS[-1], CleanUp(median=5, min_area=30)]
-    wanted = {20, 30, 40}
-    rows = list(sweep_subtractors(frames, wanted, lambda number, mask: (number, mask), settings, clean_ups))
-    assert [(row.setting, row.clean_up) for row in rows] == [
-        (setting, clean_up) for setting in settings for clean_up in clean_ups
-    ]
-    for row in rows:
-        subtractor = row.setting.make()
-        masks = {number: row.clean_up.apply(subtractor.apply(image)) for number, image in frames()}
-        assert [number for number, _ in row.values] == sorted(wanted)
-        for number, mask in row.values:
-            np.testing.assert_array_equal(mask, masks[number])
 
 
 def walk(number: int) -> NDArray[np.float64]:

@@ -109,35 +109,6 @@ def test_claims_of_gain() -> None:
     assert [expectation.verdict for expectation in expectations] == ["pass", "", "pass", "pass", "short"]
 
 
-def test_claims_of_recovery() -> None:
-    known = [faces.Recovery(np.linspace(9.5, 0.1, 82), np.full(20, 9.5), np.zeros((3, 20, 5, 2)))]
-    expectations = faces.expected_of_recovery({faces.KNOWN: known, faces.BLANK: known})
-    assert [expectation.verdict for expectation in expectations] == ["", "short", "short", "", "", ""]
-    fast = [replace(known[0], errors=np.full(82, 0.2))]
-    assert [
-        expectation.verdict
-        for expectation in faces.expected_of_recovery({faces.KNOWN: fast, faces.BLANK: known})
-    ][1:3] == ["pass", "pass"]
-
-
-def test_claims_of_face_and_background() -> None:
-    good = {
-        condition: made_up({faces.ALL: 3.0}, 1.0, list(methods))
-        for condition, methods in faces.COMPARED.items()
-    }
-    weak = faces.WEAK
-    expectations = faces.expected_of_backgrounds(good)
-    assert [expectation.verdict for expectation in expectations] == [
-        *["pass", "short", "pass", "pass"] * 2,
-        "",
-        "",
-        "pass",
-    ]
-    assert weak in expectations[1].what
-    good[weak] = made_up({faces.NONE: 2.0}, 1.0, list(good[weak]))
-    assert {expectation.verdict for expectation in faces.expected_of_backgrounds(good)} == {"pass", ""}
-
-
 @pytest.mark.parametrize("method", [faces.EXACT, faces.ALL])
 def test_a_run_with_a_background(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(faces, "BACKGROUND_FRAMES", 5)

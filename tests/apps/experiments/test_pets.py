@@ -11,15 +11,16 @@ from rsmcm.apps.demo import write_scene
 from rsmcm.apps.evaluation.tracks import evaluate_tracks, track_rows
 from rsmcm.apps.experiments import pets as trials
 from rsmcm.apps.experiments import run_experiment
+from rsmcm.apps.experiments.compare import Model
 from rsmcm.apps.experiments.pets import (
     AnnotatedFilm,
     Trial,
     associated,
-    best_associations,
     cells,
+    count_errors,
     detector_trials,
-    model_tracks,
     noisy,
+    online_tracks,
     run_trials,
     score_trials,
     whole_film_tracks,
@@ -62,9 +63,10 @@ def test_noise_is_one_level_in_one_of_a_thousand_pixels() -> None:
 
 
 def test_the_detector_looks_at_every_fifth_frame(film: AnnotatedFilm) -> None:
-    counts = {frame.number: frame.boxes for frame in film.frames(0, every=5)}
-    assert [number for number, boxes in counts.items() if boxes] == list(range(1, N_FRAMES + 1, 5))
-    assert all(frame.boxes is None for frame in film.frames(0))
+    frames = [Frame(np.zeros((9, 9), np.uint8), number / 25, number) for number in range(1, 13)]
+    with_some = {frame.number: frame.boxes for frame in film.prepare(frames, 0, every=5)}
+    assert [number for number, boxes in with_some.items() if boxes] == [1, 6, 11]
+    assert all(frame.boxes is None for frame in film.prepare(frames, 0, every=None))
 
 
 @pytest.mark.parametrize("every", [1, 5])
@@ -76,20 +78,13 @@ def test_plain_association_follows_what_is_detected(film: AnnotatedFilm, every: 
     assert evaluate_tracks(associated(film, every, 0.0, ONE_HIT), film.truth).idf1 < scores.idf1
 
 
-@pytest.mark.usefixtures("in_this_process")
-def test_the_best_association_is_the_best(film: AnnotatedFilm, monkeypatch: pytest.MonkeyPatch) -> None:
-    quantiles, parameters = (0.0, 0.34), (ONE_HIT, (0.1, 5, 10))
-    monkeypatch.setattr(trials, "SCORE_QUANTILES", quantiles)
-    monkeypatch.setattr(trials, "ASSOCIATIONS", parameters)
-    scores = [
-        evaluate_tracks(associated(film, 1, quantile, each), film.truth)
-        for quantile in quantiles
-        for each in parameters
-    ]
-    best = best_associations(film, 1)
-    for title, measure in (("IDF1", "idf1"), ("MOTA", "mota")):
-        chosen = evaluate_tracks(best[title][1](0), film.truth)
-        assert getattr(chosen, measure) == max(getattr(each, measure) for each in scores)
+def test_errors_are_counted_in_every_tenth_frame(
+    film: AnnotatedFilm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trials, "FIRST_COUNTED", 10)
+    for name in ("RSMCM", "MOG2"):
+        (errors,) = count_errors(film, name, 0).values()
+        assert errors.objects == 6, "two people in frames 10, 20 and 30"
     bare = AnnotatedFilm(film.name, film.source, film.truth)
     assert detector_trials(bare) == [], "without detections there are no trials of a detector"
 
@@ -111,7 +106,7 @@ def test_a_method_that_sees_every_second_frame_is_judged_in_these(film: Annotate
 
 @pytest.mark.usefixtures("in_this_process")
 def test_every_seed_of_a_trial_is_run(film: AnnotatedFilm) -> None:
-    run = partial(model_tracks, film, "recursive-bp", 1, 1)
+    run = partial(online_tracks, film, partial(Model, "RSMCM", "recursive-bp"), 1, 1)
     plain = Trial("plain", "", partial(associated, film, 1, 0.0, ONE_HIT), (0,))
     tracks = run_trials("test", [Trial("model", "", run, (3, 4)), plain])
     assert [len(tracks[name]) for name in ("model", "plain")] == [2, 1]

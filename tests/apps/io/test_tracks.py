@@ -109,17 +109,6 @@ def test_what_was_written_is_read(tmp_path_factory: pytest.TempPathFactory, foun
     np.testing.assert_allclose(read, np.reshape(expected, (-1, len(names))), rtol=0, atol=0.0051)
 
 
-def test_boxes_are_those_of_mot(tmp_path: Path) -> None:
-    columns = read_tracks_table(write(tmp_path / "tracks.csv"))
-    with TrackWriter(tmp_path / "tracks.txt") as writer:
-        for number, _, track in ROWS:
-            writer.write(number, [track])
-    mot = read_tracks(tmp_path / "tracks.txt")
-    boxes = np.stack([columns[name] for name in ("x", "y", "width", "height")], axis=1)
-    np.testing.assert_array_equal(boxes, mot["box"])
-    np.testing.assert_array_equal(columns["confidence"], mot["confidence"])
-
-
 @pytest.mark.parametrize(
     ("text", "wrong"),
     [

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.apps.scenes import FaceScene, face
-from rsmcm.apps.scenes.random_fields import mottle
 from rsmcm.apps.scenes.rendering_kernels import EMPTY_DEPTH, draw_mesh
 from rsmcm.apps.scenes.talking_face import FINENESS, SKIN, TEXELS, skin_texels
 from rsmcm.models.face.built_in_model import face_model, face_plane
@@ -58,43 +57,6 @@ def test_the_skin_is_drawn_where_the_truth_has_it(axis: int) -> None:
     # A pixel averages over a facetted, curved surface and is read between pixels: 0.3 px, mean below 0.03.
     assert np.abs(error[facing]).max() < 0.3 * TEXELS
     assert abs(error[facing].mean()) < 0.03 * TEXELS
-
-
-def test_the_face_covers_what_its_outline_encloses() -> None:
-    # From the front nothing hides anything: the covered area is the sum of the triangles' areas.
-    scene = face(1, 0, noise=0)
-    covered = scene._render(0)[1]
-    corners = scene._mesh.project(scene.poses)[0][scene._mesh.triangles]
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    area = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum() / 2
-    # each of about 350 outline pixels is counted in ninths: an error of at most 0.1 px^2, independent
-    assert covered.sum() == pytest.approx(area, abs=5 * 0.1 * np.sqrt(350))
-    assert set(np.unique(np.rint(covered * 9))) <= set(range(10))
-    np.testing.assert_array_equal(scene.foreground(0), covered > 0.5)
-
-
-@pytest.mark.parametrize("shields", [False, True])
-def test_visibility_agrees_with_the_drawn_depths(shields: bool) -> None:
-    # An oracle of another kind: draw the mesh at 12 samples a px and compare a vertex with the depth there.
-    scene = face(120, 1, max_yaw=60, shields=shields)
-    mesh = scene._mesh
-    disagreements = compared = hidden = 0
-    for index in range(0, 120, 10):
-        places = mesh.positions(scene.poses[index])[0].copy()
-        places[:, :2] = (places[:, :2] - places[:, :2].min(axis=0)) * 12 + 3
-        columns, rows = np.ceil(places[:, :2].max(axis=0)).astype(int) + 3
-        depth = np.full((rows, columns), EMPTY_DEPTH, np.float32)
-        blank = np.zeros((2, 2, 1), np.float32)
-        draw_mesh(depth[..., None].copy(), depth, places, np.zeros_like(places), mesh.triangles, blank)
-        front = np.rint(places[: scene.model.n_vertices, :2]).astype(int)
-        behind = places[: scene.model.n_vertices, 2] - depth[front[:, 1], front[:, 0]]
-        facing = normals(scene, index, FINENESS)[:, 2]
-        clear = np.abs(facing) > 0.25  # at grazing angles a sample beside a vertex has another depth
-        disagreements += ((behind < 0.5) & (facing < 0) != visible(scene, index))[clear].sum()
-        compared += clear.sum()
-        hidden += (~visible(scene, index) & clear & (facing < 0)).sum()
-    assert disagreements <= 0.01 * compared
-    assert (hidden > 50) == shields  # these are not only turned away
 
 
 # Drawing
@@ -169,17 +131,6 @@ def test_texture_scales_contrast_and_change_moves_it() -> None:
     assert 0.2 < steps.std() < 3  # it changes slowly
 
 
-def test_mottle_has_unit_variance_and_no_detail_below_its_finest() -> None:
-    finest = 8.0
-    field = mottle((120, 200), 60.0, finest, np.random.default_rng(0))
-    assert field.shape == (120, 200)
-    assert field.std() == pytest.approx(1, rel=1e-5)
-    assert abs(field.mean()) < 1e-5
-    spectrum = np.abs(np.fft.fft2(field)) ** 2
-    frequency = np.hypot(np.fft.fftfreq(120)[:, None], np.fft.fftfreq(200)[None])
-    assert spectrum[frequency > 1.2 / finest].sum() < 1e-3 * spectrum.sum()
-
-
 # Motion
 
 
@@ -191,20 +142,6 @@ def test_it_turns_as_far_as_wanted(max_yaw: float) -> None:
     most = np.abs(turned).max(axis=1)
     assert (most <= max_yaw + 3).all(), "nodding adds a little"
     assert most.max() > 0.8 * max_yaw
-
-
-def test_fast_is_faster_and_both_stay_in_the_picture() -> None:
-    medians = {}
-    for motion in ("natural", "fast"):
-        scenes = [face(200, seed, motion=motion) for seed in range(5)]  # type: ignore[arg-type]
-        for scene in scenes:
-            inside = (scene.vertices > 0) & (scene.vertices < np.array(scene.size) - 1)
-            assert inside.mean() > 0.97
-            assert np.abs(scene.poses.morphs[:, 1:] / scene.poses.morphs[:, :1]).max() <= 3
-        steps = [np.linalg.norm(np.diff(each.vertices, axis=0), axis=2).mean(axis=1) for each in scenes]
-        medians[motion] = np.median(steps)
-    assert 0.4 < medians["natural"] < 2.5
-    assert medians["fast"] > 1.5 * medians["natural"]
 
 
 # Frames

@@ -1,10 +1,9 @@
 import http.client
 import json
-import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from itertools import count, islice
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -172,32 +171,6 @@ def test_port_that_is_taken(page: str, tmp_path: Path) -> None:
 
 
 # --- those who are slow, many or rude --------------------------------------------------
-
-
-def stalled(page: str, path: str = "/stream.mjpg") -> socket.socket:
-    """Somebody who asks, and takes nothing."""
-    where = urlsplit(page)
-    client = socket.socket()
-    client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    client.connect((where.hostname, where.port))
-    client.sendall(f"GET {path} HTTP/1.0\r\nHost: {where.netloc}\r\n\r\n".encode())
-    return client
-
-
-@pytest.mark.slow
-def test_who_stalls_delays_neither_the_run_nor_others(page: str, running: Running) -> None:
-    with ExitStack() as stack:
-        costs = stack.enter_context(going_on(running, (320, 240)))
-        for _ in range(5):
-            stack.enter_context(stalled(page))
-        time.sleep(0.5)  # the buffers are full
-        stream = parts(ask(page, "/stream.mjpg"))
-        began = time.monotonic()
-        pictures = [next(stream) for _ in range(10)]
-        assert time.monotonic() - began < 5
-        assert len(set(pictures)) == 10
-    assert np.median(costs) < 1e-3
-    assert len(costs) > 50
 
 
 # --- the end --------------------------------------------------

@@ -1,7 +1,6 @@
 import json
 import threading
 import time
-import tracemalloc
 from pathlib import Path
 
 import cv2
@@ -104,21 +103,3 @@ def test_what_is_said_of_a_run(running: Running) -> None:
     running.end(None)
     said = running.status()
     assert (said["state"], said["words"]) == ("ended", ["30 frames"]), "what was said first"
-
-
-def test_memory_is_bounded_however_long_it_runs(running: Running) -> None:
-    """One picture and a few numbers are kept, whatever nobody has asked for."""
-
-    def go_on() -> None:
-        for number in range(2000):
-            running.on_frame(Frame(None, number / 25, number + 1), {"tracks": 1}, ["something"])
-            running.show(grey(0, (64, 48)))
-
-    go_on()
-    tracemalloc.start()
-    try:
-        go_on()
-        kept, _ = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert kept < 100_000, "2000 pictures are 18 MB"

@@ -308,15 +308,6 @@ def test_damaged_image_is_a_missing_frame(tmp_path: Path, suffix: str, damage: s
     assert source.size == (WIDTH, HEIGHT)
 
 
-def test_forms_of_images(tmp_path: Path) -> None:
-    gray = tmp_path / "gray.png"
-    cv2.imwrite(str(gray), picture(1)[:, :, 0])
-    assert read(gray)[1][0].image.shape == (HEIGHT, WIDTH)  # type: ignore[union-attr]
-    transparent = tmp_path / "transparent.png"
-    cv2.imwrite(str(transparent), np.dstack([picture(1), np.full((HEIGHT, WIDTH), 9, np.uint8)]))
-    np.testing.assert_array_equal(read(transparent)[1][0].image, picture(1))
-
-
 def test_images_of_another_size_or_type_are_named(tmp_path: Path) -> None:
     folder = write_images(tmp_path / "images", 4)
     cv2.imwrite(str(folder / "frame3.png"), picture(3)[:40])
