@@ -68,7 +68,7 @@ def test_the_page_can_be_typed(film: Path, monkeypatch: pytest.MonkeyPatch) -> N
     last = names["belief"].frame
     assert last.number == N_FRAMES
     assert last.boxes is None, "32 is no fifth frame from 1"
-    (box,) = names["bright_things"](Frame(np.full((4, 6, 3), 255, np.uint8), 0.0, 1))
+    (box,) = names["bright_objects"](Frame(np.full((4, 6, 3), 255, np.uint8), 0.0, 1))
     assert box[:4] == [0, 0, 6, 4]
 
 

@@ -69,7 +69,7 @@ def test_the_page_can_be_typed(film: Path, scene: SignerScene, monkeypatch: pyte
         assert apart < 0.3 * scene.body.head_height
     assert names["points"] is None, "12 is no second frame from 1"
     assert names["joints"].shape == (8, 3)
-    assert len(names["clicked"]) == 1
+    assert len(names["first"]) == 1
 
 
 def test_points_of_a_network_are_px_of_the_picture(

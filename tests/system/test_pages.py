@@ -128,12 +128,12 @@ def check_bodies(reader: Reader) -> None:
     assert names["joints"].shape == (8, 3)
     off = names["joints"][0, :2] - names["signing"].joints[-1, 0, :2]
     assert (abs(off) < 0.3 * names["body"].head_height).all()
-    assert names["usual"]["condensation"].effective > 1
+    assert names["last"]["condensation"].effective > 1
 
 
 def check_python(reader: Reader) -> None:
     names = reader.names
-    found = [(names[mask][names["person"]] > 0).mean() for mask in ("together", "apart")]
+    found = [(names[mask][names["person"]] > 0).mean() for mask in ("with_feedback", "without_feedback")]
     assert found[0] > found[1] + 0.2
     assert len(list(Path("found/foreground").iterdir())) == 60
     assert names["scores"].n_frames > 40
