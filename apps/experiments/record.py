@@ -1,4 +1,4 @@
-"""Records of experiments: figures beside what is expected, where and when they were measured."""
+"""Records of experiments: figures beside their targets, where and when they were measured."""
 
 import json
 import math
@@ -29,16 +29,16 @@ NOT_BUSY = ("idle", "iowait", "guest", "guest_nice")
 
 DRAWS = 200  # how often seeds are drawn again; standard errors are then known to 5 %
 
-HEADER = ("measure", "wanted", "measured", "±", "")
+HEADER = ("measure", "target", "measured", "±", "")
 
 
 @dataclass(frozen=True)
 class Expectation:
-    """A number and the bound that is expected of it."""
+    """A measured number and its target."""
 
     what: str  # is measured, with its unit
     measured: float  # its value
-    # relation, bound: what is wanted of it; `None` where nothing is, and the value only informs
+    # relation, bound: the target; `None` if there is no target
     relation: Literal["<=", ">="] = "<="
     bound: float | None = None
     # NaN where there is but one seed. Of speeds, the seeds are rounds
@@ -51,20 +51,20 @@ class Expectation:
 
     @property
     def verdict(self) -> str:
-        """`"pass"`, `"short"`, or nothing where nothing is wanted; NaN is short."""
+        """Return `"pass"`, `"missed"`, or nothing if there is no target; NaN is a miss."""
         if self.bound is None:
             return ""
         holds = self.measured <= self.bound if self.relation == "<=" else self.measured >= self.bound
-        return "pass" if holds else "short"
+        return "pass" if holds else "missed"
 
     @property
     def cells(self) -> tuple[str, str, str, str, str]:
-        """What, wanted, measured, its standard error or quartiles, verdict."""
-        wanted = "" if self.bound is None else f"{self.relation} {self.bound:g}"
+        """Measure, target, value, its standard error or quartiles, verdict."""
+        target = "" if self.bound is None else f"{self.relation} {self.bound:g}"
         error = "" if math.isnan(self.standard_error) else rounded(self.standard_error, 2)
         if self.quartiles is not None:
             error = "–".join(map(rounded, self.quartiles))
-        return self.what, wanted, rounded(self.measured), error, self.verdict
+        return self.what, target, rounded(self.measured), error, self.verdict
 
 
 def over_seeds(
@@ -203,7 +203,7 @@ class Record:
     title: str
     command: str  # that repeats it
     made: Provenance  # where, when and with what
-    expectations: Sequence[Expectation]  # figures, beside what is wanted of them
+    expectations: Sequence[Expectation]  # figures, beside their targets
     tables: Sequence[Table]  # everything that was measured
 
     @cached_property

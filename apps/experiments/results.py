@@ -20,7 +20,7 @@ from ...models.files import write_text
 from ..evaluation.text_tables import rounded
 from .record import HEADER, ROOT, TRACKING, Expectation, Provenance, Record, git
 
-VERDICTS = {"pass": "holds", "short": "**short**"}
+VERDICTS = {"pass": "met", "missed": "**missed**"}
 SCALE = Path("docs") / "scale.md"
 PICTURE = "![Time over size, log scales, a panel for each kind of size](pictures/curves.png)\n"
 ELSEWHERE = {"curves": "scale.md", "capacity": "scale.md"}  # records that are on another page
@@ -28,25 +28,24 @@ ELSEWHERE = {"curves": "scale.md", "capacity": "scale.md"}  # records that are o
 INTRODUCTION = """\
 # Results
 
-Made by `make results` from what `rsmcm reproduce NAME` and `make bench` record (`docs/results/*.json`), with
-what is wanted of it beside it; only the last part is noted by hand. All parameters have the same setting for
-every sequence.
+`make results` makes this page from the records of `rsmcm reproduce NAME` and `make bench`
+(`docs/results/*.json`); only the last part was noted by hand. All sequences use the same parameters. Where
+a target is missed, the text below the table gives the reasons.
 
-± is the standard error of a figure over its n seeds, by the bootstrap (200 draws of the seeds with
-replacement); tables of methods say what they give. Seeds are those of a generated scene, or of noise on a
-film (one grey level in a thousandth of its pixels), for us and for all peers. A figure without ± was measured
-once. "Of an earlier state" is what was measured before the last commit that touched `models`, `inference` or
+± is the standard error over n seeds, by the bootstrap (200 draws of the seeds with replacement); captions
+say what tables of methods contain. Seeds are those of a generated scene, or of noise in a video (one grey
+level in a thousandth of its pixels), for us and for all other methods. A figure without ± was measured
+once. "Of earlier code" means: measured before the last commit that touched `models`, `inference` or
 `chains`.
-What falls short is marked, and below it stands why.
 
-Speeds are medians over n rounds in which all methods had their turn, with quartiles; a ratio is that of every
-round. "Loaded" is what was measured while other processes kept more than half a core busy.
+Speeds are medians over n rounds in which all methods took turns, with quartiles; ratios are computed in
+each round. "Loaded" figures were measured while other processes kept more than half a core busy.
 """
 BY_HAND = """\
-## Measured by hand, in earlier states
+## Measured by hand, with earlier code
 
-What no command prints, or what has not been recorded yet, as it was noted at the time; bold is short of what
-was wanted. Where a record took the place of a table, that is in `docs/results/earlier.toml` only.
+Figures that no command prints, or that are not recorded yet, as noted at the time; missed targets are bold.
+Tables that a record has replaced are only in `docs/results/earlier.toml`.
 """
 
 
@@ -92,14 +91,16 @@ def _toml(path: Path) -> dict[str, Any]:
 def results_page(documents: Documents, changed: str) -> str:
     """Return the page of results.
 
-    `changed`, ISO 8601, is when the code that tracks was changed last: what was measured before is of an
-    earlier state. It is empty where that is not known.
+    `changed`, ISO 8601, is when the code of trackers was changed last; older measurements are marked. It is
+    empty if unknown.
     """
     overview, parts = [], []
     for name, record in documents.records.items():
-        passed, short = (sum(each.verdict == verdict for each in record.expectations) for verdict in VERDICTS)
+        passed, missed = (
+            sum(each.verdict == verdict for each in record.expectations) for verdict in VERDICTS
+        )
         link = f"[{record.title}]({ELSEWHERE.get(name, '')}#{_anchor(record.title)})"
-        overview.append([link, f"`{record.command}`", str(passed), str(short or "")])
+        overview.append([link, f"`{record.command}`", str(passed), str(missed or "")])
         if name not in ELSEWHERE:
             note = documents.notes[name].strip()
             parts += [f"## {record.title}\n", f"{measured_when(record, changed)}\n", figures(record)]
@@ -112,16 +113,16 @@ def results_page(documents: Documents, changed: str) -> str:
             parts += [f"### {each['title']}\n", f"{each['state'].strip()}\n"]
             parts += [table(each["header"], each["rows"])] if "rows" in each else []
             parts += [f"{each['text'].strip()}\n"] if "text" in each else []
-    return "\n".join([INTRODUCTION, table(("", "command", "holds", "short"), overview), *parts])
+    return "\n".join([INTRODUCTION, table(("", "command", "met", "missed"), overview), *parts])
 
 
 def figures(record: Record) -> str:
-    """Return a table of an experiment's figures, beside what is expected of them."""
+    """Return a table of an experiment's figures, beside their targets."""
     rows = []
     for each in record.expectations:
-        what, wanted, measured, error, _ = each.cells
+        what, target, measured, error, _ = each.cells
         count = str(each.seeds) if each.seeds > 1 else ""
-        rows.append([what, _bound(wanted), measured, error, count, _verdict(each)])
+        rows.append([what, _bound(target), measured, error, count, _verdict(each)])
     return table([*HEADER[:4], "n", ""], rows)
 
 
@@ -162,13 +163,18 @@ def readme_with(text: str, documents: Documents, changed: str) -> str:
         figure = record.by_what.get(each["row"])
         if figure is None:
             raise ValueError(f"readme: got {each['row']!r}, no row of the record {record.name!r}")
-        _, wanted, measured, error, _ = figure.cells
-        value = f"{measured} ± {error}" if error else measured
-        rows.append([each["what"], _bound(wanted), value, _verdict(figure), _when(record.made, changed)])
+        _, target, measured, error, _ = figure.cells
+        value = (
+            f"{measured} ({error})" if figure.quartiles else f"{measured} ± {error}" if error else measured
+        )
+        rows.append([each["what"], _bound(target), value, _verdict(figure), _when(record.made, changed)])
         machines.add(record.made.machine)
-    chosen = table(("what", "wanted", "measured", "", "when, commit"), rows)
+    chosen = table(("measure", "target", "measured", "", "date, commit"), rows)
     machine = f"On {'; '.join(sorted(machines))}. " if machines else ""
-    content = f"{chosen}\n{machine}± is the standard error over seeds."
+    legend = (
+        "± is the standard error over seeds; brackets contain quartiles; other figures were measured once."
+    )
+    content = f"{chosen}\n{machine}{legend}"
     return between(text, "figures", content, "README.md")
 
 
@@ -214,15 +220,15 @@ def _verdict(figure: Expectation) -> str:
     return ", ".join(filter(None, (VERDICTS.get(figure.verdict, ""), "loaded" if figure.loaded else "")))
 
 
-def _bound(wanted: str) -> str:
-    return wanted.replace("<=", "≤").replace(">=", "≥")
+def _bound(target: str) -> str:
+    return target.replace("<=", "≤").replace(">=", "≥")
 
 
 def _when(made: Provenance, changed: str) -> str:
     commit = f"`{made.commit}`" if made.commit else f"version {made.versions['rsmcm']}"
     more = " and changes" if made.changed else ""
     before = bool(changed) and datetime.fromisoformat(made.date) < datetime.fromisoformat(changed)
-    return f"{made.date[:10]}, {commit}{more}{', **of an earlier state**' if before else ''}"
+    return f"{made.date[:10]}, {commit}{more}{', **of earlier code**' if before else ''}"
 
 
 def _anchor(title: str) -> str:

@@ -109,7 +109,7 @@ def test_expectations() -> None:
     assert [each.measured for each in good[:5]] == pytest.approx([0.4, 1 / 3, 0.25, 0.5, body.MULTIPLES[-1]])
     assert "more than" in good[4].what
     poor = body.expectations_of(made_up(8, 8, 10, (9, 9)))
-    assert [each.verdict for each in poor[:5]] == ["short", "short", "short", "", "short"]
+    assert [each.verdict for each in poor[:5]] == ["missed", "missed", "missed", "", "missed"]
     assert {each.verdict for each in poor[5:]} == {"pass"}
     assert poor[4].measured == pytest.approx(1.0)
     assert "more than" not in poor[4].what
@@ -126,7 +126,7 @@ def test_mis_tracks_and_exchanges_count_for_the_later_answers() -> None:
     assert (recovered.measured, scenes.measured) == (0.5, 1)
     assert "2 mis-tracks" in recovered.what
     assert off.measured == pytest.approx(18 / 29 / 2)
-    assert [each.verdict for each in (recovered, off, scenes)] == ["short"] * 3
+    assert [each.verdict for each in (recovered, off, scenes)] == ["missed"] * 3
 
 
 def test_the_time_to_come_near_lies_between_those_that_were_measured() -> None:

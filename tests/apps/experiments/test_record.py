@@ -20,7 +20,7 @@ def test_read_back(tmp_path: Path) -> None:
     back = Record.read(tmp_path / "results.json")
     assert (back.name, back.title, back.command, back.made) == ("name", "Title", record.command, record.made)
     assert back.expectations[0] == record.expectations[0]
-    assert back.expectations[1].verdict == "short"
+    assert back.expectations[1].verdict == "missed"
     assert math.isnan(back.expectations[1].measured)
     assert vars(back.tables[0]) == vars(record.tables[0])
 

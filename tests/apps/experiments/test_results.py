@@ -82,11 +82,11 @@ def documents(checkout: Path) -> Documents:
 
 
 def test_pages_are_what_is_made_of_the_records() -> None:
-    """After a change of a record: `make results`, which also marks what is of an earlier state."""
+    """After a change of a record: `make results`, which also marks what was measured with earlier code."""
     found = Documents.read(ROOT / "docs" / "results")
 
     def unmarked(text: str) -> str:
-        return text.replace(", **of an earlier state**", "")
+        return text.replace(", **of earlier code**", "")
 
     assert unmarked((ROOT / "docs" / "results.md").read_text()) == results_page(found, "")
     readme = unmarked((ROOT / "README.md").read_text())
@@ -98,8 +98,8 @@ def test_pages_are_what_is_made_of_the_records() -> None:
 def test_page(checkout: Path) -> None:
     page = results_page(documents(checkout), BEFORE)
     assert page.index("## Second") < page.index("## First")
-    assert "| ratio | ≤ 1 | 0.5 | 0.012 | 5 | holds |" in page
-    assert "| lost | ≤ 0 | – |  |  | **short** |" in page
+    assert "| ratio | ≤ 1 | 0.5 | 0.012 | 5 | met |" in page
+    assert "| lost | ≤ 0 | – |  |  | **missed** |" in page
     assert "| px |  | 3 |  |  |  |" in page
     assert "| [Second](#second) | `rsmcm reproduce second` | 0 | 1 |" in page
     assert "`rsmcm reproduce first`; 2026-11-22, `0123456789`; Processor, 2 cores, 24 GB; 5 min" in page
@@ -107,7 +107,7 @@ def test_page(checkout: Path) -> None:
     assert "| ours | 0.877 |\n| a&#124;b | – |" in page
     assert "by hand" in page
     assert "never shown" not in page
-    assert "earlier state**" not in page
+    assert "earlier code**" not in page
 
 
 def test_what_does_not_fit_is_named(checkout: Path) -> None:

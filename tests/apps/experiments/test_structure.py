@@ -35,7 +35,7 @@ def test_claims_hold_where_they_should() -> None:
     poor = {
         expectation.what: expectation.verdict for expectation in experiment.expectations_of(made_up(0.06))
     }
-    assert sum(verdict == "short" for verdict in poor.values()) == 4
+    assert sum(verdict == "missed" for verdict in poor.values()) == 4
 
 
 def test_the_methods_on_one_short_sequence() -> None:

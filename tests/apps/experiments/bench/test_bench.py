@@ -150,7 +150,7 @@ def test_parts_are_kept_whatever_becomes_of_others(
     assert bench.main(["--only", "nobody"]) == 1
     found = Record.read(tmp_path / bench.RECORD).by_what
     assert found["of another run"].verdict == "pass"
-    assert found["part nobody: failed, exit code 1"].verdict == "short"
+    assert found["part nobody: failed, exit code 1"].verdict == "missed"
     assert bench.main(["--against", str(bench.RECORD)]) == 0
     assert f"no ratio is worse than in {bench.RECORD}" in capfd.readouterr().out
 
