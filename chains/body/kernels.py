@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.kernels import rotation
-from ...models.numerics.compiled import compiled, exponential, inlined, logarithm
+from ...models.numerics.compiled import compiled, exponential, helper, logarithm
 
 _f4 = np.float32
 
 
-@compiled
+@helper
 def _squares_to_rows(point, rows, squares):
     """Squared distances `(k,)` of a point `(d,)` to rows `(d, k)`, axis after axis for vector units."""
     squares[:] = _f4(0.0)
@@ -39,7 +39,7 @@ def least_squares_to_rows(points, rows, least):
         least[i] = best
 
 
-@compiled
+@helper
 def _products_to_row(i, body, ancestors, nearest, arms, ancestor_arms, weights, concentrations, floors, row):
     """For pose i, fill `row` `(k,)` with weight, Gaussian of the body's place and kernels of both arms."""
     upper, fore = concentrations[0], concentrations[1]
@@ -197,7 +197,7 @@ def guided_values(hands, chosen, walks, completions, sides, means, precisions, h
         values[i] = 0.5 * limits[i] - 45.0 + np.log(totals[i]) + walks[i, 0] + walks[i, 1]
 
 
-@inlined
+@helper
 def _spread(points, order, first, end, variances):
     """Write into `variances` `(d,)` those of the points `order[first]` to before `order[end]`."""
     count = end - first
@@ -273,7 +273,7 @@ NECK = 0.62  # of the way from the head's centre to the root: middle of the neck
 FOREARM_POINTS = 4  # places between elbow and wrist at which skin is looked up
 
 
-@inlined
+@helper
 def _at(picture, x, y):
     """Bilinear value of a map `(height, width)`; that of the border outside."""
     height, width = picture.shape
@@ -286,21 +286,21 @@ def _at(picture, x, y):
     return above + down * (below - above)
 
 
-@inlined
+@helper
 def _inside(distance, radius, spread):
     """Share of a Gaussian window that a large disc covers whose centre is so far from the window's."""
     steep = min(_f4(1.7) * (distance - radius) / spread, _f4(60.0))  # `exponential` ends at 80
     return _f4(1.0) / (_f4(1.0) + exponential(steep))
 
 
-@inlined
+@helper
 def _before(edge, spread):
     """Share of a Gaussian window that is on the near side of an edge `edge` px beyond its centre."""
     steep = min(max(_f4(-1.7) * edge / spread, _f4(-60.0)), _f4(60.0))
     return _f4(1.0) / (_f4(1.0) + exponential(steep))
 
 
-@inlined
+@helper
 def _in_strip(right, below, arm, half, spread):
     """Share that an arm (direction, length) covers of a window `right` and `below` of its beginning."""
     along, off = right * arm[0] + below * arm[1], below * arm[0] - right * arm[1]
@@ -308,7 +308,7 @@ def _in_strip(right, below, arm, half, spread):
     return covered * (_before(half - off, spread) - _before(-half - off, spread))
 
 
-@inlined
+@helper
 def _seen_or_not(nats, hidden):
     """Log of a mixture: seen with a likelihood ratio of `nats`, or `hidden` and then of 1."""
     return logarithm((_f4(1.0) - hidden) * exponential(min(nats, _f4(60.0))) + hidden)
@@ -327,7 +327,7 @@ class HandModel(NamedTuple):
     bare_scores: NDArray[np.float64]  # `(3,)`: the scores of a bare forearm that is seen in its full length
 
 
-@inlined
+@helper
 def _explained(x, y, parts, roots, k, hand, spread):
     """Share of a Gaussian window at x, y that head and neck of pose k cover."""
     wide, high = _f4(hand.head[0]), _f4(hand.head[1])
@@ -341,7 +341,7 @@ def _explained(x, y, parts, roots, k, hand, spread):
     return max(_inside(from_head, radius, spread), _inside(from_neck, _f4(hand.neck_radius), spread))
 
 
-@inlined
+@helper
 def _forearm(parts, elbows, k, side, radius, arm):
     """Write direction and length (3,) of a forearm in the picture, from the elbow to the wrist."""
     x = _f4(parts[k, 1 + side, 0] - elbows[k, side, 0])
@@ -623,7 +623,7 @@ class Solid(NamedTuple):
     rim: np.float32  # share of a part's squared radius that hides nothing, see `fronts`
 
 
-@inlined
+@helper
 def _put_ellipsoid(shapes, part, bounds, middle, matrix):
     """An ellipsoid |S^(-1/2) (p - c)| <= 1 from its centre and its matrix S (xx, xy, yy, xz, yz, zz)."""
     x, y, z = middle
@@ -639,7 +639,7 @@ def _put_ellipsoid(shapes, part, bounds, middle, matrix):
     bounds[part, 2], bounds[part, 3] = y - high, y + high
 
 
-@inlined
+@helper
 def _put_capsule(shapes, part, bounds, start, extent, first, last):
     """A limb from `start` along `extent`, both x, y, z, whose radius goes from `first` to `last`."""
     x, y, z = start
@@ -659,7 +659,7 @@ def _put_capsule(shapes, part, bounds, start, extent, first, last):
     bounds[part, 2], bounds[part, 3] = min(y - first, y + ey - last), max(y + first, y + ey + last)
 
 
-@inlined
+@helper
 def _put_torso(shapes, bounds, axes, depth, x, y, chin, torso, least):
     """A torso whose plane is `depth` behind the root `(x, y)`, with its neck, which goes with the head."""
     right, down, away = axes
@@ -688,7 +688,7 @@ def _put_torso(shapes, bounds, axes, depth, x, y, chin, torso, least):
     bounds[TORSO, 3] = cy + max(top * down[1], bottom * down[1]) + high
 
 
-@compiled
+@helper
 def put_body(roots, torsos, necks, arms, pose, lengths, torso, shapes, bounds):
     """Describe the parts of a pose in `shapes` `(8, NUMBERS)`, and in `bounds` `(8, 4)` left, right, top and
     bottom, px, of where each may be.
@@ -730,7 +730,7 @@ def put_body(roots, torsos, necks, arms, pose, lengths, torso, shapes, bounds):
         _put_ellipsoid(shapes, part + 2, bounds, (sx, sy, sz), (square, 0.0, square, 0.0, 0.0, square))
 
 
-@inlined
+@helper
 def _ellipsoid_fronts(shapes, part, rim, lines, least, row):
     """Depths of an ellipsoid `(centre 3, inverse of the outline's matrix 3, slope 2, depth^2)`."""
     cx, cy, cz = shapes[part, 0], shapes[part, 1], shapes[part, 2]
@@ -743,7 +743,7 @@ def _ellipsoid_fronts(shapes, part, rim, lines, least, row):
         least[row, k] = min(least[row, k], front if inner > rim else FAR)
 
 
-@inlined
+@helper
 def _capsule_fronts(shapes, part, rim, lines, least, row):
     """Depths of a limb `(start 3, extent 3, radius, its change, a, 1 / a, steepness)`.
 
@@ -768,7 +768,7 @@ def _capsule_fronts(shapes, part, rim, lines, least, row):
         least[row, k] = min(least[row, k], front if inner > rim * square else FAR)
 
 
-@inlined
+@helper
 def _end_on_fronts(shapes, part, rim, lines, least, row):
     """As `_capsule_fronts` for a limb whose one end holds the other: the nearest of its ends."""
     cx, cy, cz = shapes[part, 0], shapes[part, 1], shapes[part, 2]
@@ -785,7 +785,7 @@ def _end_on_fronts(shapes, part, rim, lines, least, row):
         least[row, k] = min(least[row, k], min(near, behind))
 
 
-@inlined
+@helper
 def _torso_fronts(torso, shapes, lines, least, row):
     """Depths of a torso `(middle 2, depth below and above it, lean of the neck, its end, axes 6, scale)`.
 
@@ -815,7 +815,7 @@ def _torso_fronts(torso, shapes, lines, least, row):
         least[row, k] = min(least[row, k], front if outside < _f4(0) else FAR)
 
 
-@inlined
+@helper
 def fronts(shapes, part, torso, rim, lines, least, row):
     """Bring depths `least` `(rows, n)` down to that of a part's front at the points of a row of `lines`.
 
@@ -835,7 +835,7 @@ LANES = 16
 """Points in a row, which are worked on together: rows are of one part each, and some points do not count."""
 
 
-@compiled
+@helper
 def _trace_torso(shapes, contour, lines, first):
     """Points of a torso's outline from those in its plane, and their normals, `(r, 4, LANES)`."""
     cx, cy, cz = shapes[TORSO, 0], shapes[TORSO, 1], shapes[TORSO, 2]
@@ -860,7 +860,7 @@ def _trace_torso(shapes, contour, lines, first):
             lines[row, 4, k] = ny / np.sqrt(nx * nx + ny * ny)
 
 
-@compiled
+@helper
 def _trace_ellipsoid(shapes, part, circles, lines, row):
     """Points of an ellipsoid's outline from points of a circle."""
     cx, cy, cz = shapes[part, 0], shapes[part, 1], shapes[part, 2]
@@ -886,7 +886,7 @@ def _trace_ellipsoid(shapes, part, circles, lines, row):
         lines[row, 4, k] = ny / np.sqrt(nx * nx + ny * ny)
 
 
-@inlined
+@helper
 def _turned(angle):
     """Sine and cosine of a float32 angle from -pi/2 to pi/2, error below 1e-6."""
     square = angle * angle
@@ -897,7 +897,7 @@ def _turned(angle):
     return angle + angle * square * sine, _f4(1) + square * cosine
 
 
-@compiled
+@helper
 def _trace_capsule(shapes, part, points, lines, row):
     """Points along a limb's outline without the cap at its end: on both sides from the middle of the cap."""
     x, y, z, radius = shapes[part, 0], shapes[part, 1], shapes[part, 2], shapes[part, 6]
@@ -936,7 +936,7 @@ def _trace_capsule(shapes, part, points, lines, row):
         lines[row, 2, k] = z + max(points[0, k] * slide - begin, _f4(0)) * dz
 
 
-@compiled
+@helper
 def trace(roots, torsos, necks, arms, pose, solid, shapes, bounds, lines, least):
     """The outlines of a pose, and the depth of the nearest other part at each of their points.
 

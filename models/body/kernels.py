@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from ..numerics.compiled import compiled, exponential, inlined, logarithm
+from ..numerics.compiled import compiled, exponential, helper, logarithm
 
 _QUARTER = np.pi / 2
 
 
-@inlined
+@helper
 def _sine_cosine(angle):
     """Sine and cosine of a float64 angle, error below 1e-15 up to a few turns (libm's are no vector code)."""
     quarters = np.floor(angle * (1 / _QUARTER) + 0.5)
@@ -31,7 +31,7 @@ def _sine_cosine(angle):
     return upright, level
 
 
-@inlined
+@helper
 def rotation(x, y, z):
     """Columns of the matrix of a rotation vector (Rodrigues): the turned axes x, y and z."""
     angle = np.sqrt(x * x + y * y + z * z)
@@ -89,7 +89,7 @@ def place_parts(roots, torsos, necks, arms, neck, half, upper, fore, parts):
             parts[k, 1 + side, 1] = sy + upper * arms[k, side, 0, 1] + fore * arms[k, side, 1, 1]
 
 
-@inlined
+@helper
 def _along(axes, x, y, z):
     """Coordinates of a vector along the axes that `rotation` gives."""
     right, down, away = axes
@@ -100,7 +100,7 @@ def _along(axes, x, y, z):
     )
 
 
-@inlined
+@helper
 def _in_torso(x, y, z, torso):
     """Whether a point, in the torso's axes, is in the torso or behind it; see `within_limits`."""
     # clothes are soft and bodies differ: points near the border count as outside
@@ -158,7 +158,7 @@ def within_limits(torsos, necks, arms, half, upper, fore, limits, torso, allowed
         allowed[k] = good
 
 
-@inlined
+@helper
 def _towards(x, y, z):
     """Unit vector along a vector (any for 0), and its length."""
     length = np.sqrt(x * x + y * y + z * z)
@@ -167,7 +167,7 @@ def _towards(x, y, z):
     return x / length, y / length, z / length, length
 
 
-@inlined
+@helper
 def _from_reference(x, y, z, sign, reference):
     """Unit vector across a unit vector that is nearest to `reference` `(3,)`, mirrored for `sign` -1."""
     rx, ry, rz = sign * reference[0], reference[1], reference[2]

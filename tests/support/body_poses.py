@@ -1,15 +1,25 @@
 """Poses of an upper body to test with: hanging arms, arms of given angles, turns, masks, outlines."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
-from rsmcm.chains.body.kernels import LANES, NUMBERS, ROW, fronts, put_body, trace
+from rsmcm.chains.body import kernels
+from rsmcm.chains.body.kernels import LANES, NUMBERS, ROW
 from rsmcm.chains.body.likelihood import OUTLINE_PARTS, solid_of
 from rsmcm.models.body.upper_body import BodyPoses, UpperBody, transport
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
+
+
+def _from_a_loop(function: Any) -> Any:
+    """A function that only loops can call."""
+    return njit(lambda *arguments: function(*arguments))
+
+
+put_body, fronts, trace = map(_from_a_loop, (kernels.put_body, kernels.fronts, kernels.trace))
 
 FAR = 1e9
 """Depth where a part is not."""
