@@ -1,4 +1,4 @@
-"""The command `rsmcm`. Everything heavy is imported where a subcommand starts, so that help comes at once."""
+"""The command `rsmcm`. Large modules are imported when a subcommand starts, so that help is fast."""
 
 import logging
 import os
@@ -37,9 +37,11 @@ app = App(
     default_parameter=Parameter(converter=convert_strictly),
     config=options_from_file,
 )
-reproduce = App(name="reproduce", help="Reproduce figures of the papers, wanted values beside measured ones.")
+reproduce = App(
+    name="reproduce", help="Reproduce figures of the papers, with targets beside the measured values."
+)
 app.meta.suppress_keyboard_interrupt = False
-app.meta.group_parameters = Group("Of every command", sort_key=2)
+app.meta.group_parameters = Group("Global options", sort_key=2)
 
 T = TypeVar("T")
 Fields = Annotated[T, Parameter(name="*")]
@@ -52,7 +54,7 @@ def background(job: Fields[BackgroundJob]) -> int:
     """Separate moving objects from the background, and track them.
 
     Writes foreground masks, tracks.txt (MOT format), tracks.csv, background.png, summary.json and view.html.
-    Ctrl-C ends the run with complete results of what was processed.
+    Ctrl-C ends the run with complete results of the processed frames.
     """
     from .background.application import run_background
 
@@ -61,12 +63,12 @@ def background(job: Fields[BackgroundJob]) -> int:
 
 @app.command
 def structure(job: Fields[StructureJob]) -> int:
-    """Track points, and find their shape and the motion of the camera.
+    """Track points, and estimate their shape and the motion of the camera.
 
     Writes structure.ply, cameras.json, tracks.npz, predictions.npz, summary.json and view.html. All frames
-    are held in memory, but with --engine recursive-bp, which takes one after the other. Where the motion does
-    not show depth (a static camera), that is said, and there is no structure.ply. Ctrl-C ends the run with
-    the results of the last whole round.
+    are held in memory, except with --engine recursive-bp. If the motion does not show depth (a static
+    camera), the run reports this and writes no structure.ply. Ctrl-C ends the run with the results of the
+    last complete round.
     """
     from .structure.application import run_structure
 
@@ -77,9 +79,9 @@ def structure(job: Fields[StructureJob]) -> int:
 def face(job: Fields[FaceJob]) -> int:
     """Track a face: its pose, deformation and texture.
 
-    Writes poses.npz, texture.png, texture_variance.png, summary.json and view.html. Frames that are missing,
-    unreadable or blank are predicted. Where the face is lost, that is said, and it is looked for again.
-    Ctrl-C ends the run with complete results of what was processed.
+    Writes poses.npz, texture.png, texture_variance.png, summary.json and view.html. Missing, unreadable and
+    blank frames are predicted. A lost face is reported, and searched for. Ctrl-C ends the run with complete
+    results of the processed frames.
     """
     from .face.application import run_face
 
@@ -88,13 +90,12 @@ def face(job: Fields[FaceJob]) -> int:
 
 @app.command
 def body(job: Fields[BodyJob]) -> int:
-    """Track a person's upper body: the pose of head and arms, in depth as well.
+    """Track a person's upper body: the pose of head and arms in 3-D.
 
-    Writes poses.npz, summary.json and view.html. The person should face the camera, best in long sleeves:
-    hands are found by the colour of the face. It is one person's body with two hands; other hands and skin-
-    coloured things compete with them. Parts that are hidden, and frames that are missing, unreadable or
-    blank, are predicted, and it is said which. Ctrl-C ends the run with complete results of what was
-    processed.
+    Writes poses.npz, summary.json and view.html. The person should face the camera; long sleeves are best,
+    since hands are found by the colour of the face. One person is tracked; other hands and objects in the
+    colour of skin may be confused with the hands. Hidden parts, and missing, unreadable or blank frames, are
+    predicted and marked. Ctrl-C ends the run with complete results of the processed frames.
     """
     from .body.application import run_body
 
@@ -103,10 +104,10 @@ def body(job: Fields[BodyJob]) -> int:
 
 @app.command
 def shape(job: Fields[ShapeJob]) -> int:
-    """Learn the 3-D shape of a thing that deforms from tracks of its points, and its motion.
+    """Learn the 3-D shape and motion of a deforming object from tracks of its points.
 
-    By EM for probabilistic PCA of the shape, seen by a scaled orthographic camera. Writes shapes.npz (the
-    points in space in every frame, poses, weights), model.npz (for rsmcm face), summary.json and view.html.
+    Uses EM for probabilistic PCA of the shape, with a scaled orthographic camera. Writes shapes.npz (points
+    in 3-D in every frame, poses, weights), model.npz (for rsmcm face), summary.json and view.html.
     """
     from .shape.application import run_shape
 
@@ -117,7 +118,7 @@ def shape(job: Fields[ShapeJob]) -> int:
 def export(
     run: Path, *, to: Literal["coco", "cvat", "movement", "video"], out: Path, overwrite: Flag = False
 ) -> int:
-    """Write the results of a finished run as a file that another tool takes.
+    """Export the results of a finished run to a file for another tool.
 
     Parameters
     ----------
@@ -126,11 +127,11 @@ def export(
     to
         coco: JSON with boxes, masks and identities of a background run. cvat: its MOT 1.1 (zip), which CVAT
         imports and --ground-truth reads. movement: netCDF of objects, a body or a face (needs rsmcm[xarray]).
-        video: the film with what was found drawn on it, of any run that has one.
+        video: the video with the results drawn in.
     out
         File to write: .json, .zip, .nc or .mp4.
     overwrite
-        Replace the file if it is there.
+        Replace an existing file.
     """
     from .exports.export import run_export
 
@@ -154,9 +155,9 @@ def demo(*, out: Path = Path("results/demo")) -> int:
 
 @app.command
 def view(run: Path) -> int:
-    """Show the results of a run in the browser: the film, with what was found drawn over it.
+    """Open the page of a run in the browser.
 
-    On a machine without a screen, the page is named only.
+    On a machine without a screen, it prints the path of the page.
 
     Parameters
     ----------
@@ -171,7 +172,7 @@ def view(run: Path) -> int:
 
 @app.command
 def validity(run: Path) -> int:
-    """Say which chains of a finished run help each other, and why.
+    """Report which chains of a finished run help each other, and why.
 
     Parameters
     ----------
@@ -186,17 +187,17 @@ def validity(run: Path) -> int:
 
 @app.command
 def events(run: Path, *, zones: Path) -> int:
-    """Say what happened in zones of a finished run of rsmcm background.
+    """Report the events in zones of a finished run of rsmcm background.
 
     Writes events.csv, events.html and the counts in summary.json, as --zones of the run itself would have;
-    what an earlier call wrote there is replaced.
+    files of an earlier call are replaced.
 
     Parameters
     ----------
     run
         Folder of the run.
     zones
-        TOML file with zones and lines of the picture, or JSON as LabelMe writes it.
+        TOML file with zones and lines of the image, or JSON of LabelMe.
     """
     from .events.page import run_events
 
@@ -221,9 +222,9 @@ def _experiment(name: str) -> Callable[..., None]:
         Parameters
         ----------
         jobs
-            Sequences that are worked on at once; as many as there are cores if not given.
+            Number of parallel processes. Default: the number of cores.
         dask
-            Address of the scheduler of a Dask cluster whose workers do it instead.
+            Address of the scheduler of a Dask cluster to use instead.
         """
         from .runs.parallel import chosen_workers, working
 
@@ -249,25 +250,25 @@ def compare(
     config: Path | None = None,
     chain: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
 ) -> int:
-    """Compare methods on a film: background alone, feed-forward, RSMCM, and OpenCV's MOG2 and KNN.
+    """Compare methods on a video: background alone, feed-forward, RSMCM, and OpenCV's MOG2 and KNN.
 
-    Writes index.html, results.json and pictures; with --ground-truth errors and scores as well. The options
-    are those of rsmcm background.
+    Writes index.html, results.json and images; with --ground-truth also errors and scores. The options are
+    those of rsmcm background.
 
     Parameters
     ----------
     source
         A video file, or a folder or glob of images.
     ground_truth
-        A MOT gt.txt, a folder that holds one, or CVAT's zip of MOT 1.1; or a CDnet folder with groundtruth/.
+        A MOT gt.txt, a folder with one, CVAT's zip of MOT 1.1, or a CDnet folder with groundtruth/.
     detections
-        What a detector has found in the film, for the chains.
+        Boxes of a detector, for the chains.
     classes
-        Names of classes of detections to take, with commas; all if not given.
+        Names of the classes of detections to use, separated by commas. Default: all.
     camera
-        Fixed, or moving, as the chains take it.
+        Camera model of the chains: fixed or moving.
     roi
-        Region of interest: x,y,width,height in px from 0, or a picture that is not black inside.
+        Region of interest: x,y,width,height in px from 0, or an image that is not black inside.
     start
         First frame, counted from 1.
     stop
@@ -275,9 +276,9 @@ def compare(
     step
         Take every n-th frame.
     config
-        TOML file with options under their names, and with parameters of the chains.
+        TOML file with options by name, and with parameters of the chains.
     chain
-        Connect a chain of another package as well, by the name under which it is announced.
+        Name of a chain of another package to connect as well; may be repeated.
     """
     from .experiments.compare import run_compare
 
@@ -298,12 +299,12 @@ app.command(batch)
 
 
 def _ended(outcome: Outcome, job: Job | None = None) -> int:
-    """The exit code of a run, of whose job is printed what is to be said; a line says if there is nothing."""
+    """Print the messages of a run, and return its exit code."""
     if job is not None:
         print(*outcome.words, *outcome.summary["notes"], f"results: {job.out / 'view.html'}", sep="\n")
     if outcome.signal is not None:
         return SIGNALLED + outcome.signal
-    lost = None if outcome.lost is None else f"lost for good: {outcome.lost}"
+    lost = None if outcome.lost is None else f"lost permanently: {outcome.lost}"
     if (wrong := lost or outcome.nothing) is None:
         return 0
     print(f"rsmcm: {outcome.summary['source']}: {wrong}", file=sys.stderr)
@@ -321,18 +322,18 @@ def launch(
     quiet: Flag = False,
     verbose: Flag = False,
 ) -> int | None:
-    """Run a command as its options and those of every command say.
+    """Run a command with the global options.
 
     Parameters
     ----------
     command
         Its name and its own options.
     threads
-        How many threads the loops over pixels use; the results do not depend on it. At most 2 if not given.
+        Number of threads; results do not depend on it. Default: at most 2.
     quiet
-        Print nothing but errors.
+        Print errors only.
     verbose
-        Also print what is found out and decided on the way.
+        Also print details of the run.
     """
     if quiet and verbose:
         raise ValueError("--quiet and --verbose: got both, expected one of them")
@@ -355,7 +356,7 @@ def launch(
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; whatever is wrong with it is one line on standard error and exit code 2."""
+    """Run the command line; an error is one line on standard error and exit code 2."""
     if isinstance(sys.stdout, TextIOWrapper):  # what its encoding lacks must not end a run
         sys.stdout.reconfigure(errors="backslashreplace")
     have_one_thread()
@@ -377,7 +378,7 @@ def _exit_code(arguments: Sequence[str]) -> int:
         print(f"rsmcm: {one_line(error)}{hint}", file=sys.stderr)
         return USAGE_ERROR
     except MemoryError:
-        print("rsmcm: there is not enough memory for this run", file=sys.stderr)
+        print("rsmcm: not enough memory for this run", file=sys.stderr)
         return USAGE_ERROR
     except KeyboardInterrupt as stop:
         print(f"rsmcm: {str(stop) or 'interrupted'}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""What the background application is asked for."""
+"""Options of the background application."""
 
 import math
 from collections.abc import Sequence
@@ -19,45 +19,46 @@ Masks = Literal["none", "png", "video"]
 
 @dataclass(frozen=True, kw_only=True)
 class BackgroundJob(FilmJob):
-    """What to separate from the background.
+    """Options of `rsmcm background`.
 
     Parameters
     ----------
     engine
-        recursive-bp: background and objects correct each other. feed-forward: the background hears nothing of
-        the objects. stand-alone: the background only, no tracks. coordinate-ascent: the whole film at once;
-        the empty scene is found from all of it, and tracks know what comes later. The source is read four
-        times, which a camera or stream cannot be.
+        recursive-bp: background and objects correct each other. feed-forward: no messages from the objects to
+        the background. stand-alone: the background only, no tracks. coordinate-ascent: the whole video at
+        once; background and tracks use all frames. The source is read four times, so it cannot be a camera or
+        stream.
     camera
-        fixed, or moving: it shakes, turns or drifts a little about where it looks in the first frame, and
-        every frame is registered with that scene. Where a frame does not show it, nothing is known.
+        fixed, or moving: the camera shakes, turns or drifts a little around its first view, and every frame
+        is registered to that view. Outside of it, there are no results.
     warm_up
-        Find the empty scene from the first so many seconds before any frame is answered, so that people who
-        are there from the beginning are no part of it. These frames are held in memory.
+        Seconds at the beginning from which the background is estimated before the first result, so that
+        people in the first frame are not part of it. These frames are held in memory.
     config
-        TOML file with options under their names, and with parameters of the chains, in sections [background],
-        [blobs], [ground], [detector], [camera-motion], and [chains.NAME] for those of other packages; what is
-        typed goes first.
+        TOML file with options by name, and with parameters of the chains, in sections [background], [blobs],
+        [ground], [detector], [camera-motion], and [chains.NAME] for those of other packages. The command line
+        has precedence.
     chain
-        Connect a chain of another package as well, by the name under which it is announced (entry points
-        rsmcm.chains); several times for several.
+        Name of a chain of another package to connect as well (entry point of the group rsmcm.chains); may be
+        repeated.
     roi
-        Region of interest: x,y,width,height in px from 0, or a picture that is not black inside. Foreground
-        outside is 0, and objects that stand outside are not reported.
+        Region of interest: x,y,width,height in px from 0, or an image that is not black inside. There is no
+        foreground outside, and objects that stand outside are not reported.
     learned
-        Begin with what a run over another film of the scene has learned, its background, tracks and
-        identities: the state.npz of its results. A recording is taken to go on where that one ended.
+        Start with the background, tracks and identities of another run over the same scene: its state.npz. A
+        recording is assumed to continue where that one ended.
     masks
         Foreground masks as foreground/bin000001.png and so on, as one lossless foreground.mkv, or none.
     ground_truth
-        A MOT gt.txt, a folder that holds one, or CVAT's zip of MOT 1.1; or a CDnet folder with groundtruth/.
+        Ground truth: a MOT gt.txt, a folder with one, CVAT's zip of MOT 1.1, or a CDnet folder with
+        groundtruth/.
     detections
-        What a detector has found in the film: MOT det.txt, COCO JSON, or CSV with a header (frame, x, y,
-        width, height, score, class).
+        Boxes of a detector: MOT det.txt, COCO JSON, or CSV with a header (frame, x, y, width, height, score,
+        class).
     classes
-        Names of classes of detections to take, with commas; all if not given.
+        Names of the classes of detections to use, separated by commas. Default: all.
     zones
-        Zones and lines of the picture, TOML: who enters, leaves, crosses, stays or stands still is written
+        TOML file with zones and lines of the image: entries, exits, crossings, stays and standing are written
         to events.csv.
     """
 

@@ -294,7 +294,7 @@ def _run(application: str, job: Any) -> FilmStatus:
         end_working()
         state = "interrupted"
     elif outcome.lost is not None:
-        state, error = "lost", f"lost for good: {outcome.lost}"
+        state, error = "lost", f"lost permanently: {outcome.lost}"
     elif outcome.nothing is not None:
         state, error = "failed", outcome.nothing
     summary = outcome.summary

@@ -40,21 +40,20 @@ OfBatch = Annotated[T, Parameter(group=Group(ALWAYS_TYPED, sort_key=0))]
 
 @dataclass(frozen=True, kw_only=True)
 class Batch:
-    """Where the results of many films go, and who works on them.
+    """Options of a batch.
 
     Parameters
     ----------
     out
-        Folder for the results: a folder for each film, summary.csv and index.html.
+        Folder for the results: one folder per video, summary.csv and index.html.
     jobs
-        Films at the same time; as many as there are cores if not given, and no fewer than live cameras.
+        Number of videos at the same time, at least the number of live cameras. Default: the number of cores.
     dask
-        Address of the scheduler of a Dask cluster that is there; its workers take the films, instead of
-        processes on this machine.
+        Address of the scheduler of an existing Dask cluster, whose workers process the videos.
     overwrite
-        Remove the results that are in the folders, and begin anew.
+        Remove earlier results in the folders, and start again.
     only_print
-        Print one shell command for each film, and do nothing.
+        Print one shell command per video, and run nothing.
     """
 
     out: OfBatch[Path]
@@ -135,20 +134,20 @@ def job_of(application: str, words: Sequence[str]) -> Job:
     return job
 
 
-HELP = """Run rsmcm {} over many films or cameras.
+HELP = """Run rsmcm {} on many videos or cameras.
 
-Each has a folder of results, as of a run of its own; summary.csv and index.html are over all of them. Run
-again, the same command leaves what is complete as it is, and goes on with what was broken off. A film that
-fails is named at the end and stops no other. All options of the single run are for all films.
+Each video has its own folder of results; summary.csv and index.html list all of them. The same command, run
+again, skips complete videos and continues interrupted ones. A video that fails does not stop the others, and
+is reported at the end. The options of the single run apply to all videos.
 
 Parameters
 ----------
 sources
-    Video files, folders of images, folders of films, globs of them in quotation marks, addresses, or a TOML
-    file that lists cameras.
+    Video files, folders of images, folders of videos, globs in quotation marks, addresses, or a TOML file
+    that lists cameras.
 """
 
-batch = App(name="batch", help="Run an application over many films or cameras, a folder of results for each.")
+batch = App(name="batch", help="Run an application on many videos or cameras.")
 
 
 def _over_many(application: str) -> Callable[..., int]:

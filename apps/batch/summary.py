@@ -18,7 +18,7 @@ from .job import INDEX, SUMMARY
 from .sources import plain_name
 
 State = Literal["waiting", "complete", "interrupted", "lost", "failed"]
-"""Of a film: not begun; all there; ended by Ctrl-C; lost for good, of a camera; ended by an error."""
+"""Of a film: not begun; all there; ended by Ctrl-C; lost permanently, of a camera; ended by an error."""
 
 
 @dataclass(frozen=True)

@@ -21,28 +21,26 @@ class BodyJob(FilmJob):
     Parameters
     ----------
     detector
-        The face is found by a detector: OpenCV's YuNet with this model file (.onnx), or the Haar cascade that
-        OpenCV 4 brings along.
+        Model file (.onnx) of OpenCV's face detector YuNet. Default: the Haar cascade of OpenCV 4.
     head
-        x,y,width,height in px of the head in the first frame, from chin to the top of the skull. Instead of a
-        detector; it is then followed by its colour and edges. With --detector, it says whose face is meant
-        where there are several; otherwise that is the largest.
+        x,y,width,height in px of the head in the first frame, from chin to the top of the skull. It replaces
+        the detector: the head is then tracked by colour and edges. With --detector, it selects one of several
+        faces; by default that is the largest.
     joints
-        CSV file with the columns frame,joint,x,y: joints that were clicked in a few frames, from which the
-        lengths of the person's arms are taken. Without it, proportions are usual ones. Joints: head, neck
-        (between the shoulders), left_shoulder, left_elbow, left_hand, and right; left is the person's own.
+        CSV file with the columns frame,joint,x,y: joints annotated in a few frames, from which the lengths of
+        the arms are computed. Default: average proportions. Joints: head, neck (between the shoulders),
+        left_shoulder, left_elbow, left_hand, and the same with right; left is the person's own.
     keypoints
-        File of what a detector of poses or hands has found: CSV with the columns frame, person, joint, x, y
-        and score, COCO's JSON of results, or the folder of OpenPose's JSON. Without --detector and --head,
-        the largest person in it is followed.
+        Keypoints of a detector of poses or hands: CSV with the columns frame, person, joint, x, y and score,
+        COCO's JSON of results, or a folder of OpenPose's JSON. Without --detector and --head, the largest
+        person in it is tracked.
     samples
-        How many poses are drawn a frame.
+        Number of pose samples per frame.
     lag
-        Frames that are waited for before one is answered, so that what they show of it counts: 12 if not
-        given, and 0 for cameras and streams.
+        Number of later frames that the result of a frame uses. Default: 12; 0 for cameras and streams.
     learned
-        Begin with what a run over another film of the person has learned, lengths, colour and pose: the
-        state.npz of its results. A recording is taken to go on where that one ended.
+        Start with the lengths, colour and pose of another run over the same person: its state.npz. A
+        recording is assumed to continue where that one ended.
     """
 
     detector: Path | None = None
@@ -63,7 +61,7 @@ class BodyJob(FilmJob):
     )
 
     def settings(self) -> dict[str, Any]:
-        """What the results depend on, beside the source; with the content of the key points."""
+        """What the results depend on, beside the source; with the content of the keypoints."""
         from ..io.keypoints import digest_of
 
         settings = super().settings()

@@ -10,32 +10,31 @@ from ..options.job import Bounds, FilmJob
 
 @dataclass(frozen=True, kw_only=True)
 class FaceJob(FilmJob):
-    """Options of a face run.
+    """Options of `rsmcm face`.
 
     Parameters
     ----------
     model
-        Morphable model: an .npz (of rsmcm shape, say), Candide-3 (.wfm), the Surrey model's folder or .bin,
-        or an .obj. A small built-in face if not given.
+        Morphable model: an .npz (for example from rsmcm shape), Candide-3 (.wfm), the Surrey model's folder
+        or .bin, or an .obj. Default: a small built-in face.
     landmarks
         An .npy with landmarks (n_frames, n_landmarks, 2) in px, NaN where one is missing. Those of the first
-        frame start the track. The others do not help it; it is measured by them. The first row belongs to the
-        first frame that is processed, unless there are as many rows as the source has frames.
+        frame start the track; the others only measure the error. The first row belongs to the first processed
+        frame, unless there are as many rows as the source has frames.
     correspondences
-        Text that says which landmark is which of the model's: a line per pair, index from 0 = number from 1.
-        Not needed where the landmarks are in the order of the model's landmarks or vertices.
+        Text file that assigns landmarks to those of the model, one pair per line: index from 0 = number from
+        1. Not needed if they are in the order of the model's landmarks or vertices.
     detector
-        Without landmarks, the face is found by a detector; it is also asked where a face is that is lost.
-        OpenCV's YuNet with this model file (.onnx), this cascade (.xml), or the Haar cascade that OpenCV 4
-        brings along.
+        Face detector, to start without landmarks and to find a lost face: a model file (.onnx) of OpenCV's
+        YuNet, or a cascade (.xml). Default: the Haar cascade of OpenCV 4.
     experts
-        How many hypotheses are tracked.
+        Number of experts (pose hypotheses).
     gain
-        How fast the texture follows the picture, from 0 (a template) to 1 (optic flow); learned: by
-        each texel for itself.
+        Gain of the texture's Kalman filter, from 0 (a template) to 1 (optic flow); learned: estimated for
+        each texel.
     learned
-        Begin with what a run over another film of the face has learned, its shape and texture: the
-        state.npz of its results. A recording is taken to go on where that one ended.
+        Start with the shape and texture of another run over the same face: its state.npz. A recording is
+        assumed to continue where that one ended.
     """
 
     model: Path | None = None

@@ -1,4 +1,4 @@
-"""What a run is asked for: command line, TOML file and call from Python are one dataclass.
+"""Options of a run: one dataclass for the command line, the TOML file and calls from Python.
 
 The docstrings are the command line's help. Nothing here takes long to import.
 """
@@ -13,19 +13,19 @@ from cyclopts import Group, Parameter
 
 T = TypeVar("T")
 Flag = Annotated[bool, Parameter(negative="")]
-OfRuns = Annotated[T, Parameter(group=Group("Of every run", sort_key=1))]
+OfRuns = Annotated[T, Parameter(group=Group("Common options", sort_key=1))]
 
 
 Bounds = Mapping[str, tuple[Callable[[Any], bool], str]]
-"""By field: what a value that is given has to fulfil, and this in words."""
+"""By field: a test of the value, and the expected values in words."""
 
 NAMES = {"learned": "from"}
-"""Of options that are called otherwise than their fields."""
+"""Names of options that differ from their fields."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What to do with a source.
+    """Options of every run.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Job:
     out
         Folder for the results.
     config
-        TOML file with options under their names; what is typed goes first.
+        TOML file with options by name. The command line has precedence.
     start
         First frame, counted from 1.
     stop
@@ -42,11 +42,11 @@ class Job:
     step
         Take every n-th frame.
     resume
-        Go on with the run whose results are in the folder, from its last saved state.
+        Continue the run in the folder from its last saved state.
     overwrite
-        Remove the results that are in the folder.
+        Remove earlier results in the folder, and start again.
     reconnect
-        When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
+        Seconds for which a lost camera or stream is reconnected. The gap consists of missing frames.
 
     Raises
     ------
@@ -107,27 +107,27 @@ class Job:
 
 @dataclass(frozen=True, kw_only=True)
 class FilmJob(Job):
-    """What to do with a film, frame after frame.
+    """Options of every run over a video.
 
     Parameters
     ----------
     every
-        Save the state each time that so many frames are done.
+        Number of frames between saved states.
     learned
-        Begin with what a run over another film has learned: the state.npz of its results. A recording is
-        taken to go on where that one ended.
+        Start with what another run has learned: its state.npz. A recording is assumed to continue where that
+        one ended.
     seed
-        Of random numbers; recorded with the results.
+        Seed of random numbers; recorded with the results.
     live
-        Show the run in the browser while it goes on, on this port of this machine, or of HOST:PORT, where
-        anybody can look who gets there; 0 is any port that is free.
+        Show the running command in a browser: PORT on this machine, or HOST:PORT, which everyone who can
+        reach the host can see. 0 selects a free port.
     video
-        Write overlay.mp4 as well, the film in its full size with what was found drawn on it; rsmcm export
-        makes it of a finished run, at most 640 px wide or high.
+        Also write overlay.mp4, the video in full size with the results drawn in. (rsmcm export makes one from
+        a finished run, at most 640 px wide or high.)
     """
 
     every: OfRuns[int] = 500
-    learned: Annotated[Path | None, Parameter(name="--from", group="Of every run")] = None
+    learned: Annotated[Path | None, Parameter(name="--from", group="Common options")] = None
     seed: OfRuns[int] = 0
     live: OfRuns[str | None] = None
     video: OfRuns[Flag] = False

@@ -19,7 +19,7 @@ T = TypeVar("T")
 OPTION = "--config"
 """Which names the file on the command line."""
 
-ALWAYS_TYPED = "Of a batch"
+ALWAYS_TYPED = "Batch options"
 """The group of the options that are about many runs, which stand in no file of one."""
 
 SCALARS = (bool, int, float, str)

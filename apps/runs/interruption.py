@@ -23,7 +23,7 @@ class Outcome:
 
     @property
     def lost(self) -> str | None:
-        """Why its camera or stream was lost for good; `None` if it was not."""
+        """Why its camera or stream was lost permanently; `None` if it was not."""
         stream = self.summary.get("stream")
         return None if stream is None else stream["lost"]
 

@@ -14,22 +14,22 @@ AUTO: Literal["auto"] = "auto"
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeJob(Job):
-    """Options of a shape run.
+    """Options of `rsmcm shape`.
 
     Parameters
     ----------
     source
-        Tracks of its points: .npy, or .npz with an array tracks or a single one, (n_frames, n_points, 2) px,
-        NaN where missing; or as CoTracker or TAP-Vid have them; or motion capture (.mat).
+        Tracks of points: .npy, or .npz with an array tracks or a single array, (n_frames, n_points, 2) px,
+        NaN where missing; files of CoTracker or TAP-Vid; or motion capture (.mat).
     bases
-        Number of shapes that are mixed, the mean among them: 2 or more; auto: as many as predict positions
-        best that were held out.
+        Number of basis shapes, including the mean: 2 or more; auto: chosen by the prediction of held-out
+        positions.
     smooth
-        The tracks are a film, its frames are successive: weights and turns change smoothly, by as much as the
-        tracks tell. Turns then shake less; the error in depth hardly changes.
+        The frames are successive: weights and rotations change smoothly, by a learned amount. Rotations are
+        then less noisy; the error in depth hardly changes.
     truth
-        Where the points really are in space: .npy or .npz, (n_frames, n_points, 3), or motion capture (.mat),
-        as many frames as the tracks. The error in 3-D is reported.
+        True positions of the points in 3-D, to report the error: .npy or .npz, (n_frames, n_points, 3), or
+        motion capture (.mat), with as many frames as the tracks.
     """
 
     bases: int | Literal["auto"]

@@ -16,29 +16,28 @@ Camera = Literal["auto", "affine", "perspective"]
 
 @dataclass(frozen=True, kw_only=True)
 class StructureJob(FilmJob):
-    """Options of a structure run.
+    """Options of `rsmcm structure`.
 
     Parameters
     ----------
     source
         A video file, a folder or glob of images, or a track file: an .npz with tracks (n_frames, n_points, 2)
-        in px, NaN where a point is missing, or as CoTracker or TAP-Vid have them. At least 3 frames and 4
-        points. With --engine recursive-bp also a camera or a stream, and no track file.
+        in px, NaN where a point is missing, or a file of CoTracker or TAP-Vid. At least 3 frames and 4
+        points. With --engine recursive-bp also a camera or a stream, but no track file.
     engine
-        coordinate-ascent: from all frames together. recursive-bp: while frames come in, before an affine
-        camera; it goes on as long as they do.
+        coordinate-ascent: from all frames together. recursive-bp: frame by frame, with an affine camera.
     coherence
-        second-order: the camera moves smoothly. none: every frame's camera is on its own.
+        second-order: the camera moves smoothly. none: cameras of different frames are independent.
     association
-        dual-chain: shape and tracker correct each other, and tracks that show one point become one. none: the
-        tracker hears nothing of the shape, every track is a point of its own.
+        dual-chain: shape and tracker correct each other, and tracks of the same point are joined. none: no
+        messages from the shape to the tracker, every track is a separate point.
     camera
-        affine: it is far away. perspective: it has one focal length, square pixels, and the middle of the
-        picture as its principal point. auto: perspective where that explains the film better.
+        affine: for a distant camera. perspective: one focal length, square pixels, the principal point in the
+        middle of the image. auto: perspective if that explains the video better.
     focal
-        Focal length in px, where it is known; else pictures may state it, or it is estimated.
+        Focal length in px. Default: from the images (EXIF), or estimated.
     resume
-        Go on with the run whose results are in the folder, from its last saved round.
+        Continue the run in the folder from its last saved round.
     """
 
     engine: Engine = "coordinate-ascent"

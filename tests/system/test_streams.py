@@ -477,7 +477,7 @@ def test_all_applications_end_with_exit_code_1(
     with serving(StreamServer(images, [Connection(4), Connection(4)]).answer) as address:
         given = [landmarks if option == "LANDMARKS" else option for option in options]
         code, output, errors = run(name, capfd, address, "--out", out, "--reconnect", 0.5, *given)
-    assert (code, errors) == (1, [f"rsmcm: {address}: lost for good: it broke off"])
+    assert (code, errors) == (1, [f"rsmcm: {address}: lost permanently: it broke off"])
     summary = summary_of(out)
     assert summary["ended_early"]
     (gap,) = summary["stream"]["gaps"]

@@ -116,7 +116,7 @@ class LiveReader(Reader):
         self._reconnect = reconnect
 
     def frames(self, selection: Selection, stopping: threading.Event) -> Iterator[Frame]:
-        """Yield the selected frames until the connection is lost for good."""
+        """Yield the selected frames until the connection is lost permanently."""
         for moment, image in self._arriving(stopping):
             self.last_number += 1
             if self.last_number in selection:

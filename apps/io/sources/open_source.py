@@ -71,7 +71,7 @@ class Source:
     truncated
         whether the source ended before the end that it announces (known once it has ended).
     lost
-        why a camera or stream was lost for good, once it has ended in that way; otherwise `None`.
+        why a camera or stream was lost permanently, once it has ended in that way; otherwise `None`.
     """
 
     def __init__(self, open_reader: Callable[[], Reader], selection: Selection) -> None:

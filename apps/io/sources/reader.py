@@ -76,7 +76,7 @@ class Reader(ABC):
     last_number
         of the last frame seen, also of those not selected.
     lost
-        why the connection is lost for good; `None` as long as it is not.
+        why the connection is lost permanently; `None` as long as it is not.
     gaps
         in which the connection was lost, so far.
     notes
