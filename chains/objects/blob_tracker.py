@@ -125,11 +125,11 @@ class BlobTracker:
         """Return the message of all objects to a feature (mu_{S -> F})."""
         if isinstance(feature, PixelLabels):
             return PixelMessage(layers=self._placed(state, incoming)[2])
-        pixels = incoming[PixelLabels]
-        blobs, _ = incoming.once(self._registered, state, pixels)
+        blobs, _ = incoming.once(self._registered, state, incoming[PixelLabels])
         if not len(blobs):
             return BoxMessage()
-        return detections.box_message(select_whole(blobs), state.detecting, pixels.image is not None)
+        is_seen = incoming.evidence(PixelLabels).image is not None
+        return detections.box_message(select_whole(blobs), state.detecting, is_seen)
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Update all objects by the frame: register, learn, merge, split, delete and create."""

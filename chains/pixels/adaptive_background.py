@@ -171,8 +171,7 @@ class AdaptiveBackground:
         With prediction N(R; m, s), d = I - m and K = s / (s + noise) the mean becomes m + r K d and the
         variance (1 - r K) s + r (1 - r) K^2 d^2.
         """
-        others = incoming[PixelLabels]
-        image = others.image
+        image = incoming.evidence(PixelLabels).image
         if image is None:
             return state
         prediction = self._predicted(state, incoming)
@@ -182,7 +181,7 @@ class AdaptiveBackground:
         second = SecondColours(state.candidate.copy(), state.seen.copy())
         channels = len(state.mean)
         flat = np.ascontiguousarray(image).reshape(-1)
-        composed = others.layers.composition(image, state.size)
+        composed = incoming.others(PixelLabels).layers.composition(image, state.size)
         if len(composed.regions):
             update_behind(
                 composed.regions, composed.shift, flat, subtraction.smoothed, prediction.pixels, light,
@@ -259,7 +258,7 @@ class AdaptiveBackground:
         return self._prediction(state, image if self.follow_light else None).light
 
     def _predicted(self, state: BackgroundState, incoming: Incoming) -> BackgroundPrediction:
-        image = incoming[PixelLabels].image if self.follow_light else None
+        image = incoming.evidence(PixelLabels).image if self.follow_light else None
         return incoming.once(self._prediction, state, image)
 
     def _prediction(self, state: BackgroundState, image: NDArray[np.uint8] | None) -> BackgroundPrediction:

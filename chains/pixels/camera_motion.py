@@ -107,14 +107,14 @@ class CameraMotion:
 
     def update(self, state: CameraState, incoming: Incoming) -> CameraState:
         """Return the map given the frame's registration, and the picture updated at background pixels."""
-        others = incoming[ScenePixels]
-        if others.image is None:
+        found = incoming.evidence(ScenePixels)
+        if found.image is None:
             return state
         where, picture = state.where, state.picture.copy()
-        seen = np.asarray(others.foreground() == 0, np.uint8)
-        if others.view is not None:
-            where = self._motion(picture).condition(where, others.view.where)
-            seen[~AffineMap(where.mean[0], others.view.size).shown] = 0
+        seen = np.asarray(incoming[ScenePixels].foreground() == 0, np.uint8)
+        if found.view is not None:
+            where = self._motion(picture).condition(where, found.view.where)
+            seen[~AffineMap(where.mean[0], found.view.size).shown] = 0
         share = -math.expm1(-state.elapsed / PICTURE_TIME)
-        cv2.accumulateWeighted(others.image, picture, share, mask=seen)
+        cv2.accumulateWeighted(found.image, picture, share, mask=seen)
         return CameraState(where, picture, 0.0)

@@ -366,8 +366,7 @@ class MixtureBackground:
         chain speaks. Where others are sure of background that shows itself as something else (an object of
         the first image that has left), that colour is taken for it at once.
         """
-        others = incoming[PixelLabels]
-        image = others.image
+        image = incoming.evidence(PixelLabels).image
         if image is None:
             return state
         prediction = incoming.once(self._prediction, state)
@@ -375,7 +374,7 @@ class MixtureBackground:
         rate = float(-np.expm1(-self.rate * state.elapsed))
         rates = np.full((height, width), rate, np.float32)
         log_odds = prediction.compare(image).smoothed.reshape(height, width)
-        for part in others.composed_layers:
+        for part in incoming.others(PixelLabels).layers.composed(image, state.size):
             relative = 1 / (self.prior + (1 - self.prior) * np.exp(-part.shift))
             revealed = (part.shift > REVEALED) & (log_odds[part.window] < 0)
             rates[part.window] = np.where(revealed, 1, rate * np.minimum(relative, 1))

@@ -71,7 +71,7 @@ def test_update_is_that_of_a_kalman_filter() -> None:
     scale = np.array([-0.5 * seen @ information @ seen])
     where = GaussianMessage(np.zeros(1, np.int64), information[None], (information @ seen)[None], scale)
     likelihood = PixelMessage(image=frame.image, view=View(frame.image.shape[:2], where))
-    after = CAMERA.update(state, Incoming({PIXELS: likelihood}))
+    after = CAMERA.update(state, Incoming({PIXELS: PixelMessage()}, {PIXELS: likelihood}))
     gain = state.covariance @ np.linalg.inv(state.covariance + noise)
     np.testing.assert_allclose(after.mean, state.mean + gain @ (seen - state.mean), rtol=1e-8)
     np.testing.assert_allclose(after.covariance, (np.eye(UNKNOWNS) - gain) @ state.covariance, rtol=1e-6)
@@ -108,8 +108,9 @@ def test_who_stands_in_the_scene_is_not_learned() -> None:
     known = background.initial(Frame(image, 0.0, 1))
     covered = image.copy()
     covered[20:40, 30:50] = 250
-    told = background.message(known, PIXELS, Incoming({PIXELS: PixelMessage(image=covered)}))
-    after = CAMERA.update(state, Incoming({PIXELS: told * PixelMessage(image=covered)}))
+    seen = {PIXELS: PixelMessage(image=covered)}
+    told = background.message(known, PIXELS, Incoming({PIXELS: PixelMessage()}, seen))
+    after = CAMERA.update(state, Incoming({PIXELS: told}, seen))
     np.testing.assert_array_equal(after.picture[22:38, 32:48], image[22:38, 32:48])
 
 

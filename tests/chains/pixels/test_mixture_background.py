@@ -109,8 +109,9 @@ def test_it_is_stauffer_and_grimson_s(channels, components):
 
 def heard(chain, background, image, layers):
     """The chain's state after an image, told of layers."""
-    told = PixelMessage(image=image, layers=LayerStack(layers))
-    return chain.update(chain.predict(background, 1.0), Incoming({PixelLabels(): told}))
+    pixels = PixelLabels()
+    told, seen = {pixels: PixelMessage(layers=LayerStack(layers))}, {pixels: PixelMessage(image=image)}
+    return chain.update(chain.predict(background, 1.0), Incoming(told, seen))
 
 
 def test_what_others_cover_is_not_learned():
