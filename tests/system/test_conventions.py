@@ -9,10 +9,8 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.io.tracks import TrackedBox, TrackWriter, read_tracks
-from rsmcm.chains import AdaptiveBackground
 from rsmcm.chains.objects.blobs import Blob
-from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.models import MorphableModel, PixelLabels, Poses, UpperBody
+from rsmcm.models import MorphableModel, Poses, UpperBody
 from rsmcm.models.body.upper_body import BodyPoses
 from rsmcm.models.points.patches import sample_patches
 
@@ -84,13 +82,3 @@ def test_z_points_away_from_the_viewer() -> None:
     left_hand, right_hand, head = joints[4], joints[7], joints[0]
     assert left_hand[0] > 100 > right_hand[0]  # the person faces the camera
     assert head[1] < 100 < left_hand[1]
-
-
-def test_log_odds_are_positive_where_it_is_background() -> None:
-    empty = np.full((60, 80), 100, np.uint8)
-    shown = empty.copy()
-    shown[20:40, 30:50] = 250
-    pixels = PixelLabels()
-    *_, belief = RecursiveBP(MultiChain().connect(AdaptiveBackground(), pixels)).run([*[empty] * 20, shown])
-    odds = belief[pixels].log_odds()
-    assert odds[5, 5] > 0 > odds[30, 40]

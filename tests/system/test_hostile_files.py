@@ -9,7 +9,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from scipy.io import savemat
 
 from ..conftest import Command
 
@@ -40,36 +39,6 @@ def npz(how: int = zipfile.ZIP_DEFLATED) -> bytes:
     return stream.getvalue()
 
 
-def mat() -> bytes:
-    stream = io.BytesIO()
-    savemat(stream, {"X": np.ones((3, 8, 6))}, do_compression=True)
-    return stream.getvalue()
-
-
-def bomb() -> bytes:
-    """A zip file of a megabyte that unpacks to one gigabyte."""
-    n_bytes = 1 << 30
-    header = f"{{'descr': '|u1', 'fortran_order': False, 'shape': ({n_bytes // 2}, 1, 2), }}\n".encode()
-    start = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header
-    stream = io.BytesIO()
-    with (
-        zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive,
-        archive.open("tracks.npy", "w") as file,
-    ):
-        file.write(start)
-        for _ in range(n_bytes >> 24):
-            file.write(bytes(1 << 24))
-    return stream.getvalue()
-
-
-def encrypted() -> bytes:
-    """The flag of encryption is set, in front of the member and in the directory."""
-    content = bytearray(npz())
-    content[6] |= 1
-    content[content.index(b"PK\x01\x02") + 8] |= 1
-    return bytes(content)
-
-
 def damaged_header() -> bytes:
     return npy().replace(b"'shape'", b"'shape\x07", 1)
 
@@ -77,12 +46,8 @@ def damaged_header() -> bytes:
 DAMAGED = {
     "header.npy": damaged_header,
     "cut.npy": lambda: npy()[:-5],
-    "encrypted.npz": encrypted,
     "lzma.npz": lambda: npz(zipfile.ZIP_LZMA),
-    "bzip2.npz": lambda: npz(zipfile.ZIP_BZIP2),
-    "bomb.npz": bomb,
     "cut.npz": lambda: npz()[:-30],
-    "cut.mat": lambda: mat()[:-30],
     "zeros.mat": lambda: bytes(4000),
     "new.mat": lambda: b"MATLAB 7.3 MAT-file" + bytes(500),
 }
@@ -124,20 +89,6 @@ def test_parameters(
     assert f"{path}" in message
     assert words in message
     assert not (tmp_path / "out").exists()
-
-
-def test_true_boxes_in_the_far_future(film: Path, tmp_path: Path) -> None:
-    """The frames between are annotated as empty."""
-    path = tmp_path / "gt.txt"
-    path.write_text("1,1,3,5,10,20,1,-1,-1,-1\n1000000000,1,3,5,10,20,1,-1,-1,-1\n")
-    assert Command("background")(film, "--ground-truth", path, "--out", tmp_path / "out") == 0
-
-
-def test_joints_in_a_frame_beyond_all(film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "joints.csv"
-    path.write_text(f"frame,joint,x,y\n{2**63},head,5,6\n")
-    message = Command("body").complaint(capfd, film, "--joints", path, "--out", tmp_path / "out")
-    assert f"{path}, line 2: got the frame '9223372036854775808'" in message
 
 
 def test_a_region_that_is_damaged_inside(

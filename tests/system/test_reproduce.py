@@ -9,11 +9,9 @@ from hypothesis import strategies as st
 from rsmcm.apps.evaluation.masks import PixelScore, joined
 from rsmcm.apps.experiments import masks as experiment
 from rsmcm.apps.experiments import run_experiment
-from rsmcm.apps.experiments.baselines import Setting
-from rsmcm.apps.experiments.compare import COLUMNS, BaselineTracker, Gallery, Model
+from rsmcm.apps.experiments.compare import COLUMNS, Gallery
 from rsmcm.apps.experiments.record import Expectation
 from rsmcm.apps.scenes import sleeping_man
-from rsmcm.models.core.frame import Frame
 
 SIZE = (96, 72)
 
@@ -40,17 +38,6 @@ def test_gallery_shows_evenly_spaced_moments(n_frames: int) -> None:
     assert numbers[-1] > n_frames / 2 or n_frames < 2
 
 
-def test_the_usual_pipeline_survives_missing_frames() -> None:
-    usual = BaselineTracker("MOG2", Setting("MOG2", 100, 16), SIZE)
-    scene = sleeping_man(30, size=SIZE, enter=0)
-    masks = [
-        usual.step(Frame(None, frame.time, frame.number) if frame.number in (1, 20) else frame).foreground
-        for frame in scene
-    ]
-    assert not masks[0].any()
-    np.testing.assert_array_equal(masks[18], masks[19])
-
-
 def test_scores_of_a_scene_name_all_methods() -> None:
     scored = experiment.scores_of_scene(sleeping_man(8, size=SIZE, enter=0))
     assert [name for name, _ in scored] == ["feed-forward", "RSMCM", "MOG2", "KNN"]
@@ -59,14 +46,6 @@ def test_scores_of_a_scene_name_all_methods() -> None:
     both = joined([first, second])
     assert len(both.counts) == 16
     assert joined([]).total() == PixelScore().total()
-
-
-def test_nothing_is_found_before_the_first_image() -> None:
-    model = Model("RSMCM", "recursive-bp", SIZE)
-    found = model.step(Frame(None, 0.0, 1))
-    assert found.foreground.shape == (72, 96)
-    assert not found.foreground.any()
-    assert found.tracks == []
 
 
 @pytest.mark.slow

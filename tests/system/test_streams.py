@@ -18,15 +18,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.apps.background.application import build_model
-from rsmcm.apps.io.sources import live_reader, video_reader
+from rsmcm.apps.io.sources import live_reader
 from rsmcm.apps.io.sources import open_source as sources
 from rsmcm.apps.io.sources.live_reader import FILLED_SECONDS, LiveReader
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.io.sources.reader import Selection
-from rsmcm.apps.io.tracks import read_tracks
-from rsmcm.apps.scenes import face, sleeping_man
-from rsmcm.inference import RecursiveBP
+from rsmcm.apps.scenes import face
 from rsmcm.models.core.frame import Frame
 
 from ..conftest import Command, summary_of
@@ -101,24 +98,6 @@ def test_stream_that_drops_and_comes_back(form: Any, monkeypatch: pytest.MonkeyP
         assert after.number - before.number == round(gap["back_after"] * RATE) == gap["frames"] + 1
         assert gap["back_after"] > live_reader.RETRY_EVERY
         assert gap["reason"] == "it broke off"
-
-
-@pytest.mark.slow
-def test_silence_is_noticed_and_another_connection_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(video_reader, "NETWORK_TIMEOUT", 0.5)
-    server = StreamServer(counted(200), [Connection(10, "stall"), Connection(None, "stall"), Connection(99)])
-    with serving(server.answer) as address:
-        source, frames = read(address, reconnect=30, most=20)
-    assert source.stream is not None
-    (gap,) = source.stream["gaps"]
-    assert gap["reason"] == "nothing came for 0.5 s"
-    assert gap["back_after"] > 1.0, "two limits"
-    assert gap["frames"] == len(source.skipped) == round(gap["back_after"] * RATE) - 1
-    assert [frame.number for frame in frames] == list(range(1, len(frames) + 1))
-    assert source.notes == [
-        f"{address} was lost once and came back: at {gap['lost_at']:.1f} s for {gap['back_after']:.1f} s, "
-        f"{gap['frames']} frames (nothing came for 0.5 s)."
-    ]
 
 
 @pytest.mark.slow
@@ -235,53 +214,7 @@ def test_numbers_are_in_step_with_time_whatever_happens(
     assert [(frame.number, frame.time) for frame in chosen] == [(f.number, f.time) for f in expected]
 
 
-@pytest.mark.slow
-def test_camera_that_goes_away_and_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    opened = []
-
-    class Capture:
-        """The first one breaks after five images; for a while there is none; then it goes on."""
-
-        def __init__(self, _: int) -> None:
-            opened.append(self)
-            self.n_read = 0
-
-        def isOpened(self) -> bool:  # noqa: N802
-            return len(opened) not in (2, 3)
-
-        def get(self, _: int) -> float:
-            return 30.0
-
-        def read(self) -> tuple[bool, Image | None]:
-            self.n_read += 1
-            time.sleep(1 / 30)
-            return (False, None) if len(opened) == 1 and self.n_read > 5 else (True, counted(1)[0])
-
-        def release(self) -> None:
-            pass
-
-    monkeypatch.setattr(cv2, "VideoCapture", Capture)
-    source, frames = read("0", reconnect=30, most=20)
-    assert source.stream is not None
-    assert source.lost is None
-    (gap,) = source.stream["gaps"]
-    assert len(opened) == 4
-    assert gap["reason"] == "no more pictures come"
-    assert gap["frames"] == len(source.skipped) >= 5, "0.3 s"
-    assert [frame.number for frame in frames] == list(range(1, len(frames) + 1))
-
-
 # --- servers that say nothing -------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("connection", [Connection(None, "stall"), Connection(0, "stall")])
-def test_silent_server_is_named(connection: Connection, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(video_reader, "NETWORK_TIMEOUT", 0.5)
-    server = StreamServer(counted(1), [connection])
-    message = r"^http://127\.0\.0\.1:\d+/: cannot be opened \(nothing came for 0\.5 s\)$"
-    with serving(server.answer) as address, pytest.raises(OSError, match=message):
-        open_source(address)
 
 
 @pytest.mark.slow
@@ -299,13 +232,6 @@ def test_ctrl_c_while_a_server_is_silent(tmp_path: Path) -> None:
         assert Command("background")(address, "--out", out) == 130
         assert not hung_up.is_set(), "the command did not wait for the limit"
     assert not out.exists()
-
-
-@pytest.mark.parametrize("reconnect", ["0", "-1", "nan", "inf"])
-def test_bad_reconnect(reconnect: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    command = Command("background")
-    words = command.complaint(capfd, "http://127.0.0.1:9/", "--out", tmp_path, "--reconnect", reconnect)
-    assert "--reconnect: got" in words
 
 
 def test_reconnect_is_refused_for_a_file(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -377,26 +303,7 @@ def test_file_is_asked_for_the_rest_and_nothing_is_missing(film: Path) -> None:
         np.testing.assert_array_equal(frame.image, other.image)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("reconnect", [None, 0.5])
-def test_file_whose_rest_does_not_come_is_lost(film: Path, reconnect: float | None) -> None:
-    with serving(FileServer(film.read_bytes(), n_answers=1).answer) as address:
-        source, frames = read(address + "a.mp4", reconnect)
-    assert source.truncated
-    assert source.lost is not None
-    assert 5 < len(frames) < 30
-
-
 # --- whole runs ---------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def street() -> list[Image]:
-    """A person walks in and stands still: 12 s. Loops are compiled then, for which no stream waits."""
-    scene = sleeping_man(300, size=(160, 120), enter=15, car_leaves=300)
-    for _ in RecursiveBP(build_model()).run(scene[:60]):
-        pass
-    return [frame.image for frame in scene if frame.image is not None]
 
 
 def run(name: str, capfd: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, list[str]]:
@@ -405,39 +312,6 @@ def run(name: str, capfd: pytest.CaptureFixture[str], *arguments: object) -> tup
     code = Command(name)(*arguments)
     output, errors = capfd.readouterr()
     return code, output, [line for line in errors.splitlines() if line.startswith("rsmcm: ")]  # no progress
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("form", "limit"), [("mjpeg", 0.5), ("mpegts", 2.0)])
-def test_who_is_tracked_stays_the_same_over_three_drops_and_a_stall(
-    form: Any, limit: float, street: list[Image], tmp_path: Path, capfd: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    monkeypatch.setattr(video_reader, "NETWORK_TIMEOUT", limit)
-    connections = [
-        Connection(60),
-        Connection(25), Connection(None),
-        Connection(25),
-        Connection(25, "stall"),
-        Connection(200),
-    ]  # fmt: skip
-    server = StreamServer(street, connections, form)
-    out = tmp_path / "out"
-    with serving(server.answer) as address:
-        options = ["--reconnect", 30, "--stop", 240, "--masks", "none"]
-        code, output, errors = run("background", capfd, address, "--out", out, *options)
-    assert (code, errors) == (0, [])
-    summary = summary_of(out)
-    gaps = summary["stream"]["gaps"]
-    assert [gap["reason"] for gap in gaps] == [*["it broke off"] * 3, f"nothing came for {limit:g} s"]
-    assert summary["stream"]["lost"] is None
-    assert summary["missing_frames"] == sum(gap["frames"] for gap in gaps)
-    assert "was lost 4 times and came back" in output
-    tracks = read_tracks(out / "tracks.txt")
-    back = round((gaps[-1]["lost_at"] + gaps[-1]["back_after"]) * RATE)
-    (person,) = set(tracks["id"][(tracks["frame"] > 45) & (tracks["frame"] <= 60)])
-    assert set(tracks["id"][tracks["frame"] > 60]) == {person}
-    assert tracks["frame"][-1] == summary["last_frame"] > back
 
 
 @pytest.mark.slow
