@@ -26,6 +26,7 @@ from rsmcm.models import (
     Poses,
     UpperBody,
 )
+from rsmcm.models.core.checks import UNBOUNDED, Bound
 
 PACKAGES = (rsmcm.models, rsmcm.inference, rsmcm.chains, rsmcm.apps)
 IMAGE = np.zeros((48, 64), np.uint8)
@@ -192,7 +193,20 @@ def wrong_values(hint: Any) -> list[Any]:
         values += [np.full((0, 7, 0, 7), np.nan)]
     if type(None) not in kinds:
         values.append(None)
-    return values
+    return values + [next(n for n in (-1, 2, 0) if not bound.holds(n)) for bound in _bounds(hint)]
+
+
+def _bounds(hint: Any) -> Iterator[Bound]:
+    """Bounds of a number that the annotation declares."""
+    if get_origin(hint) is Annotated:
+        number, *marks = get_args(hint)
+        yield from (
+            mark
+            for mark in marks
+            if isinstance(mark, Bound) and mark is not UNBOUNDED and number in (int, float)
+        )
+    for each in get_args(hint):
+        yield from _bounds(each)
 
 
 def _kinds(hint: Any) -> Iterator[Any]:

@@ -43,13 +43,6 @@ def test_pages_of_runs(browser: Browser, tmp_path: Path, name: str) -> None:
     check(browser, out / "view.html")
 
 
-@pytest.mark.slow
-def test_the_page_of_a_comparison(browser: Browser, tmp_path: Path) -> None:
-    film, *_ = background(tmp_path)
-    assert Command("reproduce")("compare", film, "--out", tmp_path / "out") == 0
-    check(browser, tmp_path / "out" / "index.html")
-
-
 def test_the_page_of_an_experiment(browser: Browser, tmp_path: Path) -> None:
     header = [f"measure {k}" for k in range(12)]
     plot = Plot("plot.png", lambda canvas: canvas.subplots().plot([1, 2]), (9, 4), "What is drawn.")  # type: ignore[func-returns-value]

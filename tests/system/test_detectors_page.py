@@ -70,20 +70,3 @@ def test_the_page_can_be_typed(film: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert last.boxes is None, "32 is no fifth frame from 1"
     (box,) = names["bright_objects"](Frame(np.full((4, 6, 3), 255, np.uint8), 0.0, 1))
     assert box[:4] == [0, 0, 6, 4]
-
-
-def test_boxes_of_a_class_that_overlap_become_one(film: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Red is the first class, blue the second; boxes of cells are half as wide again as cells."""
-    monkeypatch.syspath_prepend(str(ROOT / "docs" / "examples"))
-    yolo = pytest.importorskip("yolo")
-    image = np.zeros((320, 640, 3), np.uint8)
-    image[40:80, 40:120, 2] = 255
-    image[160:200, 480:520, 0] = 128
-    detector = yolo.Yolo("network.onnx", least=0.47, overlap=0.15)
-    found = detector(Frame(image, 0.0, 1))
-    expected = [[30, 30, 90, 90, 1, 0], [470, 150, 530, 210, 0.502, 1]]
-    np.testing.assert_allclose(found[found[:, 0].argsort()], expected, atol=1e-3)
-    assert len(yolo.Yolo("network.onnx", least=0.47, overlap=0.9)(Frame(image, 0.0, 1))) == 3
-    grey = detector(Frame(image[..., 2], 0.0, 1))
-    assert set(grey[:, 5]) == {0}
-    assert detector(Frame(np.zeros((50, 30, 3), np.uint8), 0.0, 1)).shape == (0, 6)

@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-import tarfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -62,19 +61,6 @@ def _program(environment: Path, name: str) -> str:
 def _clean() -> dict[str, str]:
     """Without the checkout on the path."""
     return {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-
-
-@pytest.mark.slow
-def test_source_distribution_holds_what_is_needed_to_work_on_it(source: Path, built: Path) -> None:
-    (archive,) = built.glob("*.tar.gz")
-    with tarfile.open(archive) as file:
-        names = {name.partition("/")[2] for name in file.getnames()}
-    wanted = {
-        path.relative_to(source).as_posix()
-        for path in source.rglob("*")
-        if path.is_file() and "egg-info" not in str(path)
-    }
-    assert wanted - names <= {".gitignore"}
 
 
 @pytest.mark.slow

@@ -1,9 +1,7 @@
 """Damaged files as users meet them, by the command line: one line, exit code 2, nothing is left behind."""
 
 import io
-import struct
 import zipfile
-import zlib
 from pathlib import Path
 
 import cv2
@@ -89,19 +87,3 @@ def test_parameters(
     assert f"{path}" in message
     assert words in message
     assert not (tmp_path / "out").exists()
-
-
-def test_a_region_that_is_damaged_inside(
-    film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """A PNG with correct check sums whose content is cut short."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    path = tmp_path / "roi.png"
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 25_000, 25_000, 8, 2, 0, 0, 0))
-    content = header + chunk(b"IDAT", zlib.compress(bytes(1000))) + chunk(b"IEND", b"")
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + content)
-    message = Command("background").complaint(capfd, film, "--roi", path, "--out", tmp_path / "out")
-    assert str(path) in message

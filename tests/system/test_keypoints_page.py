@@ -9,7 +9,6 @@ from rsmcm.apps.demo import write_body
 from rsmcm.apps.io import read_keypoints
 from rsmcm.apps.io.files import PLAYABLE, SegmentedVideo
 from rsmcm.apps.scenes import SignerScene, signer
-from rsmcm.models import Frame
 from rsmcm.models.body.upper_body import JOINTS
 from rsmcm.models.core.frame import COCO, KEYPOINTS
 
@@ -70,22 +69,3 @@ def test_the_page_can_be_typed(film: Path, scene: SignerScene, monkeypatch: pyte
     assert names["points"] is None, "12 is no second frame from 1"
     assert names["joints"].shape == (8, 3)
     assert len(names["first"]) == 1
-
-
-def test_points_of_a_network_are_px_of_the_picture(
-    film: Path, scene: SignerScene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.syspath_prepend(str(ROOT / "docs" / "examples"))
-    detector = pytest.importorskip("yolo_pose").YoloPose("network.onnx")
-    truth = points_of(scene.joints[:1, :, :2], scene.body)[0]
-    frame = scene.frame(0)
-    assert frame.image is not None
-    for image in (frame.image, frame.image[..., 2]):
-        found = detector(Frame(image, 0.0, 1))
-        assert found.shape == (1, 17, 3)
-        for name in ("left_shoulder", "right_elbow", "left_wrist"):
-            np.testing.assert_allclose(
-                found[0, COCO.index(name), :2], truth[KEYPOINTS.index(name)], atol=1e-3
-            )
-    strict = pytest.importorskip("yolo_pose").YoloPose("network.onnx", least=0.95)
-    assert strict(frame).shape == (0, 17, 3)

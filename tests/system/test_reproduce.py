@@ -2,14 +2,10 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from rsmcm.apps.evaluation.masks import PixelScore, joined
 from rsmcm.apps.experiments import masks as experiment
 from rsmcm.apps.experiments import run_experiment
-from rsmcm.apps.experiments.compare import COLUMNS, Gallery
 from rsmcm.apps.experiments.record import Expectation
 from rsmcm.apps.scenes import sleeping_man
 
@@ -23,19 +19,6 @@ def test_claims_say_whether_they_hold() -> None:
     assert Expectation("x", 1291.4, standard_error=214.2).cells == ("x", "", "1291", "214", "")
     assert Expectation("x", 12345.6).cells == ("x", "", "12346", "", "")
     assert Expectation("x", float("nan"), "<=", 1).verdict == "short"
-
-
-@given(st.integers(1, 300))
-def test_gallery_shows_evenly_spaced_moments(n_frames: int) -> None:
-    gallery = Gallery()
-    for number in range(1, n_frames + 1):
-        gallery.add(number, np.zeros((4, 5), np.uint8), [])
-    numbers = [moment.number for moment in gallery.chosen()]
-    assert len(numbers) == min(COLUMNS, len(gallery.moments))
-    assert numbers[0] == 1
-    assert numbers == sorted(set(numbers))
-    assert len(gallery.moments) <= 2 * COLUMNS
-    assert numbers[-1] > n_frames / 2 or n_frames < 2
 
 
 def test_scores_of_a_scene_name_all_methods() -> None:

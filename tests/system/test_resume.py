@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import re
 import shutil
 import signal
 import subprocess
@@ -306,30 +305,3 @@ def test_background_and_identities_from_another_film(
     expected = expected[expected["frame"] > N_FRAMES // 2]
     np.testing.assert_array_equal(rows["id"], expected["id"])
     np.testing.assert_array_equal(rows["box"], expected["box"])
-
-
-@pytest.mark.slow
-def test_what_cannot_be_learned_from(
-    applications: dict[str, Application],
-    whole: dict[str, Path],
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    (tmp_path / "broken.npz").write_bytes(b"PK")
-    for name, state, words in (
-        (
-            "background",
-            whole["face"] / "state.npz",
-            r"--from: .* is of rsmcm face, expected",
-        ),
-        ("background", tmp_path / "broken.npz", "got neither .npy nor .npz, expected a state"),
-        ("background", tmp_path / "nothing.npz", r"nothing\.npz: No such file"),
-        ("face", whole["face"] / "state.npz", "--landmarks and --from: got both"),
-        ("body", whole["body"] / "state.npz", "--head and --from: got both"),
-    ):
-        assert applications[name].run(tmp_path / "out", "--from", str(state)) == 2
-        assert re.fullmatch(f"rsmcm: .*{words}.*\n", capfd.readouterr().err)
-        assert not (tmp_path / "out").exists()
-    other = Application("background", applications["body"].source, ())
-    assert other.run(tmp_path / "out", "--from", str(whole["background"] / "state.npz")) == 2
-    assert "is of frames that are 200x160 colour, but" in capfd.readouterr().err

@@ -23,7 +23,6 @@ from rsmcm.apps.io.sources import open_source as sources
 from rsmcm.apps.io.sources.live_reader import FILLED_SECONDS, LiveReader
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.io.sources.reader import Selection
-from rsmcm.apps.scenes import face
 from rsmcm.models.core.frame import Frame
 
 from ..conftest import Command, summary_of
@@ -98,19 +97,6 @@ def test_stream_that_drops_and_comes_back(form: Any, monkeypatch: pytest.MonkeyP
         assert after.number - before.number == round(gap["back_after"] * RATE) == gap["frames"] + 1
         assert gap["back_after"] > live_reader.RETRY_EVERY
         assert gap["reason"] == "it broke off"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("reconnect", [None, 0.5])
-def test_stream_that_does_not_come_back(reconnect: float | None) -> None:
-    server = StreamServer(counted(60), [Connection(15)])
-    with serving(server.answer) as address:
-        source, frames = read(address, reconnect)
-    assert indices_of(frames) == [index % 25 for index in server.sent]
-    assert [frame.number for frame in frames] == list(range(1, 16)), "nothing after the last picture"
-    assert source.lost == "it broke off"
-    assert source.stream == {"lost": "it broke off", "gaps": [], "dropped_frames": 0}
-    assert server.n_requests == 1 if reconnect is None else server.n_requests > 1
 
 
 # --- the clock of live sources, without waiting -------------------------------------------------------------
@@ -290,19 +276,6 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.slow
-def test_file_is_asked_for_the_rest_and_nothing_is_missing(film: Path) -> None:
-    _, expected = read(str(film))
-    server = FileServer(film.read_bytes(), n_answers=10)
-    with serving(server.answer) as address:
-        source, frames = read(address + "a.mp4", reconnect=5)
-    assert server.n_requests >= 3
-    assert (source.live, source.lost, source.truncated, source.skipped) == (False, None, False, [])
-    assert [frame.time for frame in frames] == [frame.time for frame in expected]
-    for frame, other in zip(frames, expected, strict=True):
-        np.testing.assert_array_equal(frame.image, other.image)
-
-
 # --- whole runs ---------------------------------------------------------------------------------------------
 
 
@@ -329,31 +302,3 @@ def test_file_behind_an_address_that_is_lost_is_resumed(
     assert (code, errors) == (0, [])
     assert summary_of(out)["frames"] == 60
     assert summary_of(out)["stream"] == {"lost": None, "gaps": [], "dropped_frames": 0}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("structure", ["--stop", 60, "--association", "none"]),
-        ("body", ["--head", "30,10,20,30"]),
-        ("face", ["--landmarks", "LANDMARKS"]),
-    ],
-)
-def test_all_applications_end_with_exit_code_1(
-    name: str, options: list[object], tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    film = face(20, size=(200, 160))
-    landmarks = tmp_path / "landmarks.npy"
-    np.save(landmarks, film.vertices[:1])
-    images = [frame.image for frame in film if frame.image is not None]
-    out = tmp_path / "out"
-    with serving(StreamServer(images, [Connection(4), Connection(4)]).answer) as address:
-        given = [landmarks if option == "LANDMARKS" else option for option in options]
-        code, output, errors = run(name, capfd, address, "--out", out, "--reconnect", 0.5, *given)
-    assert (code, errors) == (1, [f"rsmcm: {address}: lost permanently: it broke off"])
-    summary = summary_of(out)
-    assert summary["ended_early"]
-    (gap,) = summary["stream"]["gaps"]
-    assert gap["frames"] == len(summary["missing"]) > 0
-    assert "was lost once and came back" in output

@@ -125,14 +125,6 @@ def test_doubt_grows_with_time_alike_in_one_step_and_in_many() -> None:
     assert once.noticed < 3.0
 
 
-def test_without_boxes_the_detectors_chain_changes_no_byte() -> None:
-    images = film(20, (-20, 60.0))
-    for one, two in zip(run(images, [None] * 20), run(images, [None] * 20, detector=False), strict=True):
-        assert one["blobs"].tracks() == two["blobs"].tracks()
-        assert one["pixels"].foreground().tobytes() == two["pixels"].foreground().tobytes()
-        assert one["ground"].scene.tobytes() == two["ground"].scene.tobytes()
-
-
 def test_who_is_found_keeps_one_identity_and_who_is_not_is_not_reported() -> None:
     """Two walk side by side, half a width apart; the detector does not know the third one."""
     pair, unknown = ((-40, 40.0), (-16, 40.0)), (150, -20.0)
@@ -144,30 +136,6 @@ def test_who_is_found_keeps_one_identity_and_who_is_not_is_not_reported() -> Non
             assert track.confidence > 0.95
     assert len({track.identity for belief in beliefs[20:36] for track in belief["blobs"].tracks()}) == 2
     assert len(beliefs[30]["blobs"].blobs) >= 3
-
-
-def test_a_detector_on_every_fifth_frame_is_enough() -> None:
-    """In between the pixels show where somebody is, or at least the motion does."""
-    walker = (-16, 40.0)
-    given = [boxes_at(number, walker) if number % 5 == 0 else None for number in range(44)]
-    beliefs = run(film(44, walker), given)
-    found = [belief["blobs"].tracks() for belief in beliefs[20:]]
-    assert {track.identity for tracks in found for track in tracks} == {found[0][0].identity}
-    assert sum(len(tracks) for tracks in found) >= 22
-    for number, tracks in enumerate(found, 20):
-        for track in tracks:
-            assert track.box == pytest.approx((-16 + 40 * number * DT, 50, 16, 40), abs=4)
-
-
-def test_who_vanishes_is_given_up_and_a_single_false_box_is_no_track() -> None:
-    walker = (20, 20.0)
-    given = [boxes_at(number, walker) if number < 25 else boxes_at(number) for number in range(50)]
-    given[10] = boxes_at(10, walker, (120, 0.0))
-    images = [*film(25, walker), *film(25)]
-    beliefs = run(images, given)
-    assert len(beliefs[24]["blobs"].tracks()) == 1
-    assert not any(belief["blobs"].tracks() for belief in beliefs[40:])
-    assert all(len(belief["blobs"].tracks()) <= 1 for belief in beliefs[12:])
 
 
 def test_a_detector_that_finds_nothing_has_run() -> None:

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.background.application import build_model
 from rsmcm.apps.scenes import sleeping_man
-from rsmcm.chains import MixtureBackground, ObjectTrajectories, SceneFilter
+from rsmcm.chains import ObjectTrajectories, SceneFilter
 from rsmcm.chains.objects.scene_filter import sample_of
 from rsmcm.inference import CoordinateAscent, MultiChain, RecursiveBP, Solution
 from rsmcm.inference.engine.protocols import LazyFrames
@@ -105,14 +105,6 @@ def test_more_of_the_sample_is_from_the_beginning() -> None:
     assert sample_of(times[:1], 48, 30.0) == [0]
     steps = np.diff(sample_of(times[:100], 10, 30.0))
     assert set(steps.tolist()) <= {9, 10, 11}  # a short film: evenly
-
-
-def test_a_background_without_a_scene_is_refused() -> None:
-    model = MultiChain().connect(MixtureBackground(), PIXELS)
-    with pytest.raises(ValueError, match="got chains background, expected one that finds the empty"):
-        SceneFilter(model)
-    with pytest.raises(ValueError, match="got no image"):
-        CoordinateAscent(film_model()[2]).run([Frame(None, 0.0, 1), Frame(None, 0.1, 2)])
 
 
 def test_with_a_detector_the_objects_are_those_that_it_confirms() -> None:

@@ -1,7 +1,5 @@
 """The camera's chain: exact where it is Gaussian, and against known shakes."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import ShakenFilm, shaken, sleeping_man
@@ -82,25 +80,6 @@ def test_update_is_that_of_a_kalman_filter() -> None:
     assert weight == pytest.approx(found + own)
 
 
-def test_a_dark_frame_tells_nothing_and_a_missing_one_is_predicted(
-    shaking: tuple[ShakenFilm, list[Belief]],
-) -> None:
-    frames, beliefs = shaking
-    state, engine = beliefs[20].state, RecursiveBP(model(following=True))
-    image = frames[21].image
-    assert image is not None
-    expected = CAMERA.predict(state.states["camera"], 0.04)
-    for shown in (np.zeros_like(image), None):
-        belief = engine.step(state, Frame(shown, frames[21].time, 22))
-        assert np.isfinite(belief.log_evidence)
-        np.testing.assert_allclose(belief["camera"].mean, expected.mean, atol=1e-9)
-        after = engine.step(belief.state, frames[22])
-        assert (
-            AffineMap(after["camera"].mean - frames.views[22].parameters, frames.views[22].size).displacement
-            < 0.25
-        )
-
-
 def test_who_stands_in_the_scene_is_not_learned() -> None:
     image = np.random.default_rng(0).integers(80, 120, (60, 80, 3)).astype(np.uint8)
     state = CAMERA.predict(CAMERA.initial(Frame(image, 0.0, 1)), 5.0)
@@ -132,19 +111,3 @@ def test_what_the_frame_does_not_show_counts_as_pixels_of_any_colour() -> None:
         assert int(view.hidden.sum()) == n_hidden
         if n_hidden == 2400:
             assert message.log_mass == pytest.approx(-2400 * 3 * np.log(256), rel=1e-5)
-
-
-def test_a_run_is_saved_and_goes_on(shaking: tuple[ShakenFilm, list[Belief]], tmp_path: Path) -> None:
-    frames, beliefs = shaking
-    engine = RecursiveBP(model(following=True))
-    engine.save(tmp_path / "state.npz", beliefs[30].state)
-    state, _ = engine.load(tmp_path / "state.npz")
-    again = engine.step(state, frames[31])
-    np.testing.assert_array_equal(again["camera"].mean, beliefs[31]["camera"].mean)
-    np.testing.assert_array_equal(again["pixels"].foreground(), beliefs[31]["pixels"].foreground())
-
-
-@pytest.mark.parametrize("name", ["reach"])
-def test_what_is_out_of_range_is_refused(name: str) -> None:
-    with pytest.raises(ValueError, match=name):
-        CameraMotion(**{name: 0.0})

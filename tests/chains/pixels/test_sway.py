@@ -3,13 +3,10 @@
 import cv2
 import numpy as np
 import pytest
-from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.chains.pixels.background_prediction import fixed_point, log_prior_odds, stored_planes
 from rsmcm.chains.pixels.gaussians import PixelModel
 from rsmcm.chains.pixels.light import LightField
 from rsmcm.chains.pixels.sway import LEAST_RATE, Sway, recall_moved, sway_reach, update_rates
-from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.models import PixelLabels
 from rsmcm.models.pixels import colour
 
 SIZE = (60, 80)
@@ -94,32 +91,3 @@ def test_the_likelihood_is_that_of_the_best_place_within_reach():
     expected = np.where((odds < 0) & (rate.ravel() >= LEAST_RATE), expected, odds)
     assert np.abs(after - expected).max() <= 1
     assert (after[:2400] > odds[:2400]).mean() > 0.4
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [3, 4, 5])
-def test_while_only_leaves_move_there_is_next_to_no_foreground_and_a_person_is_seen(seed):
-    wide = np.hstack([scene(seed) for seed in range(2)])
-    rng, images = np.random.default_rng(seed), []
-    ys, xs = np.mgrid[:60, :160].astype(np.float32)
-    fields = [cv2.GaussianBlur(rng.normal(0, 1, (60, 160)), (0, 0), 12) for _ in range(6)]
-    for k in range(250):
-        turns = np.sin(2 * np.pi * k * 0.04 * np.array([0.7, 1.1, 1.7, 0.5, 0.9, 1.3]) + np.arange(6))
-        shift = [
-            sum(t * f / f.std() for t, f in zip(turns[a : a + 3], fields[a : a + 3], strict=True))
-            for a in (0, 3)
-        ]
-        moved = cv2.remap(wide, xs + np.float32(shift[0]), ys + np.float32(shift[1]), 1, borderMode=4)
-        if k >= 200:
-            moved[10:50, 3 * (k - 200) : 3 * (k - 200) + 14] = (235, 60, 50)
-        images.append(np.clip(moved + rng.normal(0, 3, moved.shape), 0, 255).astype(np.uint8))
-    pixels = PixelLabels()
-    model = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)
-    shares, found = [], []
-    for k, belief in enumerate(RecursiveBP(model).run(images, dt=0.04)):
-        mask = belief[pixels].foreground() > 0
-        shares.append(mask.mean())
-        if k >= 220:
-            found.append(mask[10:50, 3 * (k - 200) : 3 * (k - 200) + 14].mean())
-    assert np.mean(shares[75:200]) < 0.04
-    assert np.mean(found) > 0.9

@@ -34,14 +34,6 @@ def test_a_belief_tints_what_is_foreground() -> None:
     assert abs(red[5, 5]) < 10
 
 
-def test_nothing_is_shown_of_what_was_not_seen() -> None:
-    engine = RecursiveBP(MultiChain().connect(AdaptiveBackground(), PixelLabels()))
-    first, *_ = engine.run([None])
-    *_, last = engine.run([np.zeros((20, 20), np.uint8), None])
-    assert first._repr_png_() is None
-    assert last._repr_png_() is None
-
-
 def test_points_boxes_and_parts_are_drawn_where_they_are() -> None:
     place, spread = np.array([[40.0, 30.0]]), 4 * np.eye(2)[None]
     picture = blank()

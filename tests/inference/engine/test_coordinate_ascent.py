@@ -180,13 +180,6 @@ def test_without_feedback_one_round_is_all() -> None:
     assert len(solution.messages("calm", level)) == N_FRAMES  # spoken, though nobody hears it
 
 
-def test_missing_frames_bring_no_evidence() -> None:
-    level = Level()
-    frames = [Frame(None, frame.time, frame.number) if frame.number == 4 else frame for frame in FRAMES]
-    solution = CoordinateAscent(MultiChain().connect(SMOOTH, level)).run(frames)
-    assert not len(solution.evidence(level)[3])
-
-
 @dataclass(frozen=True)
 class Searching:
     """Searches where others expect it, and notes how much it saw in each round."""

@@ -8,8 +8,8 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from rsmcm.chains import DiscreteChain, LinearGaussianChain, ParticleChain
-from rsmcm.inference import Belief, MultiChain, RecursiveBP
-from rsmcm.models import Categorical, Frame, GaussianFeature, GaussianMessage, ObjectBoxes, PointTracks
+from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.models import Categorical, Frame, GaussianFeature, GaussianMessage, PointTracks
 
 from ...support.discrete import DiscreteChain as Plain
 from ...support.discrete import image, random_model
@@ -122,38 +122,6 @@ def test_things_begin_and_end_and_keep_apart() -> None:
     gain = COVARIANCE[:, 0] / (COVARIANCE[0, 0] + 2)
     np.testing.assert_allclose(after.mean[0], MEAN + gain * (120 - MEAN[0]))
     np.testing.assert_allclose(after.covariance[0], COVARIANCE - np.outer(gain, COVARIANCE[0]))
-
-
-def test_covariances_stay_positive_definite() -> None:
-    chain = linear(initial_covariance=1e12 * np.eye(2))
-    state = chain.initial(Frame(None, 0.0, 1))
-    for variance in (1e-9, 1e6, 1e-9, 1e-9):
-        state = chain.predict(state, 1e-3)
-        state = chain.condition(state, GaussianMessage.from_moments([0], [[1.0]], [[[variance]]]))
-        assert (np.linalg.eigvalsh(state.covariance) > 0).all()
-
-
-def test_boxes_and_points_are_features_of_a_kalman_chain() -> None:
-    one, none = np.eye(4), np.zeros((4, 4))
-    chain = LinearGaussianChain(
-        lambda dt: np.block([[one, dt * one], [none, one]]),
-        lambda dt: 100 * np.block([[dt**3 / 3 * one, dt**2 / 2 * one], [dt**2 / 2 * one, dt * one]]),
-        np.eye(4, 8),
-        4 * one,
-        features=ObjectBoxes,
-        initial_covariance=1e4 * np.eye(8),
-    )
-    boxes = ObjectBoxes()
-    model = MultiChain().connect(chain, boxes)
-    belief = next(RecursiveBP(model).run([np.zeros((9, 9), np.uint8)]))
-    assert len(belief["kalman"].identities) == 0
-    seen = GaussianMessage.from_moments([4], [[50.0, 80, 20, 40]], [4 * one])
-    state = chain.condition(belief["kalman"], seen)
-    message = chain.message(chain.predict(state, 0.1), boxes, belief)  # type: ignore[arg-type]
-    identities, means, _ = message.objects.moments
-    assert identities.tolist() == [4]
-    np.testing.assert_allclose(means, [[50, 80, 20, 40]], rtol=1e-2)
-    assert message.log_mass == pytest.approx(0, abs=1e-9)
 
 
 def table(random: np.random.Generator, *shape: int) -> Numbers:
@@ -295,26 +263,6 @@ def test_particle_chain_is_the_kalman_filter_within_its_error(share: float) -> N
         assert state.log_evidence == pytest.approx(log_likelihood, abs=4 * error)
         # that of the messages, which are Gaussians with the particles' moments
         assert belief.log_evidence == pytest.approx(log_likelihood, abs=4 * error)
-
-
-def run(engine: RecursiveBP, pictures: list[Frame]) -> list[Belief]:
-    return list(engine.run(pictures))
-
-
-def test_runs_are_saved_and_go_on(tmp_path: Any) -> None:
-    feature = level()
-    model = MultiChain().connect(particles(50, 1), feature).connect(linear(), feature)
-    engine, pictures = RecursiveBP(model), frames(levels(5))
-    whole = run(engine, pictures)
-    engine.save(tmp_path / "state.npz", whole[2].state)
-    state, _ = engine.load(tmp_path / "state.npz")
-    *_, last = engine.run(pictures[3:], state=state)
-    for name in ("kalman", "particles"):
-        one, other = (
-            getattr(each[name], "mean", getattr(each[name], "particles", None)) for each in (last, whole[-1])
-        )
-        np.testing.assert_array_equal(one, other)
-    assert last.log_evidence == whole[-1].log_evidence
 
 
 POINTS = PointTracks

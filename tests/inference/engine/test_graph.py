@@ -1,7 +1,6 @@
 """The graph of chains and features: what may be connected, and the order of messages."""
 
 from types import SimpleNamespace
-from typing import Any
 
 import networkx as nx
 import numpy as np
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 from rsmcm.chains import AdaptiveBackground, BlobTracker, MixtureBackground, PointTracker
 from rsmcm.inference import MultiChain, Port, RecursiveBP
 from rsmcm.inference.engine.graph import IMAGE
-from rsmcm.models import Categorical, ObjectBoxes, PixelLabels, PointTracks
+from rsmcm.models import ObjectBoxes, PixelLabels, PointTracks
 
 from ...support.discrete import CavityChain, random_model
 
@@ -37,14 +36,6 @@ def test_a_name_is_used_once(name: str) -> None:
         model.connect(other.chains[name], model.features["f"])
 
 
-def test_the_two_ends_have_different_names() -> None:
-    first, second = random_model(random(), [("a", "f")]), random_model(random(), [("f", "g")])
-    model = MultiChain()
-    with pytest.raises(ValueError, match="'f' is taken"):
-        model.connect(second.chains["f"], first.features["f"])
-    assert list(model.graph) == [IMAGE]
-
-
 def test_other_objects_are_refused() -> None:
     model = random_model(random(), PAIR)
     lacks = (
@@ -57,15 +48,6 @@ def test_other_objects_are_refused() -> None:
     feature = SimpleNamespace(name="g", searches=False, evidence=None)
     with pytest.raises(TypeError, match=r"feature: got SimpleNamespace, .* \(it lacks uniform\)$"):
         model.connect(model.chains["a"], feature)  # type: ignore[arg-type]
-
-
-def test_a_class_in_place_of_an_instance_is_refused() -> None:
-    with pytest.raises(
-        TypeError, match=r"^chain: got the class BlobTracker, expected .*: BlobTracker\(...\)$"
-    ):
-        MultiChain().connect(BlobTracker, PixelLabels())  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match=r"^feature: got the class PixelLabels, expected an instance"):
-        MultiChain().connect(BlobTracker(), PixelLabels)  # type: ignore[arg-type]
 
 
 def test_a_feature_of_another_kind_is_refused() -> None:
@@ -83,13 +65,6 @@ def test_ports_are_a_tuple_of_ports(monkeypatch: pytest.MonkeyPatch, ports: obje
     monkeypatch.setattr(BlobTracker, "ports", ports)
     with pytest.raises(TypeError, match=r"ports of 'blobs': got .*, expected a tuple of Port"):
         MultiChain().connect(BlobTracker(), PixelLabels())
-
-
-@pytest.mark.parametrize("name", [None, "", 3])
-def test_a_name_is_a_text(name: Any) -> None:
-    chain = random_model(random(), PAIR).chains["a"]
-    with pytest.raises(TypeError, match=f"^name.*: got {name!r}, expected a text"):
-        MultiChain().connect(chain, Categorical(name, 2))
 
 
 def test_a_chain_meets_one_feature_of_a_kind_unless_it_says_otherwise() -> None:

@@ -1,7 +1,6 @@
 """Recursive belief propagation against the sum over all states of small graphs."""
 
 import gc
-import re
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -165,21 +164,6 @@ def test_evidence_of_all_images_is_one(
     assert logsumexp(evidence) == pytest.approx(0, rel=0, abs=EXACT)
 
 
-def test_a_message_that_is_larger_everywhere_wins_nothing() -> None:
-    class Loud(DiscreteChain):
-        def message(
-            self, state: DiscreteState, feature: Categorical, incoming: Incoming
-        ) -> CategoricalMessage:
-            return CategoricalMessage(super().message(state, feature, incoming).log_weights + 7)
-
-    quiet, loud = (
-        random_model(rng(), GRAPHS["three chains"], dict.fromkeys("abc", kind))
-        for kind in (DiscreteChain, Loud)
-    )
-    evidence = [log_evidences(list(RecursiveBP(model).run(FRAMES))) for model in (quiet, loud)]
-    assert evidence[1] == pytest.approx(evidence[0], rel=0, abs=EXACT)
-
-
 def test_evidence_behind_a_cut_edge_is_counted_once() -> None:
     # b reads f and speaks to g: the second component is p(I_g | I_f), seen through b's posterior given f.
     model = cut([("a", "f"), ("b", "f"), ("b", "g"), ("c", "g")], ("b", "f"))
@@ -217,10 +201,6 @@ class Listener(DiscreteChain):
     def update(self, state: DiscreteState, incoming: Incoming) -> DiscreteState:
         self.heard.append(("update", incoming[Categorical]))
         return super().update(state, incoming)
-
-
-class CavityListener(Listener):
-    ports = (Port(Categorical, Cavity.OTHERS, many=True),)
 
 
 @pytest.mark.parametrize("cavity", Cavity)
@@ -294,32 +274,6 @@ def test_evidence_is_asked_once_a_frame_with_what_all_chains_predict() -> None:
     assert len(looking.asked) == 2  # the third frame is missing
     expected = [np.log(tables.chains[name].prior @ tables.chains[name].tables["f"]) for name in "acb"]
     np.testing.assert_array_equal(looking.asked[0].log_weights, sum(expected))
-
-
-def test_what_is_predicted_for_the_search_is_heard_by_nobody_else() -> None:
-    """Chains that listen are asked twice; they hear of each other what is said afterwards."""
-    kinds = {"b": CavityListener, "c": CavityListener}
-    tables = random_model(rng(), [("a", "f"), ("b", "f"), ("c", "f")], kinds)
-    node = tables.features["f"]
-    looking = Looking("f", node.size, node.log_likelihood, [])
-    model = MultiChain()
-    for name in "abc":
-        model.connect(tables.chains[name], looking)
-    belief = RecursiveBP(model).step(RunState(), Frame(image(1), 0.0, 1))
-    quick, seen, said = belief.message("a", looking), belief.evidence(looking), belief.message("b", looking)
-    for name, late in (("b", seen * quick), ("c", seen * quick * said)):
-        heard = [message for what, message in model.chains[name].heard if what == "message"]
-        np.testing.assert_allclose(heard[0].log_weights, quick.log_weights)
-        np.testing.assert_allclose(heard[-1].log_weights, late.log_weights)
-
-
-def test_what_nobody_hears_is_not_worked_out() -> None:
-    model = random_model(rng(), [("a", "f")], {"a": Listener})
-    *_, last = RecursiveBP(model).run(FRAMES)
-    heard = model.chains["a"].heard
-    assert {what for what, _ in heard} == {"update"}
-    last["f"].probabilities()
-    assert [what for what, _ in heard].count("message") == 1
 
 
 @pytest.mark.parametrize("message", [None, 3.0])
@@ -401,12 +355,6 @@ def test_a_run_goes_on_from_any_state_and_leaves_it_as_it_was() -> None:
         assert [belief.state.time for belief in rest] == [belief.state.time for belief in whole[start:]]
 
 
-def test_frames_and_plain_images_are_the_same() -> None:
-    engine = RecursiveBP(random_model(rng(), GRAPHS["two chains"]))
-    frames = [Frame(picture, 0.5 * n, n + 1) for n, picture in enumerate(FRAMES)]
-    assert log_evidences(list(engine.run(frames))) == log_evidences(list(engine.run(FRAMES, dt=0.5)))
-
-
 def test_a_belief_is_asked_by_object_or_name() -> None:
     model = random_model(rng(), GRAPHS["two chains"])
     belief = RecursiveBP(model).step(RunState(), Frame(image(1), 0.0, 1))
@@ -444,36 +392,10 @@ def test_bad_frames_are_refused_with_their_number() -> None:
             engine.step(state, Frame(image(1, 2), time, 8))
 
 
-@pytest.mark.parametrize(
-    ("frames", "dt", "expected"),
-    [
-        (
-            image(1, 2),
-            1.0,
-            "frames: got an array of uint8 of shape (1, 2), expected a ",
-        ),
-        (np.zeros((4, 5, 3), np.uint8), 1.0, "frames: got an array of uint8 of shape (4, 5, 3), expected a "),
-        (Frame(image(1), 0.0, 1), 1.0, "frames: got Frame("),
-        (3, 1.0, "frames: got 3, expected an iterable"),
-        ("a.mp4", 1.0, "frames: got 'a.mp4', expected frames; open_source of rsmcm.apps.io opens a film"),
-        ([], 0.0, "dt: got 0.0, expected more than 0"),
-        ([], np.inf, "dt: got inf, expected a finite number"),
-    ],
-)
-def test_what_is_no_sequence_of_frames_is_refused(frames: Any, dt: float, expected: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=f"^{re.escape(expected)}"):
-        RecursiveBP(random_model(rng(), GRAPHS["one chain"])).run(frames, dt)
-
-
 def test_states_of_other_chains_are_refused() -> None:
     state = RecursiveBP(random_model(rng(), [("z", "f")])).step(RunState(), Frame(image(1), 0.0, 1)).state
     with pytest.raises(ValueError, match="got chains z, expected a"):
         RecursiveBP(random_model(rng(), [("a", "f")])).step(state, Frame(image(1), 1.0, 2))
-
-
-def test_a_model_is_checked_before_the_first_frame() -> None:
-    with pytest.raises(ValueError, match="no chain"):
-        RecursiveBP(MultiChain())
 
 
 def test_impossible_values_and_wrong_likelihoods_are_named() -> None:
@@ -493,13 +415,3 @@ def test_a_forgotten_return_is_said_in_words(
     monkeypatch.setattr(model.chains["a"], method, lambda *_: None)
     with pytest.raises(TypeError, match=f"chain 'a': {method} gave None, expected a state"):
         list(RecursiveBP(model).run(FRAMES[:steps]))
-
-
-def test_what_is_no_model_no_film_and_no_node_is_refused_in_words() -> None:
-    with pytest.raises(TypeError, match="expected a MultiChain"):
-        RecursiveBP("film.mp4")  # type: ignore[arg-type]
-    engine = RecursiveBP(random_model(np.random.default_rng(0), [("chain", "feature")]))
-    with pytest.raises(TypeError, match="open_source"):
-        next(engine.run("film.mp4"))  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="kind of them"):
-        Incoming({})["pixels"]  # type: ignore[call-overload]

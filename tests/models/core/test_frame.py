@@ -49,30 +49,11 @@ def test_boxes_of_other_libraries_keep_scores_and_classes() -> None:
     assert GivenBoxes.of(taken) is taken
 
 
-def test_boxes_are_those_of_the_moment_they_were_taken() -> None:
-    """A detector may use its memory again."""
-    memory = np.array([[1.0, 2, 3, 4, 0.5]])
-    taken = GivenBoxes.of(memory)
-    memory[:] = 7
-    assert taken.xyxy.tolist() == [[1, 2, 3, 4]]
-
-
 def test_outlines_of_another_size_than_the_picture_are_refused() -> None:
     boxes = GivenBoxes(np.array([[0.0, 0, 5, 5]]), masks=np.zeros((1, 10, 12), bool))
     Frame(np.zeros((10, 12), np.uint8), 0.0, 1, boxes=boxes)
     with pytest.raises(ValueError, match=r"got masks \(10, 12\) at frame 3, expected \(12, 10\)"):
         Frame(np.zeros((12, 10), np.uint8), 0.0, 3, boxes=boxes)
-
-
-@pytest.mark.parametrize("shape", [(1, 5), (1, 5, 5, 3)])
-def test_outlines_are_one_picture_a_box(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match=r"^masks: got shape"):
-        GivenBoxes(np.array([[1.0, 2.0, 3.0, 4.0]]), masks=np.zeros(shape, bool))
-
-
-def test_a_class_without_a_number_is_refused() -> None:
-    with pytest.raises(ValueError, match="class that is not finite"):
-        GivenBoxes.of([[1, 2, 3, 4, 0.5, np.nan]])
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.models import GivenKeypoints
 from rsmcm.models.body.upper_body import JOINTS
-from rsmcm.models.core.frame import BODY_25, COCO, KEYPOINTS, MEDIAPIPE, POINTS, SKELETONS
+from rsmcm.models.core.frame import COCO, KEYPOINTS, POINTS, SKELETONS
 
 Array = NDArray[np.float64]
 
@@ -41,18 +41,6 @@ def test_points_are_told_by_how_many_there_are(n_points: int) -> None:
         elif name != "head":
             assert np.isnan(found.positions[:, place]).all()
             assert not found.scores[:, place].any()
-
-
-def test_orders_of_other_programs() -> None:
-    """As their documents have them: a few points each."""
-    assert (COCO[5], COCO[10]) == ("left_shoulder", "right_wrist")
-    assert (BODY_25[1], BODY_25[4], BODY_25[7], BODY_25[17]) == (
-        "neck", "right_wrist", "left_wrist", "right_ear",
-    )  # fmt: skip
-    assert (SKELETONS[18][4], SKELETONS[18][7], SKELETONS[18][14]) == (
-        "right_wrist", "left_wrist", "right_eye",
-    )  # fmt: skip
-    assert (MEDIAPIPE[7], MEDIAPIPE[11], MEDIAPIPE[16]) == ("left_ear", "left_shoulder", "right_wrist")
 
 
 def face(**places: tuple[float, float]) -> tuple[list[float], float]:
@@ -145,16 +133,3 @@ def test_what_was_not_found() -> None:
 def test_what_are_no_points(found: Any, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         GivenKeypoints.of(found)
-
-
-@pytest.mark.parametrize(
-    ("positions", "scores", "complaint"),
-    [
-        (np.zeros((1, 9, 2)), np.zeros((1, 9)), r"positions: got shape \(1, 9, 2\)"),
-        (np.full((1, 10, 2), np.nan), np.ones((1, 10)), "not finite"),
-        (np.zeros((1, 10, 2)), np.zeros((1, 10)), "without a score"),
-    ],
-)
-def test_impossible_points(positions: Array, scores: Array, complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
-        GivenKeypoints(positions, scores)

@@ -99,13 +99,6 @@ def test_code_is_kept_until_a_constant_in_another_module_changes(twice) -> None:
     assert len([*beside.glob("caller-*")]) == 1  # the folder of the earlier state is removed
 
 
-def test_numbas_own_folder_comes_first(twice, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "code"))
-    assert twice(0.25)(1.0) == 1.5
-    assert [*(tmp_path / "code").rglob("caller.twice-*.nbc")]
-    assert str(tmp_path / "code") == numba.config.CACHE_DIR
-
-
 def test_where_no_folder_can_be_written_to_code_is_compiled_each_time(
     twice, monkeypatch: pytest.MonkeyPatch
 ) -> None:

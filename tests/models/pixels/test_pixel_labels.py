@@ -1,7 +1,5 @@
 """Messages about pixels: their algebra, and the two chains that meet on them."""
 
-import sys
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -320,12 +318,3 @@ def test_the_background_behind_layers_is_updated_with_what_they_say(channels, un
     expected = np.zeros(SIZE, np.uint8)
     expected[box] = np.where(told < -0.5, 255, np.where(revealed, REVEALED, 0))
     np.testing.assert_array_equal(covered.reshape(SIZE), expected)
-
-
-def test_a_message_without_layers_remembers_no_image():
-    image = np.zeros((4, 5), np.uint8)
-    before = sys.getrefcount(image)
-    message = PixelMessage(image=image)
-    message.foreground()
-    del message
-    assert sys.getrefcount(image) == before
