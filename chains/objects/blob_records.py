@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.numerics.compiled import compiled
-from ...models.pixels.background import ODDS_STEPS, foreground_spans
+from ...models.pixels.background import ODDS_STEPS
 from ...models.pixels.colour import planes_of
 from ...models.pixels.layers import Pools
 
@@ -393,99 +393,3 @@ def next_piece(blobs, first):
             if _are_pieces(blobs[j], blobs[k]):
                 return k, j
     return blobs.size, blobs.size
-
-
-@compiled
-def count_foreground(log_odds, width, scale, counts, memory):
-    """Count the foreground pixels (negative log odds) in every block of `scale` x `scale` px."""
-    counts[:] = 0
-    columns, spans = memory[:width], memory[width:]
-    for x in range(width):
-        columns[x] = x // scale
-    for k in range(foreground_spans(log_odds, spans)):
-        i, end = spans[k], min(spans[k] + 64, log_odds.size)
-        while i < end:
-            y = i // width
-            x = i - y * width
-            row, last = counts[y // scale], min(end, i - x + width)
-            for j in range(i, last):
-                row[columns[x + j - i]] += np.int32(log_odds[j] < 0)
-            i = last
-
-
-@compiled
-def clear_blocks(counts, top, left, mask, scale, most):
-    """Set blocks of `scale` px to 0 that a mask placed at `(top, left)` touches, and those beside them."""
-    block_rows, block_columns = counts.shape
-    rows, columns = mask.shape
-    first, end = max(left // scale, 0), min((left + columns - 1) // scale + 1, block_columns)
-    for block_y in range(max(top // scale, 0), min((top + rows - 1) // scale + 1, block_rows)):
-        highest = most[:columns]
-        highest[:] = _f4(0)
-        for y in range(max(block_y * scale - top, 0), min((block_y + 1) * scale - top, rows)):
-            for x in range(columns):
-                highest[x] = max(highest[x], mask[y, x])
-        for block_x in range(first, end):
-            touched = False
-            for x in range(max(block_x * scale - left, 0), min((block_x + 1) * scale - left, columns)):
-                touched |= highest[x] > _f4(0.2)
-            if touched:
-                for y in range(max(block_y - 1, 0), min(block_y + 2, block_rows)):
-                    for x in range(max(block_x - 1, 0), min(block_x + 2, block_columns)):
-                        counts[y, x] = 0
-
-
-@compiled
-def _take_spot(counts, row, column, least, waiting):
-    """Follow a spot of blocks, which are set to 0: its first and end row and column, and how many pixels."""
-    rows, columns = counts.shape
-    top, left, bottom, right, area = row, column, row + 1, column + 1, counts[row, column]
-    counts[row, column] = 0
-    waiting[0], count = row * columns + column, 1
-    while count:
-        count -= 1
-        y = waiting[count] // columns
-        x = waiting[count] - y * columns
-        top, left, bottom, right = min(top, y), min(left, x), max(bottom, y + 1), max(right, x + 1)
-        for j in range(max(y - 1, 0), min(y + 2, rows)):
-            for i in range(max(x - 1, 0), min(x + 2, columns)):
-                if counts[j, i] >= least:
-                    area += counts[j, i]
-                    counts[j, i] = 0
-                    waiting[count], count = j * columns + i, count + 1
-    return top, left, bottom, right, area
-
-
-@compiled
-def find_spots(log_odds, size, scale, blobs, pools, min_area, thinnest, counts, memory, spots):
-    """Find spots of blocks, each a quarter foreground or more, that are neither of a blob nor beside one.
-
-    `log_odds` `(n_pixels,)` int8 are of a picture of this `size`; `scale` px is the side of a block; spots
-    have an area px of `min_area` and a share `thinnest` of the squared length at least. `counts` int32 has a
-    number for every block, `memory` int64 room for one for every 64 pixels, for every column, and for every
-    block. Gives how many rows of `spots` `(n, 5)` were filled: top, left, bottom, right, area px.
-    """
-    count_foreground(log_odds, size[1], scale, counts, memory)
-    widest = 0
-    for k in range(blobs.size):
-        widest = max(widest, blobs[k].columns)
-    most = np.empty(widest, np.float32)
-    for k in range(blobs.size):
-        top, left = corner_of(blobs[k])
-        clear_blocks(counts, top, left, mask_of(blobs[k], pools), scale, most)
-    least, count = -(-scale * scale // 4), 0
-    for row in range(counts.shape[0]):
-        in_row = counts[row]
-        highest = np.int32(0)
-        for column in range(in_row.size):
-            highest = max(highest, in_row[column])
-        for column in range(in_row.size if highest >= least else 0):
-            if in_row[column] < least or count == len(spots):
-                continue
-            top, left, bottom, right, area = _take_spot(counts, row, column, least, memory)
-            length = scale * max(bottom - top, right - left)
-            if area >= max(min_area, thinnest * length * length):
-                spots[count, 0], spots[count, 1], spots[count, 2] = scale * top, scale * left, scale * bottom
-                spots[count, 3], spots[count, 4] = scale * right, area
-                count += 1
-    return count

@@ -20,6 +20,7 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,7 +42,6 @@ from .blob_records import (
     corner_of,
     cover_by,
     fade_beyond,
-    find_spots,
     gather,
     length_of,
     mask_of,
@@ -630,19 +630,41 @@ class BlobScene:
         mask = np.minimum(0.9, free / (1 + np.exp(odds))).astype(np.float32)
         return np.array([float(top), float(left)]), mask, planes
 
-    def spots(self, blobs: Blobs, min_area: float) -> list[Spot]:
-        """Return foreground spots of `min_area` px or more, off all blobs: top, left, bottom, right px."""
-        height, width = self.size
-        scale = max(1, round(max(height, width) / BLOCKS))
-        counts = np.empty((-(-height // scale), -(-width // scale)), np.int32)
-        memory = np.empty(max(height * width // 64 + 1 + width, counts.size), np.int64)
-        found = np.empty((MOST_SPOTS, 5), np.int64)
-        count = find_spots(
-            self.picture.log_odds.reshape(-1), self.size, scale, blobs.table, blobs.pools, min_area, THINNEST,
-            counts, memory, found,
-        )  # fmt: skip
-        spots: list[Spot] = found[:count, :4].tolist()
-        return spots
+
+def find_spots(log_odds: NDArray[np.int8], blobs: Blobs, min_area: float) -> list[Spot]:
+    """Return spots of foreground (negative `log_odds` `(height, width)`) that are no blob nor beside one.
+
+    They consist of blocks that are a quarter foreground or more, and have `min_area` px of it or more.
+    """
+    height, width = log_odds.shape
+    scale = max(1, round(max(height, width) / BLOCKS))
+    shape = -(-height // scale), -(-width // scale)
+    maps = np.zeros((2, scale * shape[0], scale * shape[1]), np.uint8)
+    np.less(log_odds, 0, out=maps[0, :height, :width])
+    for blob in blobs:
+        (top, left), (rows, columns) = blob.corner, blob.mask.shape
+        first, start = max(-top, 0), max(-left, 0)
+        place = maps[1, max(top, 0) : max(top + rows, 0), max(left, 0) : max(left + columns, 0)]
+        high, wide = place.shape
+        place |= blob.mask[first : first + high, start : start + wide] > np.float32(0.2)
+    sums, covered = (
+        cv2.boxFilter(each, cv2.CV_16U, (scale, scale), normalize=False, anchor=(0, 0))[::scale, ::scale]
+        for each in maps
+    )
+    counts = np.where(cv2.dilate(covered, np.ones((3, 3), np.uint8)) > 0, 0, sums)
+    blocks = counts >= -(-scale * scale // 4)
+    if not blocks.any():
+        return []
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(blocks.astype(np.uint8), connectivity=8)
+    areas = np.bincount(labels.ravel(), counts.ravel(), count)
+    lengths = scale * boxes[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
+    large = np.flatnonzero(areas >= np.maximum(min_area, THINNEST * lengths**2))
+    spots = []
+    for label in large[large > 0].tolist():
+        left, top, wide, high = (scale * int(number) for number in boxes[label, :4])
+        first = int(np.argmax(labels[top // scale] == label))
+        spots.append(((top, first), [top, left, top + high, left + wide]))
+    return [spot for _, spot in sorted(spots)[:MOST_SPOTS]]
 
 
 def inherited_evidence(blob: Blob, others: Blobs) -> float:

@@ -29,7 +29,7 @@ from ...models.objects.object_boxes import ObjectBoxes
 from ...models.pixels.layers import NO_LAYERS, LayerStack, log_uniform
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
 from . import detections
-from .blob_scene import VIEW_TIME, BlobScene, Learning, inherited_evidence
+from .blob_scene import VIEW_TIME, BlobScene, Learning, find_spots, inherited_evidence
 from .blobs import Blob, Blobs, BlobState, front_to_back, layers_of, likely_size
 from .groups import fragment_times, group_parts, merge_pieces, select_whole, split_columns, split_mask
 from .registration import register_blobs
@@ -150,7 +150,7 @@ class BlobTracker:
             scene.colour_newborns(kept, int(alive.sum()))
             kept = group_parts(merge_pieces(self._split(kept, numbers, scene, least_area)), scene.newcomers)
             kept.table["fragment_time"] = fragment_times(kept, scene)
-        for spot in scene.spots(kept, least_area):
+        for spot in find_spots(scene.picture.log_odds, kept, least_area):
             corner, mask, planes = scene.cut_out(spot, kept)
             if float(mask.sum()) >= least_area:
                 new = Blob.newborn(

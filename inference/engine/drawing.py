@@ -1,39 +1,14 @@
-"""Drawings of a model's graph, and of what is believed of a frame's features."""
+"""Drawings of a model's graph."""
 
-from collections.abc import Iterable
 from io import StringIO
 from pathlib import Path
 from statistics import mean
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
-import cv2
 import networkx as nx
-import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from ...models.core.pictures import as_bgr
 from .graph import IMAGE, MultiChain
-
-
-@runtime_checkable
-class Drawable(Protocol):
-    """A feature node that can be seen in a picture."""
-
-    def draw(self, picture: NDArray[np.uint8], belief: Any, /) -> None:
-        """Draw the belief over `picture`, `(height, width, 3)` uint8 BGR."""
-        ...
-
-
-def png(image: NDArray[np.uint8], beliefs: Iterable[tuple[object, Any]]) -> bytes:
-    """A PNG of the image with the beliefs of all feature nodes that are `Drawable` over it."""
-    picture = as_bgr(image)
-    for node, belief in beliefs:
-        if isinstance(node, Drawable):
-            node.draw(picture, belief)
-    _, encoded = cv2.imencode(".png", picture)
-    return encoded.tobytes()
-
 
 SPACING = 2.2
 HEIGHT = {"chain": 4.0, "feature": 1.9, "observation": 0.0}

@@ -104,15 +104,6 @@ class Belief:
         settled = "" if self.converged else f", not settled after {self.sweeps} sweeps"
         return f"Belief(frame {self.frame.number} at {self.frame.time:.6g} s{missing}{settled}: {names})"
 
-    def _repr_png_(self) -> bytes | None:
-        """The frame with what is believed of its features, for notebooks."""
-        if self._slice is None or self.frame.image is None:
-            return None
-        from .drawing import png  # OpenCV is slow to import
-
-        features = self._slice.model.features
-        return png(self.frame.image, [(node, self[name]) for name, node in features.items()])
-
     @property
     def states(self) -> Mapping[str, Any]:
         """Posterior states of the chains by name."""

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ..core.checks import Positive, Shape, between, checked
 from ..core.frame import BoundingBox, Frame
 from ..core.gaussian_mixtures import GaussianMixtures, log_sums
-from ..core.pictures import draw_region
 from ..core.short_repr import short_repr
 from ..face.detectors import HaarFaces, PartDetector
 from ..numerics.threads import side_by_side
@@ -145,7 +144,6 @@ chain that tracks something else recovers."""
 FACE_DETECTED, FALSE_FACES = 0.8, 0.05  # detection probability of a face, and false ones in an image
 HEAD_DETECTED, FALSE_HEADS = 0.6, 3.0  # the same of a head's blob of skin
 HAND_DETECTED, FALSE_HANDS = 0.8, 4.0  # the same of a hand's blob
-COLOURS = ((60, 220, 60), (60, 60, 255), (255, 190, 40))  # BGR, of parts that are drawn
 CALIBRATION_FRAMES = 24  # frames of a clip in which faces are detected at first, evenly spread
 
 
@@ -321,13 +319,6 @@ class BodyParts:
             skin, moving, edges, directions, hands.means, hands.log_weights, mixtures, points, self.bare, arms
         )
         return PartMessage(self.uniform().stacked, seen)
-
-    def draw(self, picture: NDArray[np.uint8], belief: PartMessage) -> None:
-        """Draw the 90 % regions of head and hands into a BGR picture."""
-        height, width = picture.shape[:2]
-        moments = belief.mixtures.moments(float(height * width), (width / 2, height / 2))
-        for mean, covariance, colour in zip(*moments, COLOURS, strict=True):
-            draw_region(picture, mean, covariance, colour)
 
     def _faces(self, frame: Frame, known_head: Array) -> Array:
         """Detect faces: boxes `(k, 4)` px, largest first. Cascades search about a predicted head first."""

@@ -8,14 +8,12 @@ from dataclasses import dataclass, field
 from math import log
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.checks import checked
 from ..core.frame import Frame, GivenBoxes
 from ..core.gaussian_message import GaussianMessage
-from ..core.pictures import FARTHEST, draw_region
 from ..core.short_repr import short_repr
 from .box_message import BOX, HEIGHT, WIDTH, Association, BoxDetector, BoxMessage, LogOdds
 
@@ -205,9 +203,6 @@ def _box_likelihood(association: Association, means: Numbers, covariances: Numbe
     return GaussianMessage(association.identities[order], information, vector, log_scale)
 
 
-COLOUR = (255, 190, 40)  # BGR, of boxes that are drawn
-
-
 @short_repr
 @checked
 @dataclass(frozen=True)
@@ -241,12 +236,3 @@ class ObjectBoxes:
         if frame.boxes is None:
             return self.uniform()
         return associate(frame, prior, prior.detector or self.detector)
-
-    def draw(self, picture: NDArray[np.uint8], belief: BoxMessage) -> None:
-        """Draw the mean boxes into a BGR picture, and where their feet are to 90 %."""
-        _, means, covariances = belief.objects.moments
-        for (x, y, width, height), covariance in zip(means, covariances, strict=True):
-            left, top = (max(round(each), -FARTHEST) for each in (x - width / 2, y - height))
-            right, bottom = (min(round(each), FARTHEST) for each in (x + width / 2, y))
-            cv2.rectangle(picture, (left, top), (right, bottom), COLOUR, 1)
-            draw_region(picture, np.array([x, y]), covariance[:2, :2], COLOUR)

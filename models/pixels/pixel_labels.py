@@ -23,8 +23,6 @@ Map = NDArray[np.float32]
 
 NEVER = -80.0  # log odds of background that leave nothing of it
 
-TINT = 0.6
-TINT_COLOUR = (60, 60, 255)  # what is drawn over the foreground: its share, and BGR
 Window = tuple[slice, slice]
 
 
@@ -282,16 +280,6 @@ class PixelLabels:
         """Return the image: L is what was seen."""
         return PixelMessage(image=frame.image)
 
-    def draw(self, picture: NDArray[np.uint8], belief: PixelMessage) -> None:
-        """Tint a BGR picture by P(B=0)."""
-        tint(picture, 1 - belief.background_probability())
-
-
-def tint(picture: NDArray[np.uint8], foreground: Map) -> None:
-    """Tint a BGR picture `(height, width, 3)` by the probability of foreground `(height, width)`."""
-    share = TINT * foreground[..., None]
-    picture[...] = np.rint(picture + share * (np.array(TINT_COLOUR) - picture))
-
 
 def _inside(region: Region, size: tuple[int, int]) -> tuple[Window, Window]:
     """Rows and columns of the part of a region that is inside: in the picture, and in the region."""
@@ -323,8 +311,3 @@ class ScenePixels(PixelLabels):
             return PixelMessage(image=frame.image)
         view, image = prior.view.register(frame.image)
         return PixelMessage(image=image, view=view)
-
-    def draw(self, picture: NDArray[np.uint8], belief: PixelMessage) -> None:
-        """Tint a BGR picture of the frame by P(B=0)."""
-        foreground = 1 - belief.background_probability()
-        tint(picture, foreground if belief.view is None else belief.view.map.warp_to_frame(foreground))

@@ -15,7 +15,7 @@ from ..core.checks import Positive, Shape, Share, at_least, checked
 from ..core.frame import Frame, GivenPoints
 from ..core.gaussian_message import GaussianMessage
 from ..core.identities import find, places_of
-from ..core.pictures import draw_region, grey_of
+from ..core.pictures import grey_of
 from ..core.short_repr import short_repr
 from .patches import Patches, sample_patches
 from .search import PreviousView, find_points
@@ -48,7 +48,6 @@ def check_points(name: str, points: NDArray[np.float64], *, allow_single: bool =
 
 PLANE = 2
 
-COLOUR = (60, 220, 60)  # BGR, of points that are drawn
 NO_POINTS = GivenPoints(np.zeros((0, PLANE)), np.zeros(0, np.int64))  # no points
 
 
@@ -211,12 +210,6 @@ class PointTracks:
         positions = GaussianMessage.from_moments(seen, position, found.covariance)
         positions = replace(positions, log_scale=positions.log_scale + np.log(grey.size))
         return positions, GivenPoints(position, seen)
-
-    def draw(self, picture: NDArray[np.uint8], belief: PointMessage) -> None:
-        """Draw the points' 90 % regions into a BGR picture."""
-        _, means, covariances = belief.positions.moments
-        for mean, covariance in zip(means, covariances, strict=True):
-            draw_region(picture, mean, covariance, COLOUR)
 
     def _given(self, points: GivenPoints, time: float) -> PointMessage:
         known = ~np.isnan(points.positions)

@@ -1,7 +1,6 @@
 """Loops over masks and pixels of blobs, against plain numpy."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -81,30 +80,6 @@ def test_crumbs_are_spots_of_less_than_a_tenth_of_the_largest():
     np.testing.assert_array_equal(mask, expected)
     assert not without_crumbs(mask)
     assert not without_crumbs(np.zeros((5, 7), F4))
-
-
-@pytest.mark.parametrize(("size", "scale"), [((40, 60), 4), ((7, 5), 1), ((33, 65), 4)])
-def test_count_foreground(size, scale):
-    log_odds = np.random.default_rng(5).integers(-20, 127, size).astype(np.int8)
-    counts = np.full((-(-size[0] // scale), -(-size[1] // scale)), 7, np.int32)
-    kernels.count_foreground(log_odds.reshape(-1), size[1], scale, counts, np.empty(200, np.int64))
-    wide = np.zeros((counts.shape[0] * scale, counts.shape[1] * scale), bool)
-    wide[: size[0], : size[1]] = log_odds < 0
-    expected = wide.reshape(counts.shape[0], scale, counts.shape[1], scale).sum(axis=(1, 3))
-    np.testing.assert_array_equal(counts, expected)
-
-
-@settings(max_examples=20, deadline=None)
-@given(masks, st.integers(-20, 30), st.integers(-20, 40), st.integers(1, 5))
-def test_clear_blocks(mask, top, left, scale):
-    counts = np.random.default_rng(0).integers(1, 9, (7, 9)).astype(np.int32)
-    expected = counts.copy()
-    for row, column in np.argwhere(mask > 0.2):
-        y, x = (top + row) // scale, (left + column) // scale
-        if 0 <= y < 7 and 0 <= x < 9:
-            expected[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2] = 0
-    kernels.clear_blocks(counts, top, left, mask, scale, np.empty(18, F4))
-    np.testing.assert_array_equal(counts, expected)
 
 
 @settings(max_examples=20, deadline=None)

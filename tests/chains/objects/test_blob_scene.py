@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rsmcm.chains.objects import blob_scene
 from rsmcm.chains.objects.blob_records import UNKNOWN_COLOUR, Patch, box_of, length_of
 from rsmcm.chains.objects.blob_scene import MOST_EVIDENCE, Learning, outline_evidence, weigh
 from rsmcm.chains.objects.blobs import Blob, Blobs
 from rsmcm.models.pixels.background import StoredPlanes
+from scipy import ndimage
 
 from ...support.blob_patches import F4, density_of, sprite, textured
 
@@ -175,3 +178,31 @@ def test_a_newborn_that_touches_somebody_is_as_likely_as_not_a_part_of_them():
         == 0
     )
     assert blob_scene.inherited_evidence(beside, Blobs.none(3)) == 0
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([(40, 60), (33, 65), (210, 390)]), st.booleans())
+def test_spots_are_connected_blocks_off_the_blobs(seed, size, has_blob):
+    random, scale = np.random.default_rng(seed), 2 if size[1] > 200 else 1
+    log_odds = np.where(random.random(size) < 0.12, -5, 5).astype(np.int8)
+    log_odds[5:17, 20:31] = -9
+    blob = moving(0, 18.0).changed(position=np.array([-4.0, 9.0]))
+    blobs = Blobs.of([blob] if has_blob else [], 3)
+    rows, columns = (-(-side // scale) for side in size)
+    counts, beside = np.zeros((rows, columns)), np.zeros((rows, columns), bool)
+    for y, x in np.argwhere(log_odds < 0) // scale:
+        counts[y, x] += 1
+    for y, x in (np.argwhere(blob.mask > 0.2) + blob.corner) // scale if has_blob else ():
+        if 0 <= y < rows and 0 <= x < columns:
+            beside[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2] = True
+    counts[beside] = 0
+    labels, _ = ndimage.label(counts >= scale**2 / 4, np.ones((3, 3)))
+    expected = []
+    for number, (down, across) in enumerate(ndimage.find_objects(labels), 1):
+        spot = [down.start, across.start, down.stop, across.stop]
+        length = scale * max(down.stop - down.start, across.stop - across.start)
+        if counts[labels == number].sum() >= max(8, 0.08 * length**2):
+            expected.append([scale * each for each in spot])
+    found = blob_scene.find_spots(log_odds, blobs, 8)
+    assert sorted(found) == sorted(expected)
+    assert [spot[0] for spot in found] == sorted(spot[0] for spot in found)

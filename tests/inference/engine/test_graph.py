@@ -1,6 +1,8 @@
 """The graph of chains and features: what may be connected, and the order of messages."""
 
+from pathlib import Path
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import networkx as nx
 import numpy as np
@@ -153,3 +155,13 @@ def test_messages_follow_from_those_before_them_or_of_their_loop(
             for sender in {IMAGE, *model.senders[other]} - {chain}:
                 first, then = position[sender, other], position[chain, feature]
                 assert first < then or (first == then and len(schedule[first]) > 1)
+
+
+@pytest.mark.parametrize("suffix", [".svg", ".png"])
+def test_a_graph_is_drawn(tmp_path: Path, suffix: str) -> None:
+    model = random_model(random(), PAIR)
+    model.draw(tmp_path / f"graph{suffix}")
+    assert (tmp_path / f"graph{suffix}").read_bytes().startswith(b"<?xml" if suffix == ".svg" else b"\x89PNG")
+    assert ElementTree.fromstring(model._repr_svg_()).tag.endswith("svg")
+    with pytest.raises(ValueError, match=r"graph.txt.*\.svg or \.png"):
+        model.draw(tmp_path / "graph.txt")

@@ -27,7 +27,6 @@ Numbers = NDArray[np.float64]
 SIZE = (480, 640)
 BLANK = np.zeros(SIZE, np.uint8)
 WHO = np.array([[200.0, 300.0, 40.0, 100.0], [330.0, 310.0, 42.0, 104.0]])
-OFF = np.array([4.0, -3.0, 2.0, 5.0])
 COVARIANCE = np.diag([3.0, 4.0, 5.0, 6.0]) ** 2
 
 
