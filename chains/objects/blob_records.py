@@ -21,10 +21,7 @@ RECORD = np.dtype(
         ("position", np.float64, (2,)),  # px, (down, right), of the patch's top left corner
         ("velocity", np.float64, (2,)),  # px/s
         ("covariance", np.float64, (2, 2)),  # of position and velocity along either axis
-        (
-            "colour_variance",
-            np.float64,
-        ),  # squared grey levels: variance of its colours about the remembered ones
+        ("colour_variance", np.float64),  # squared grey levels: of its colours about the remembered ones
         ("seen", np.float64),  # s for which it was seen
         ("unseen", np.float64),  # s since it was last seen
         ("still", np.float64),  # s for which it has not moved

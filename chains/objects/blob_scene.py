@@ -277,9 +277,8 @@ def learn(
     shown, own_odds, free = patch.planes.reshape(-1), patch.log_odds.reshape(-1), patch.free.reshape(-1)
     mask, own, all_layers = sprite.mask.reshape(-1), sprite.appearance.reshape(-1), explained.reshape(-1)
     out, new = new_mask.reshape(-1), new_appearance.reshape(-1)
-    chroma = (
-        _f4(1) if channels == 3 else _f4(0)
-    )  # no branch within a loop, which would be no vector code then
+    # no branch within a loop, which would be no vector code then
+    chroma = _f4(1) if channels == 3 else _f4(0)
     red = np.uint64(size * (channels // 3))
     blue = np.uint64(2) * red
     half_precision, log_ratio, outliers = sprite.half_precision, sprite.log_ratio, sprite.outliers

@@ -213,8 +213,7 @@ class Blobs:
         """`(n,)` nats, log ratio of ghost and real; being detected counts as real."""
         table = self.table
         real = np.where(table["detected"], np.maximum(table["existence"], 0.0), 0.0)
-        evidence: Numbers = table["view"] + table["past_views"] - real
-        return evidence
+        return np.asarray(table["view"] + table["past_views"] - real)
 
     @property
     def reported_variances(self) -> Numbers:
@@ -227,8 +226,7 @@ class Blobs:
     @property
     def existence_probability(self) -> Numbers:
         """`(n,)` probability of being an object that the detector is made to find."""
-        probability: Numbers = 1 / (1 + np.exp(-self.table["existence"]))
-        return probability
+        return np.asarray(1 / (1 + np.exp(-self.table["existence"])))
 
     @property
     def are_likely(self) -> Mask:
@@ -248,8 +246,7 @@ class Blobs:
     def are_fragments(self) -> Mask:
         """`(n,)`: whether it is a piece of a person; small things that move alone for long are not."""
         time = self.table["fragment_time"]
-        fragments: Mask = (time > 0) & ~((time > OWN_WAY) & (self.table["still"] == 0))
-        return fragments
+        return np.asarray((time > 0) & ~((time > OWN_WAY) & (self.table["still"] == 0)))
 
     def __len__(self) -> int:
         return len(self.words)

@@ -227,5 +227,4 @@ def _probability(log_odds: Numbers) -> Numbers:
 
 def _log_odds(probability: ArrayLike) -> Numbers:
     likely = np.clip(probability, 1e-9, 1 - 1e-9)
-    odds: Numbers = np.log(likely) - np.log1p(-likely)
-    return odds
+    return np.asarray(np.log(likely) - np.log1p(-likely))

@@ -32,9 +32,7 @@ ASSUMED = 10.0
 """Weight, in boxes of either kind, of the prior that true boxes have higher scores."""
 
 APART = 1.0  # deviations of all scores by which true and false ones are assumed to be apart
-UNDETECTED = (
-    3.0  # undetected people in the picture at the first frame; a guess, forgotten within a few frames
-)
+UNDETECTED = 3.0  # people in the picture at the first frame; a guess, forgotten within a few frames
 
 
 @short_repr

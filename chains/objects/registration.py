@@ -375,10 +375,8 @@ def register_blobs(
     """
     if not len(blobs):
         return blobs
-    table, terms = (
-        blobs.table.copy(),
-        Matching(log_uniform(blobs.channels), outliers, likelihood_power, elapsed),
-    )
+    table = blobs.table.copy()
+    terms = Matching(log_uniform(blobs.channels), outliers, likelihood_power, elapsed)
     picture, room = make_picture(pixels), scratch_for_search(table, blobs.channels)
     shards, count = np.zeros(len(table), np.int64), min(thread_count(), len(table))
     if count > 1:

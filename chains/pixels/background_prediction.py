@@ -338,8 +338,7 @@ class BackgroundPrediction:
         """
         along = np.arange(self.size[1] + ROUNDING_PERIOD) * 0.7548776662466927
         steps = np.floor((along + self.frames * 0.5698402909980532) % 1 * 128)  # as float32 beside `ROUNDING`
-        rounding: Planes = (steps / 128 + ROUNDING).astype(np.float32)
-        return rounding
+        return np.asarray((steps / 128 + ROUNDING).astype(np.float32))
 
     def compare(self, image: NDArray[np.uint8]) -> Subtraction:
         """Compare an image with the prediction; the same image is compared only once."""
@@ -379,11 +378,8 @@ class BackgroundPrediction:
         sways = bool(self.sway.rates.max() >= LEAST_RATE)
 
         def work(first: int, end: int) -> None:
-            top, bottom, band = (
-                max(first - HALO, 0),
-                min(end + HALO, height),
-                slice(first * width, end * width),
-            )
+            top, bottom = max(first - HALO, 0), min(end + HALO, height)
+            band = slice(first * width, end * width)
             own = np.empty((bottom - top) * width, np.int8)  # of each pixel by itself
             most = compare_rows(first, end, flat, self.pixels, light, self.model, fast, rounding, after, own)
             recall(top * width, flat, self.second, tolerance, self.model, own)

@@ -45,14 +45,12 @@ class CameraState:
     @property
     def mean(self) -> NDArray[np.float64]:
         """`(6,)` px: parameters of the map from scene to frame."""
-        mean: NDArray[np.float64] = self.where.mean[0]
-        return mean
+        return np.asarray(self.where.mean[0])
 
     @property
     def covariance(self) -> NDArray[np.float64]:
         """`(6, 6)` px^2, of these."""
-        covariance: NDArray[np.float64] = self.where.covariance[0]
-        return covariance
+        return np.asarray(self.where.covariance[0])
 
 
 @checked

@@ -302,5 +302,4 @@ def share_of_blocks(covered: NDArray[np.uint8], grid: tuple[int, ...]) -> Planes
         for n, m in zip(covered.shape, grid, strict=True)
     )
     counts = rows @ (covered[::every, ::every] == 255) @ columns.T
-    shares: Planes = (counts / np.outer(rows.sum(axis=1), columns.sum(axis=1)).clip(1)).astype(np.float32)
-    return shares
+    return np.asarray((counts / np.outer(rows.sum(axis=1), columns.sum(axis=1)).clip(1)).astype(np.float32))

@@ -151,11 +151,8 @@ def learn_mixture(first, end, width, planes, rates, least_rate, first_variance, 
                 gain[x] = step
                 total[x] += after
             for channel in range(channels):
-                seen, mean, mean_after = (
-                    planes[channel, here],
-                    means[k, channel, here],
-                    new_means[k, channel, here],
-                )
+                seen, mean = planes[channel, here], means[k, channel, here]
+                mean_after = new_means[k, channel, here]
                 for x in range(width):
                     mean_after[x] = mean[x] + gain[x] * (seen[x] - mean[x])
         for k in range(components):

@@ -180,12 +180,8 @@ def update_behind(
             cut = rounding_along(rounding, y)[left:]
             _row_behind(others, log_odds[here], before, here, model, cut, work, after, covered[here])
             for channel in range(before.mean.shape[0]):
-                old, new, difference = (
-                    before.mean[channel, here],
-                    after.mean[channel, here],
-                    work[3 + channel],
-                )
-                step = work[2]
+                old, new = before.mean[channel, here], after.mean[channel, here]
+                step, difference = work[2], work[3 + channel]
                 for x in range(columns):
                     new[x] = mean_steps(mean_of(old[x]) + step[x] * difference[x], cut[x])
             for x in range(columns):

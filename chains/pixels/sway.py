@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ...models.numerics.compiled import compiled, inlined, logarithm
 from ...models.pixels.background import ODDS_STEPS, SPAN, foreground_spans
+from ...models.pixels.colour import planes_of
 from .gaussians import MOST_RECALLED, SURE, Gaussians, Light, light_beside, mean_of, noise_of, variance_of
 
 _f4 = np.float32
@@ -102,12 +103,8 @@ def _least_gaps(pixels, mean, y, left, right, reach, light_field, work):
     upper, lower, below_share = light_beside(light_field, y)
     for x in range(right - left):
         work[x] = upper[left + x] + below_share * (lower[left + x] - upper[left + x])
-        grey = luma_of(pixels, start + x, channels)
-        work[2 * SPAN + x] = grey
-        if channels == 3:
-            k = 3 * (start + x)
-            work[3 * SPAN + x] = _f4(1.426) * (_f4(pixels[k + 2]) - grey)
-            work[4 * SPAN + x] = _f4(1.128) * (_f4(pixels[k]) - grey)
+        luma, red, blue = _planes_of_pixel(pixels, start + x, channels)
+        work[2 * SPAN + x], work[3 * SPAN + x], work[4 * SPAN + x] = luma, red, blue
     work[SPAN : 2 * SPAN] = _FAR * _FAR
     step = max(reach // 3, 1)
     wide = right - left + 6 * step
@@ -139,18 +136,6 @@ def _nearer(work, aside, plane, channels):
         for x in range(_SPAN):
             d0 = work[_SPAN * _TWO + x] - work[x] * work[luma + x]
             work[_SPAN + x] = min(work[_SPAN + x], d0 * d0)
-
-
-@inlined
-def luma_of(pixels, i, channels):
-    """Return the luma of pixel `i` of a picture."""
-    if channels == 1:
-        return _f4(pixels[i])
-    return (
-        _f4(0.114) * _f4(pixels[3 * i])
-        + _f4(0.587) * _f4(pixels[3 * i + 1])
-        + _f4(0.299) * _f4(pixels[3 * i + 2])
-    )
 
 
 @compiled
@@ -232,10 +217,9 @@ def _all_alike(values, wanted):
 @inlined
 def _planes_of_pixel(pixels, i, channels):
     """Planes of pixel `i` of a picture; those that it has not are 0."""
-    grey = luma_of(pixels, i, channels)
     if channels == 1:
-        return grey, _f4(0), _f4(0)
-    return grey, _f4(1.426) * (_f4(pixels[3 * i + 2]) - grey), _f4(1.128) * (_f4(pixels[3 * i]) - grey)
+        return _f4(pixels[i]), _f4(0), _f4(0)
+    return planes_of(pixels[3 * i], pixels[3 * i + 1], pixels[3 * i + 2])
 
 
 @inlined

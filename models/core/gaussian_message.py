@@ -312,5 +312,4 @@ def invert(matrices, vectors, least, inverses, products, log_determinants, regul
 
 def squared_distances(off: Numbers, covariance: Numbers) -> Numbers:
     """Squared distances `(...)` of vectors `(..., d)` from 0, by covariances `(..., d, d)`."""
-    distances: Numbers = (off * np.linalg.solve(covariance, off[..., None])[..., 0]).sum(axis=-1)
-    return distances
+    return np.asarray((off * np.linalg.solve(covariance, off[..., None])[..., 0]).sum(axis=-1))

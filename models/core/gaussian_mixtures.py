@@ -341,10 +341,8 @@ def sums_over_hypotheses(points, log_weights, heights, means, precisions, logs):
         count = min(_BLOCK, len(points) - first)
         for k in range(count):
             for part in range(n_parts):
-                places[part, 0, k], places[part, 1, k] = (
-                    points[first + k, part, 0],
-                    points[first + k, part, 1],
-                )
+                places[part, 0, k] = points[first + k, part, 0]
+                places[part, 1, k] = points[first + k, part, 1]
         best[:], sums[:] = -1e300, 0.0
         for h in range(len(log_weights)):
             peak[:], product[:] = log_weights[h], 1.0

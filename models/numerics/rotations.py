@@ -9,8 +9,7 @@ Array = NDArray[np.float64]
 
 def exponential(vectors: Array) -> Array:
     """Return `(n, 3, 3)` rotations exp([w]x) about the rotation vectors `(n, 3)` rad."""
-    rotations: Array = Rotation.from_rotvec(vectors).as_matrix()
-    return rotations
+    return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
 def logarithm(rotations: Array) -> Array:
@@ -48,5 +47,4 @@ def nearest_rotation(matrices: Array) -> Array:
     sign = np.linalg.det(left @ right)
     left = left.copy()
     left[..., :, 2] *= sign[..., None]
-    nearest: Array = left @ right
-    return nearest
+    return np.asarray(left @ right)

@@ -108,8 +108,7 @@ class LogOdds:
         place, is_mentioned = find(self.identities, identities)
         if not len(self):
             return np.zeros(place.shape)
-        log_odds: Numbers = np.where(is_mentioned, self.values[place], 0.0)
-        return log_odds
+        return np.asarray(np.where(is_mentioned, self.values[place], 0.0))
 
 
 @short_repr
@@ -190,8 +189,7 @@ class Association:
     @property
     def true(self) -> Numbers:
         """`(n_boxes,)` probability that a box is the one box of an object, expected or new."""
-        true: Numbers = self.pairs.sum(axis=0) + self.new
-        return true
+        return np.asarray(self.pairs.sum(axis=0) + self.new)
 
 
 NO_BOXES = GaussianMessage.uniform(BOX)

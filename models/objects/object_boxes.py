@@ -43,8 +43,7 @@ def feet(xyxy: Numbers) -> Numbers:
 
 def log_anywhere(boxes: Numbers, area: float) -> Numbers:
     """Return `(n,)` nats, of 1/px^4: a box anywhere in a picture of `area` px, of any size and shape."""
-    density: Numbers = -np.log(area * SIZES * boxes[:, WIDTH] * boxes[:, HEIGHT])
-    return density
+    return np.asarray(-np.log(area * SIZES * boxes[:, WIDTH] * boxes[:, HEIGHT]))
 
 
 class Marginals(NamedTuple):
@@ -165,8 +164,7 @@ def visible_share(boxes: Numbers, exists: Numbers, size: tuple[int, int]) -> Num
     down = np.minimum(y[:, None], y) - np.maximum(top[:, None], top)
     covered = np.maximum(across, 0.0) * np.maximum(down, 0.0) / whole[:, None]
     in_front = (y > y[:, None]) * exists
-    share: Numbers = np.clip(inside, 0, 1) * np.prod(1 - np.minimum(covered, 1.0) * in_front, axis=1)
-    return share
+    return np.asarray(np.clip(inside, 0, 1) * np.prod(1 - np.minimum(covered, 1.0) * in_front, axis=1))
 
 
 def _picture(frame: Frame, prior: BoxMessage, given: GivenBoxes) -> tuple[int, int]:
@@ -184,8 +182,7 @@ def _log_densities(boxes: Numbers, means: Numbers, covariances: Numbers, noise: 
     root = np.linalg.cholesky(covariances + noise[:, :, None] * np.eye(BOX))
     off = np.linalg.solve(root, (boxes[None] - means[:, None]).swapaxes(1, 2))
     scale = np.log(root.diagonal(axis1=1, axis2=2)).sum(axis=1) + 2 * np.log(2 * np.pi)
-    densities: Numbers = -0.5 * (off**2).sum(axis=1) - scale[:, None]
-    return densities
+    return np.asarray(-0.5 * (off**2).sum(axis=1) - scale[:, None])
 
 
 def _box_likelihood(association: Association, means: Numbers, covariances: Numbers) -> GaussianMessage:

@@ -25,8 +25,7 @@ class StoredPlanes(NamedTuple):
 
     def grey_levels(self) -> Planes:
         """Return `(channels, height, width)` float32."""
-        levels: Planes = self.values * self.step
-        return levels
+        return np.asarray(self.values * self.step)
 
 
 @inlined

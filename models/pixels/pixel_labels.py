@@ -130,8 +130,7 @@ class PixelMessage:
 
     def background_probability(self) -> Map:
         """Return `(height, width)` float32: P(B=1) of every pixel."""
-        probability: Map = np.float32(1) / (np.float32(1) + np.exp(-self.log_odds()))
-        return probability
+        return np.asarray(np.float32(1) / (np.float32(1) + np.exp(-self.log_odds())))
 
     @checked
     def log_odds(self, region: Region | None = None) -> Map:
