@@ -1,6 +1,6 @@
 """Points of persons as other libraries give them."""
 
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -65,23 +65,8 @@ def test_the_head_is_between_eyes_and_ears() -> None:
     assert score == 0
 
 
-@dataclass
-class LikeSupervision:
-    """As the library supervision has them."""
-
-    xy: NDArray[np.float32]
-    confidence: NDArray[np.float32] | None = None
-
-
-@dataclass
-class LikeUltralytics:
-    """As Ultralytics has them."""
-
-    xy: NDArray[np.float32]
-    conf: NDArray[np.float32] | None = None
-
-
 ROWS = of_skeleton(COCO)
+XY = ROWS[..., :2].astype(np.float32)  # as supervision and Ultralytics have them
 
 
 @pytest.mark.parametrize(
@@ -91,10 +76,10 @@ ROWS = of_skeleton(COCO)
         (ROWS.tolist(), 2, 0.5),
         (ROWS[0], 1, 0.5),
         (ROWS[..., :2], 2, 1),
-        (LikeSupervision(ROWS[..., :2].astype(np.float32), ROWS[..., 2].astype(np.float32)), 2, 0.5),
-        (LikeSupervision(ROWS[..., :2].astype(np.float32)), 2, 1),
-        (LikeUltralytics(ROWS[:1, :, :2].astype(np.float32), ROWS[:1, :, 2].astype(np.float32)), 1, 0.5),
-        (LikeSupervision(np.zeros((0, 17, 2), np.float32)), 0, None),
+        (SimpleNamespace(xy=XY, confidence=ROWS[..., 2].astype(np.float32)), 2, 0.5),
+        (SimpleNamespace(xy=XY, confidence=None), 2, 1),
+        (SimpleNamespace(xy=XY[:1], conf=ROWS[:1, :, 2].astype(np.float32)), 1, 0.5),
+        (SimpleNamespace(xy=np.zeros((0, 17, 2), np.float32)), 0, None),
         (np.zeros((0, 17, 3)), 0, None),
         ([], 0, None),
         ({"left_wrist": (95, 7, 0.5), "left_knee": (1, 1)}, 1, 0.5),
