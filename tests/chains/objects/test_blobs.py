@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rsmcm.chains.objects.blobs import Blob, Blobs, BlobState, Track, centre_covariance
+from rsmcm.chains.objects.blobs import Blob, Blobs, BlobState, Track
 from rsmcm.models.camera.moving_camera import AffineMap
 
 
@@ -22,13 +22,6 @@ def test_a_track_is_seen_by_a_camera_that_has_moved_as_its_middle_is() -> None:
     drawn = np.random.default_rng(0).multivariate_normal((0, 0), covariance, 100_000)
     places = view.points(drawn)
     np.testing.assert_allclose(seen.position_covariance, np.cov(places.T), atol=0.12)
-
-
-def test_a_middle_is_half_a_height_above_the_foot() -> None:
-    variance = np.array([4.0, 9.0, 1.0, 16.0])
-    boxes = np.random.default_rng(0).normal(0, np.sqrt(variance), (200_000, 4))
-    middles = boxes[:, :2] - [0, 0.5] * boxes[:, 3:]
-    np.testing.assert_allclose(centre_covariance(variance), np.cov(middles.T), atol=0.1)
 
 
 def known(**changes: object) -> Blob:
