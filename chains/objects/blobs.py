@@ -36,7 +36,7 @@ OWN_WAY = 3.0  # s after which what still moves, as small as it is, is an object
 COVERED, CRUMB = 0.3, 0.1
 """Probability of cover from which on pixels make a spot, and share of the largest that crumbs have not."""
 
-WORDS = RECORD.itemsize // 8
+WORDS = RECORD.itemsize // 8  # of 8 bytes, of one blob
 
 
 @short_repr

@@ -32,8 +32,8 @@ TRACE = 0.05
 FINEST_ROWS = 1500  # px of a patch, for each of which one row more is left out
 ASTRAY, ASTRAY_TIME = 0.05, 0.1  # lengths, and s for which, a mask is off the object that a detector finds
 
-_NOT_YET = _f4(-1e30)
-_VECTOR = 16
+_NOT_YET = _f4(-1e30)  # a score that no place has
+_VECTOR = 16  # float32 numbers of the widest vector unit (AVX-512)
 _ROWS = 4  # whose factors are multiplied before their logarithm is taken: within 2 ** +-80
 
 

@@ -17,7 +17,7 @@ from .gaussians import Light, mean_of
 Planes = NDArray[np.float32]
 
 _f4 = np.float32
-_UNUSABLE = _f4(1e30)
+_UNUSABLE = _f4(1e30)  # in place of a ratio
 
 FASTEST_LIGHT = 1.25
 """Log of the most that light changes in a second; a lamp that is switched takes a few frames."""

@@ -32,7 +32,7 @@ _f4 = np.float32
 
 LEAST_WEIGHT = 1e-9  # weight below which a component is forgotten: it is 0 from then on
 
-_LEAST_DENSITY = _f4(1e-30)
+_LEAST_DENSITY = _f4(1e-30)  # whose logarithm is one of a normal number
 
 
 class Mixture(NamedTuple):

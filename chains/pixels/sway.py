@@ -21,7 +21,7 @@ SURPRISE = 11.3
 SAMPLED = 5  # px between the pixels of which the rates are learned
 
 
-_FAR = _f4(1e15)
+_FAR = _f4(1e15)  # grey levels from any colour; its square is still finite
 _SPAN, _TWO, _THREE, _FOUR, _FIVE = (np.uint64(number) for number in (SPAN, 2, 3, 4, 5))
 
 

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from .graph import IMAGE, MultiChain
 
-SPACING = 2.2
-HEIGHT = {"chain": 4.0, "feature": 1.9, "observation": 0.0}
+SPACING = 2.2  # between nodes of a row; one is 1 wide
+HEIGHT = {"chain": 4.0, "feature": 1.9, "observation": 0.0}  # of the rows
 SIZE = 2600  # points^2
 INK = "#263238"
 FILL = {"chain": "#e3edf7", "feature": "#fdf3dc", "observation": "#b8bec4"}

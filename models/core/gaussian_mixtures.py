@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 MOST_COMPONENTS = 32  # of a part in a product; of more, the lightest are left out
 
-NO_LABEL = -1
+NO_LABEL = -1  # of a component that stands for nothing in particular
 LOG_TWO_PI = float(np.log(2 * np.pi))
 
 WORTH_THREADS = 1000  # points from which several threads are faster than one

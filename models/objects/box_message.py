@@ -17,7 +17,7 @@ Numbers = NDArray[np.float64]
 FOOT_X, FOOT_Y, WIDTH, HEIGHT = range(4)
 """Order of a box's numbers (px): middle of its bottom edge, as column and row, then its size."""
 
-BOX = 4
+BOX = 4  # numbers of a box
 
 
 @short_repr

@@ -19,7 +19,7 @@ from .box_message import BOX, HEIGHT, WIDTH, Association, BoxDetector, BoxMessag
 
 Numbers = NDArray[np.float64]
 
-MOST_ROUNDS = 50
+MOST_ROUNDS = 50  # of belief propagation; a few are usual
 TOLERANCE = 1e-6  # belief propagation for assignments ends when no message changes by more
 
 NOTICED, UNNOTICED = 0.98, 0.05

@@ -14,7 +14,7 @@ from . import colour
 
 _f4 = np.float32
 
-LEAST_CLEAR = 1e-3
+LEAST_CLEAR = 1e-3  # what a mask leaves of a pixel at least, so that logarithms stay finite
 
 _LEAST = _f4(1e-30)  # of a product of many layers; the logarithm wants normal numbers
 
