@@ -19,7 +19,7 @@ _f4, _i4 = np.float32, np.int32
 
 
 LOWEST_VARIANCE, HIGHEST_VARIANCE = 0.5, 60.0
-"""Squared grey levels of a mean that was seen: it always follows a little; above, a value counts as unknown."""
+"""Squared grey levels of a mean that was seen: it always follows a little; beyond, a value is unknown."""
 
 LOWEST_NOISE, HIGHEST_NOISE = 20.0, 400.0
 """Squared grey levels of one observation in each plane: of a quiet sensor, and of a texture that moves."""
