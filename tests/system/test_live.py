@@ -117,7 +117,7 @@ def test_a_camera_in_the_browser(scene: Scene, browser: Browser, tmp_path: Path)
         assert str(out) in str(page.text_content("#state"))
         shown(page, "document.getElementById('controls').hidden")
         run.process.wait(60)
-        assert run.process.returncode == 1, "a camera that hangs up is lost for good"
+        assert run.process.returncode == 1, "a camera that hangs up is lost permanently"
     assert {"view.html", "film.mp4"} <= {path.name for path in out.iterdir()}
 
 
