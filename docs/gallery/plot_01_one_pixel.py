@@ -74,8 +74,8 @@ product = (x @ floor.shows) * (y @ person.shows) * image[1]
 print("times image", product.round(4), "divided by the sum", (product / product.sum()).round(4))
 
 # %%
-# The reference uses no messages: it sums over all :math:`2 \cdot 2 \cdot 3` cases at once. These are the
-# beliefs in the pixel, the floor and the person.
+# For comparison, the sum over all :math:`2 \cdot 2 \cdot 3` cases, without messages. The three columns are
+# the beliefs of the pixel, the floor and the person.
 
 cases = np.einsum("x,y,xf,yf,f->xyf", x, y, floor.shows, person.shows, image[1]) / product.sum()
 print("all cases ", *(cases.sum(others).round(4) for others in ((0, 1), (1, 2), (0, 2))))

@@ -44,7 +44,7 @@ for (left, right), (name, (mask, empty)) in zip(("ab", "de"), last.items(), stri
     axes[left].imshow(mask, cmap="gray")
     axes[right].imshow(empty[..., ::-1])
     axes[left].set(title=f"{name}: mask", xticks=[], yticks=[])
-    axes[right].set(title="empty scene", xticks=[], yticks=[])
+    axes[right].set(title="background", xticks=[], yticks=[])
     axes["c"].plot(range(1, len(scene) + 1), found[name], label=name)
 axes["c"].set(xlabel="frame", ylabel="share of the person found", ylim=(0, 1.02))
 axes["c"].legend(loc="lower left")

@@ -48,15 +48,16 @@ for belief in beliefs:
     given += [(number, *box) for box in (boxes.xyxy if boxes else ())]
 rates = belief.message("detector", objects).detector
 print(f"{len(given)} boxes in 64 frames; identities of tracks: {sorted({row[1] for row in tracks})}")
-print(f"learned: {rates.found:.0%} is found, {rates.clutter * 320 * 240:.2f} boxes a frame are false;")
-print(f"true boxes have scores about {rates.scores.true:.2f}, others about {rates.scores.false:.2f}")
+print(f"learned: detection probability {rates.found:.0%},")
+print(f"{rates.clutter * 320 * 240:.2f} false boxes per frame,")
+print(f"mean score of true boxes {rates.scores.true:.2f}, of false boxes {rates.scores.false:.2f}")
 
 # %%
-# Left: all boxes of the detector. Right: where they were over time (grey), and the track (green). False
-# boxes lead to no track. On the four frames out of five without the detector, and where it misses him,
-# the pixels carry the track on. The second identity is a fault: it is still he, who strides off after he
-# has stood for eight seconds. (Without the detector he keeps his number.) Try ``every=25``, or
-# ``feedback=False`` for the detector's chain.
+# Left: all boxes of the detector. Right: their positions over time (grey), and the track (green). In this
+# run, false boxes lead to no track. In frames without the detector, and where it misses the person, the
+# pixels continue the track. The second identity is an error: it is the same person, who walks off after
+# standing for eight seconds. (Without the detector the identity is kept.) Try ``every=25``, or
+# ``feedback=False`` for the chain of the detector.
 
 figure, (shown, axis) = plt.subplots(1, 2, figsize=(10, 3.4), layout="constrained")
 shown.imshow(scene[200].image[..., ::-1])

@@ -15,8 +15,8 @@ from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import Frame, ObjectBoxes, PixelLabels
 
 # %%
-# Three plain figures walk to and fro at different depths. With feet in row :math:`y` they are :math:`(y -
-# 60) / 2` px tall; this is the true perspective.
+# Three simple figures walk back and forth at different depths. With feet in row :math:`y` they are
+# :math:`(y - 60) / 2` px tall; this is the true perspective.
 
 random = np.random.default_rng(0)
 street = random.integers(100, 130, (240, 320, 1)).repeat(3, axis=2)
@@ -32,7 +32,7 @@ def image(k):
 
 
 # %%
-# The third level is the second line of the model: the tracker is connected to both features. The output
+# The second line of the model adds the third level: the tracker is connected to both features. The output
 # is the predicted height of a new person.
 
 pixels, objects, blobs = PixelLabels(), ObjectBoxes(), BlobTracker()

@@ -3,7 +3,7 @@ A chain of your own
 ===================
 
 A door that opens is foreground at first, and after some seconds it *is* the background; when it closes,
-the closed door is foreground. A second chain of two states, closed and open, solves it. Its message
+the closed door is foreground. A second chain with two states, closed and open, solves this. Its message
 to the pixels is "with this probability the pixel is covered, in any colour".
 """
 
@@ -24,8 +24,8 @@ def message_of(probabilities, pixels):
 
 
 def log_likelihood(message, pixels):
-    nats = message.log_likelihood_ratio(region).mean()  # for the closed door, a pixel
-    return [3 * nats, 0]  # neighbours are alike: worth three of them
+    nats = message.log_likelihood_ratio(region).mean()  # per pixel, for the closed door
+    return [3 * nats, 0]  # neighbours are correlated: all pixels count as three
 
 
 door = DiscreteChain(
@@ -39,7 +39,7 @@ door = DiscreteChain(
 
 # %%
 # ``message`` is the product of the image and of all *other* chains, without the chain's own message.
-# Now a street whose door stands open, and shows a dark hall, from 10 s to 50 s.
+# Now a street with a door that is open, and shows a dark hall, from 10 s to 50 s.
 
 random = np.random.default_rng(0)
 street = random.integers(90, 130, (120, 160)).astype(float)
@@ -66,7 +66,7 @@ for name, picture in zip(("alone", "with the door"), pictures, strict=True):
     print(f"background {name}: after 49 s its picture of the door is off by {error:.0f} grey levels")
 
 # %%
-# Left and middle: the empty scene as it is believed after 49 s. Right: what the new chain believes.
+# Left and middle: the background image after 49 s. Right: the belief of the new chain.
 # Connect it with ``feedback=False``: its posterior is the same, but its messages reach no other chain.
 
 figure, axes = plt.subplots(1, 3, figsize=(10, 2.8), layout="constrained")

@@ -69,9 +69,9 @@ class Turning:
 
 
 # %%
-# A film at five frames a second, in which gusts shake the lamp, with four seconds of fog. Three chains
-# that differ in their rate go over it: the log evidence, :math:`\sum_t \log p(I_t \mid I_{1 \ldots
-# t-1})`, shows which of them the video supports.
+# A video at five frames a second, in which gusts shake the lamp, with four seconds of fog. We run three
+# chains with different rates: the log evidence, :math:`\sum_t \log p(I_t \mid I_{1 \ldots t-1})`, shows
+# which of them the video supports.
 
 random, angles = np.random.default_rng(0), 0.8 * 0.2 * np.arange(80)
 glow = np.exp(20 * np.cos(np.subtract.outer(random.normal(angles, 0.4), np.angle(GRID))) - 20)
@@ -82,9 +82,9 @@ for rate in (0.5, 1.1, 0.8):
     print(f"{rate} rad/s: log evidence {sum(belief.log_evidence for belief in beliefs):.1f}")
 
 # %%
-# Left: a frame. Right: error of the direction that the chain of the right rate believes in, with one
-# standard deviation as it states it; in frames 41 to 60 nothing is seen. Make it wander less (0.05 in
-# ``predict``), or the image surer of itself (4 in ``evidence``).
+# Left: a frame. Right: error of the direction estimated by the chain with the true rate, with its standard
+# deviation; in frames 41 to 60 nothing is visible. Try less process noise (0.05 in ``predict``), or a more
+# concentrated likelihood (4 in ``evidence``).
 
 figure, (shown, axis) = plt.subplots(1, 2, figsize=(9, 3), width_ratios=(1, 2), layout="constrained")
 shown.imshow(images[20], cmap="gray")

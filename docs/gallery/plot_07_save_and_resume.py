@@ -37,7 +37,7 @@ print("the same masks:", all((one == two).all() for one, two in zip(whole[75:], 
 # %%
 # **Branches.** What would the belief be if the camera had been dark for a second after the saved state?
 # Missing frames are ``None``. A run does not change the state that it starts from, so any number of runs
-# can.
+# can start from it.
 
 futures = {"as it was": images[75:], "a second of darkness": [None] * 25 + images[100:]}
 figure, axes = plt.subplots(1, 3, figsize=(10, 2.8), layout="constrained")

@@ -3,8 +3,8 @@ Points that are found again
 ===========================
 
 Points of a rotating cylinder are lost and found again, and a tracker gives each one a new identity when
-it comes back. A second chain models all of them as one rigid shape. Its messages say which tracks show
-the same point, and where each point is, visible or hidden.
+it comes back. A second chain models all of them as one rigid shape. Its messages contain which tracks show
+the same point, and the position of each point, visible or hidden.
 """
 
 import matplotlib.pyplot as plt
@@ -24,20 +24,18 @@ frames = frames_of_tracks(tracks)
 points = PointTracks(noise=noise_of_tracks(frames))
 solution = CoordinateAscent(MultiChain().connect(FactorStructure(), points)).run(frames)
 structure = solution["structure"]
-print(f"{tracks.shape[1]} tracks, which the chain takes for {len(structure.factorisation.shape)} points")
+print(f"{tracks.shape[1]} tracks, joined to {len(structure.factorisation.shape)} points")
 
 # %%
-# The chain predicts the point of a track in every frame, visible or hidden; the error of hidden points is
-# hardly larger. (A few short tracks cannot be assigned, and get no prediction.)
+# The chain predicts the point of a track in every frame, visible or hidden. (A few short tracks cannot be
+# assigned, and get no prediction.)
 
-said = [message.positions for message in solution.messages("structure", points)]
-believed, known = np.array([positions.moments[1] for positions in said]), said[0].identities
-error = np.linalg.norm(believed - turning.positions[:, turning.point_of_track[known]], axis=2)
-seen = ~np.isnan(tracks[:, known, 0])
-hidden = ~turning.visible[:, turning.point_of_track[known]]
-print(
-    f"error of what is seen {np.median(error[seen]):.4f}, of what is not {np.median(error[hidden]):.4f} radii"
-)
+predictions = [message.positions for message in solution.messages("structure", points)]
+predicted, assigned = np.array([each.moments[1] for each in predictions]), predictions[0].identities
+error = np.linalg.norm(predicted - turning.positions[:, turning.point_of_track[assigned]], axis=2)
+seen = ~np.isnan(tracks[:, assigned, 0])
+hidden = ~turning.visible[:, turning.point_of_track[assigned]]
+print(f"median error, in radii: visible {np.median(error[seen]):.4f}, hidden {np.median(error[hidden]):.4f}")
 
 # %%
 # Left: tracks of three points, each in its own colour, and the positions predicted by the chain (grey).
@@ -45,11 +43,11 @@ print(
 # ``p_loose=0.3``.
 
 figure, (axis, shown) = plt.subplots(1, 2, figsize=(10, 3.8), width_ratios=(2, 1), layout="constrained")
-for point in np.unique(structure.point_of_track[known])[:3]:
-    same = np.flatnonzero(structure.point_of_track[known] == point)
-    axis.plot(range(1, 61), believed[:, same[0], 0], color="lightgrey", linewidth=5)
-    axis.plot(range(1, 61), tracks[:, known[same], 0], ".-")
+for point in np.unique(structure.point_of_track[assigned])[:3]:
+    same = np.flatnonzero(structure.point_of_track[assigned] == point)
+    axis.plot(range(1, 61), predicted[:, same[0], 0], color="lightgrey", linewidth=5)
+    axis.plot(range(1, 61), tracks[:, assigned[same], 0], ".-")
 axis.set(xlabel="frame", ylabel="u, radii")
-shown.plot(*believed[30].T, "o", fillstyle="none")
+shown.plot(*predicted[30].T, "o", fillstyle="none")
 shown.plot(*tracks[30].T, ".")
 shown.set(xlabel="u, radii", ylabel="v, radii", aspect="equal")

@@ -15,9 +15,9 @@ from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import PointTracks, frames_of_tracks
 
 # %%
-# A rotating cylinder. Its points are hidden for about ten frames at times, and keep their identities. In
-# each frame, two models predict the hidden points: a tracker alone, with constant velocities, and the
-# same tracker with the shape.
+# A rotating cylinder. Its points are sometimes hidden for about ten frames, and keep their identities. Two
+# models predict the hidden points in each frame: a tracker alone, with constant velocities, and the same
+# tracker with the shape.
 
 turning = cylinder(n_frames=120, p_loose=0.05, p_drift=0.0, p_regain=0.1, seed=3)
 points = PointTracks(noise=0.01)  # radii of the cylinder, as all lengths here

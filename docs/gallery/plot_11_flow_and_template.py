@@ -1,10 +1,10 @@
 """
-Optic flow and template matching, and what lies between
-=======================================================
+From template matching to optic flow
+====================================
 
-What will a face look like in the next frame? **Optic flow** assumes: as in this one. It follows every change,
-and drifts, since each small error becomes part of the texture. **Template matching** assumes: as in the first
-one. It does not drift, and fails when the appearance changes.
+**Optic flow** assumes that a face looks as in the last frame. It follows every change, and drifts, since each
+small error becomes part of the texture. **Template matching** assumes that it looks as in the first frame. It
+does not drift, and fails when the appearance changes.
 
 Both are special cases of G-flow with one expert. There the texture of the face is a Kalman filter for every
 texel, :math:`\\hat v_t = \\hat v_{t-1} + K (y_t - \\hat v_{t-1})`. A gain of :math:`K = 1` is flow, and
@@ -19,13 +19,13 @@ from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import PixelLabels
 
 # %%
-# Two films of the same fast motion. In one the texture is constant, in the other blotches come and go. Both
+# Two videos of the same fast motion. In one the texture is constant, in the other patches of it change. Both
 # are tracked with each gain. (``GFlow.optic_flow`` is gain 1 on patches about the vertices; here all gains
 # use the same dense texture.)
 
 films = {
-    "texture stays": face(80, seed=0, motion="fast", light=0),
-    "texture changes": face(80, seed=0, motion="fast", light=0, change=12),
+    "constant texture": face(80, seed=0, motion="fast", light=0),
+    "changing texture": face(80, seed=0, motion="fast", light=0, change=12),
 }
 gains, errors = (0.0, 0.02, 0.1, 0.3, 0.6, 1.0), {}
 for name, film in films.items():
@@ -41,11 +41,11 @@ for name, film in films.items():
     )
 
 # %%
-# In eight such pairs of films (seeds 0 to 7), with a constant texture the error is 0.37 ± 0.02 px as a
+# In eight such pairs of videos (seeds 0 to 7), with a constant texture the error is 0.37 ± 0.02 px as a
 # template and 0.64 ± 0.03 px as flow. With a changing texture it is about the same at both ends, 0.70 ± 0.05
-# and 0.67 ± 0.02 px, and 0.62 ± 0.03 px at gains from 0.02 to 0.3. The best gain differs from film to film.
+# and 0.67 ± 0.02 px, and 0.62 ± 0.03 px at gains from 0.02 to 0.3. The best gain differs between videos.
 #
-# Left and middle: frame 60 of either film. Right: mean error of the vertices over the gain. With
+# Left and middle: frame 60 of both videos. Right: mean error of the vertices over the gain. With
 # ``gain="learned"`` the gain of every texel is estimated.
 
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.2), layout="constrained")

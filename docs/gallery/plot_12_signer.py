@@ -15,13 +15,13 @@ from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import BodyParts, UpperBody
 
 # %%
-# A generated signer: the features of head and of each hand are missing in one frame out of five, in bursts.
-# Colour of skin and size of the body are learned from the film itself. In the second model the sampler does
+# A generated signer: detections of head and of each hand are missing in one frame out of five, in bursts.
+# Skin colour and size of the body are learned from the video itself. In the second model the sampler does
 # not receive the tracker's messages.
 #
 # Left and middle: frame 45 with 20 poses drawn from the posterior (yellow), and the true one (white): the
-# yellow lines fan out where the model is uncertain. Right: mean error of elbows and hands. On one film either
-# model may be the better one: over 20 films, with 1000 samples, the error of both chains is 0.90 ± 0.06 of
+# yellow lines fan out where the model is uncertain. Right: mean error of elbows and hands. In a single video
+# either model may be better: over 20 videos, with 1000 samples, the error of both chains is 0.90 ± 0.06 of
 # that of the sampler alone in the same time. Try other seeds, and more ``samples``.
 
 scene = signer(60, seed=0, size=(480, 270))
@@ -29,8 +29,8 @@ parts = BodyParts.learned(list(scene.images()), scene.detector)
 body = UpperBody.from_head(parts.head_height)
 figure, axes = plt.subplots(1, 3, figsize=(12, 2.8), width_ratios=(4, 4, 3), layout="constrained")
 errors, arms = {}, [4, 3, 2, 1, 5, 6, 7]  # left hand, elbow, shoulder, neck, right shoulder, elbow, hand
-for axis, (title, heard) in zip(axes, (("both chains", True), ("sampler alone", False)), strict=False):
-    model = MultiChain().connect(FleshTracker(body), parts, feedback=heard)
+for axis, (title, feedback) in zip(axes, (("both chains", True), ("sampler alone", False)), strict=False):
+    model = MultiChain().connect(FleshTracker(body), parts, feedback=feedback)
     model.connect(ArticulatedPose(body, samples=250), parts)
     states = [belief["pose"] for belief in RecursiveBP(model).run(scene)]
     joints = np.array([body_moments(body, state).joints for state in states])

@@ -20,7 +20,7 @@ from rsmcm.inference import CoordinateAscent, MultiChain, RecursiveBP
 from rsmcm.models import ObjectBoxes, PixelLabels
 
 scene = sleeping_man(400, seed=3, size=(160, 120), car_leaves=400)
-film = scene[250:]  # he stands until frame 295 or so
+film = scene[250:]  # the person stands until about frame 295
 masks = {}
 
 # %%
@@ -41,7 +41,7 @@ whole, trajectories, pixels, objects = (
 )
 model = MultiChain().connect(whole, pixels).connect(whole, objects).connect(trajectories, objects)
 solution = CoordinateAscent(model, most_rounds=1, tolerance=None).run(film)
-masks["the whole film"] = [belief.foreground() > 0 for belief in solution[pixels]]
+masks["whole video"] = [belief.foreground() > 0 for belief in solution[pixels]]
 for track in solution[trajectories].at(60):
     print(f"frame {film[60].number}: object {track.identity}, box {np.round(track.box).astype(int)} px")
 

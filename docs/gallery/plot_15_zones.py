@@ -3,8 +3,8 @@ Entries, exits and stays
 ========================
 
 A zone is a polygon in the image, a line has two sides, and the position of an object is that of its feet.
-An event is only reported when it is certain: feet that are as near to a border as their uncertainty do
-not flicker over it. Since the tracker keeps standing people, every stay has an end.
+An event is only reported when it is certain, so feet on a border do not flicker. Since the tracker keeps
+standing people, durations of stays are complete.
 """
 
 import matplotlib.pyplot as plt
@@ -21,9 +21,9 @@ gate = Line("gate", (30, 120), (30, 90), left_to_right="in", right_to_left="out"
 watch = Watch(Zones((door,), (gate,), still_after=2.0))
 
 # %%
-# A zone has no border at the edge of the image, where no entry can be seen. The watch takes the tracks of
-# each frame and returns the events that have become certain, with the times at which they happened; one
-# that takes longer to detect, such as the end of standing, may come after a later one.
+# A zone has no border at the edge of the image, where no entry is visible. ``Watch.update`` takes the tracks
+# of each frame and returns the events that have become certain, with their times. Events that take longer to
+# detect, such as the end of standing, may follow later ones.
 
 pixels = PixelLabels()
 model = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)
@@ -42,7 +42,7 @@ for event in events:
 
 # %%
 # Left: the path of the feet, the zone and the line. Right: the position over time, with the events. Try a
-# longer ``still_after``, or a zone that the person only passes. ``rsmcm background --zones FILE`` does
+# longer ``still_after``, or a zone that the person only crosses. ``rsmcm background --zones FILE`` does
 # the same for a video.
 
 figure, (shown, axis) = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")

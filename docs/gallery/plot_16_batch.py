@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 from rsmcm.apps.scenes import sleeping_man
 
 # %%
-# Two videos as folders of images, and a file that is no video.
+# Two videos as folders of images, and a broken file.
 
 folder = TemporaryDirectory()
 films, results = Path(folder.name) / "films", Path(folder.name) / "results"
@@ -29,8 +29,8 @@ for seed in range(2):
 (films / "broken.mp4").write_bytes(b"this is no film")
 
 # %%
-# This is the command as it is typed in a shell, where ``rsmcm`` stands for ``python -m
-# rsmcm.apps.command_line``, and its summary. Run again, it only repeats what has failed.
+# The command as in a shell (``rsmcm`` is ``python -m rsmcm.apps.command_line``), and its summary. The second
+# run only repeats what has failed.
 
 command = "-m rsmcm.apps.command_line batch background films --out results --jobs 1 --masks none --quiet"
 for time in ("first", "second"):

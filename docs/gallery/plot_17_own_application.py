@@ -2,8 +2,8 @@
 Your own application
 ====================
 
-An application is its model, its columns (one row per frame), its conclusions, and its page. The loop of
-``rsmcm background`` runs it: any source, Ctrl-C with complete results, resuming, progress,
+An application defines its model, its columns (one row per frame), its summary, and its page. The loop of
+``rsmcm background`` runs it, with any source, Ctrl-C with complete results, resuming, progress,
 ``summary.json``, and the page that plays the video. This one measures how busy a place is.
 """
 

@@ -2,10 +2,10 @@
 A chain that closes a loop
 ==========================
 
-A sliding door opens for whoever stands before it. Its chain meets the pixels, which it covers when it is
-open, and the boxes of the objects, which say who stands there. The blob tracker meets both as well, so that
+A sliding door opens for people in front of it. Its chain shares the pixels, which it covers when it is open,
+and the boxes of the objects, which show who stands there. The blob tracker shares both as well, so that
 chains and features form a loop: pixels, blobs, objects, door, pixels. The engine then sends the messages of
-the loop again and again until they settle.
+the loop repeatedly until they settle.
 """
 
 import matplotlib.pyplot as plt
@@ -19,7 +19,7 @@ REGION = (40, 70, 28, 16)  # top, left, height, width, px
 
 def message_of(probabilities, feature):
     if isinstance(feature, ObjectBoxes):
-        return feature.uniform()  # it does not know who comes
+        return feature.uniform()  # it predicts no people
     mask = np.full(REGION[2:], probabilities[1], np.float32)
     return PixelMessage(layers=LayerStack([Layer(*REGION[:2], mask, appearance=None)]))
 
@@ -35,7 +35,7 @@ transition = [[0.997, 0.003], [0.02, 0.98]]  # closed to open, open to closed, i
 door = DiscreteChain(transition, message_of, log_likelihood, features=(PixelLabels, ObjectBoxes), name="door")
 
 # %%
-# Somebody comes from the left, waits before the door, and goes on.
+# A person comes from the left, waits in front of the door, and goes on.
 
 random = np.random.default_rng(0)
 street, coat = random.integers(90, 130, (120, 160)).astype(float), random.integers(20, 60, (30, 12))
@@ -62,7 +62,7 @@ settled, sweeps = (np.array([getattr(each, name) for each in beliefs]) for name 
 print(f"loops: {model.has_loops}; settled in {settled.mean():.0%} of the frames, after {sweeps.max()} sweeps")
 
 # %%
-# The door is expected to be open as soon as somebody stands before it, before the pixels show it.
+# The door is expected to be open as soon as a person stands in front of it, before the pixels show it.
 
 is_open = np.array([belief["door"].probabilities[1] for belief in beliefs])
 plt.plot(times, is_open)

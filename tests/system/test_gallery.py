@@ -76,8 +76,8 @@ CLAIMS: dict[str, Callable[[Names], bool]] = {
         np.mean(n["errors"]["face and background"]) < np.mean(n["errors"]["face alone"])
     ),
     "plot_11_flow_and_template": lambda n: (
-        n["errors"]["texture stays"][0] < n["errors"]["texture stays"][-1]
-        and n["errors"]["texture stays"][0] < min(n["errors"]["texture changes"])
+        n["errors"]["constant texture"][0] < n["errors"]["constant texture"][-1]
+        and n["errors"]["constant texture"][0] < min(n["errors"]["changing texture"])
     ),
     "plot_12_signer": lambda n: all(
         each.mean() < 0.5 * n["body"].head_height for each in n["errors"].values()
