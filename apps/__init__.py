@@ -1,4 +1,4 @@
-"""Command line, run loop, readers and writers, pages, scenes, experiments, and trackers of single images."""
+"""Applications: trackers of single images, command line, run loop, readers, writers, pages, scenes."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Pluggable chains, one a file."""
+"""All chains of the package."""
 
 import lazy_loader
 

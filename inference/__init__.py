@@ -1,4 +1,4 @@
-"""How beliefs move: what chains and features promise, the graph of them, and the engines."""
+"""Protocols of chains and features, their graph, and the inference engines."""
 
 import lazy_loader
 

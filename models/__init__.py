@@ -1,4 +1,4 @@
-"""What the world looks like: features, pictures, colours. No time, no engine."""
+"""Feature nodes, messages, frames, and appearance of objects. No time, no estimation."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""How good a result is: masks and tracks against ground truth, and whether chains help each other."""
+"""Accuracy of masks and tracks against ground truth, and whether chains help each other."""
 
 import lazy_loader
 

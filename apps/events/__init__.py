@@ -1,4 +1,4 @@
-"""What happens to zones and lines of the picture: who enters, leaves, crosses, stays and stands still."""
+"""Events in zones and at lines of the image: entries, exits, crossings, stays and standing."""
 
 import lazy_loader
 

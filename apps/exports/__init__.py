@@ -1,4 +1,4 @@
-"""Results as other tools take them: tables, boxes, masks and points."""
+"""Conversion of results for other tools: tables, boxes, masks and points."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""What is read and written: frames, masks, tracks, points, ground truth."""
+"""Readers and writers of frames, masks, tracks, points and ground truth."""
 
 import lazy_loader
 

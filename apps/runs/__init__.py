@@ -1,4 +1,4 @@
-"""Runs over films: what an application says of itself, and the loop, the log and the sinks of all of them."""
+"""Runs over videos: the protocol of an application, and the loop, log and sinks of all applications."""
 
 import lazy_loader
 

@@ -308,27 +308,27 @@ class Solution:
 class CoordinateAscent:
     """Coordinate ascent (Algorithm 2): optimise one chain's trajectory after the other.
 
-    Chains have their turn in the order of `MultiChain.chains`. The first round is the feed-forward pipeline:
-    a chain receives messages of those before it only. A chain whose inputs have not changed is skipped. When
+    Chains are optimised in the order of `MultiChain.chains`. The first round is the feed-forward pipeline: a
+    chain receives only messages of earlier chains. A chain whose inputs have not changed is skipped. When
     chains approximate, the objective can fall; the best round is kept. Loops make no difference: given all
-    trajectories, features do not depend on each other, so that the objective is the same on any graph.
+    trajectories, features are independent.
 
     Parameters
     ----------
     model
-        chains with `smooth` and `messages`, as they are now: later connections need a new engine.
+        chains with `smooth` and `messages`; later connections need a new engine.
     most_rounds
         greatest number of rounds.
     tolerance
-        share of the objective's size by which it has to rise for the ascent to go on; `None` for rounds that
-        are not compared: the last one is the result, and no pass over the film computes the objective.
+        relative increase of the objective below which the ascent stops; `None`: rounds are not compared, the
+        last one is the result, and the objective is not computed.
 
     Raises
     ------
     ValueError
         if the model has no chain or `most_rounds` is below 1.
     TypeError
-        if one of the chains is none for batches.
+        if one of the chains is not a batch chain.
     """
 
     @checked
@@ -346,13 +346,13 @@ class CoordinateAscent:
 
     @checked
     def run(self, frames: Iterable[Frame | NDArray[np.uint8] | None], dt: Positive = 1 / 25) -> Solution:
-        """Run rounds until the objective rises no more, at most `most_rounds`.
+        """Run rounds until the objective stops rising, at most `most_rounds`.
 
         Parameters
         ----------
         frames
-            all of them; `Frame`s, or plain images `dt` seconds apart (`None` for a missing one), which are
-            held. `LazyFrames` are not held but read again in every pass.
+            all `Frame`s, or plain images `dt` seconds apart (`None` for a missing one), which are kept in
+            memory. `LazyFrames` are read again in every pass.
         dt
             seconds from one plain image to the next.
 
@@ -371,9 +371,9 @@ class CoordinateAscent:
         dt: Positive = 1 / 25,
         after: Solution | None = None,
     ) -> Iterator[Solution]:
-        """Run as `run` does, and give the best solution so far after every round.
+        """Run as `run` does, and yield the best solution so far after every round.
 
-        `after` is a solution of the same frames (see `load`) to go on from, as if it had never been left.
+        `after` is a solution of the same frames (see `load`) from which to continue.
         """
         if after is None:
             best = slices = TimeSlices(self.model, _as_frames(frames, dt))
@@ -400,10 +400,9 @@ class CoordinateAscent:
                 return
 
     def save(self, path: str | Path, solution: Solution, about: Mapping[str, Any] | None = None) -> None:
-        """Write how far the ascent has come to one `.npz` file: all of it, or none.
+        """Save the ascent to an `.npz` file, which is written completely or not at all.
 
-        Trajectories and evidence are saved, and `about`, plain JSON; messages follow from them, frames are
-        not saved.
+        The file contains trajectories, evidence and `about` (plain JSON), but no frames.
 
         Raises
         ------
@@ -430,7 +429,7 @@ class CoordinateAscent:
         frames: Iterable[Frame | NDArray[np.uint8] | None],
         dt: Positive = 1 / 25,
     ) -> tuple[Solution, dict[str, Any]]:
-        """Read back what `save` wrote, of the same frames: the solution, and `about`.
+        """Load what `save` wrote, for the same frames: the solution, and `about`.
 
         Raises
         ------

@@ -56,7 +56,7 @@ class BatchSpeaker(BatchChain[Any], Protocol[Method]):
 
 
 class MultiChain:
-    """Chains that meet on the feature nodes which they share.
+    """Graph of chains and of the feature nodes that they share.
 
     >>> model = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)
 
@@ -79,15 +79,15 @@ class MultiChain:
         feature: FeatureNode[MessageType],
         feedback: bool = True,
     ) -> Self:
-        """Connect the chain to the feature node, both ways; the order of connections changes nothing.
+        """Connect the chain to the feature node, in both directions; the order of connections has no effect.
 
         Parameters
         ----------
         chain, feature
-            new ones, or ones that are part of the model already.
+            new ones, or ones that are already part of the model.
         feedback
-            `False` cuts the message from the chain to the feature: the chain reads the messages of others
-            there, and its predictions reach no other chain (a feed-forward pipeline).
+            `False` removes the messages from the chain to the feature: the chain only reads there
+            (feed-forward pipeline).
 
         Returns
         -------
@@ -97,11 +97,11 @@ class MultiChain:
         Raises
         ------
         TypeError
-            if `chain` or `feature` lacks what its protocol asks for, its name is no text, or the chain has
-            no port for such a feature.
+            if `chain` or `feature` does not implement its protocol, its name is not a string, or the chain
+            has no port for such a feature.
         ValueError
-            if the two are connected already, another object has the name, the chain's port has another
-            feature, or another chain sends already what only one may send there.
+            if the two are already connected, another object has the same name, the port is already used, or
+            another chain already sends a `sole` factor.
         """
         require("chain", chain, Chain, BatchChain)
         require("feature", feature, FeatureNode)
@@ -152,10 +152,9 @@ class MultiChain:
 
     @cached_property
     def chains(self) -> dict[str, Any]:
-        """Chains by name, in the order of their turns.
+        """Chains by name, in the order in which they are updated.
 
-        That is the order of what they want in their cavities, those with a cut message last; ties go by
-        name.
+        Sorted by their cavities, those without feedback last, then by name.
         """
         chains = self._nodes("chain")
 
@@ -177,7 +176,7 @@ class MultiChain:
 
     @cached_property
     def senders(self) -> dict[str, tuple[str, ...]]:
-        """Names of the chains that send messages to each feature, in the order in which they speak."""
+        """Names of the chains that send messages to each feature, in the order of sending."""
         senders = {}
         for feature in self.features:
             speaking = [name for name, edge in self.graph[feature].items() if edge.get("feedback")]
@@ -199,7 +198,7 @@ class MultiChain:
         return {name: type(node.uniform()) for name, node in self.features.items()}
 
     def copy(self) -> "MultiChain":
-        """Return a model of the same chains and features, to be connected further on its own."""
+        """Return a copy of the model with the same chains and features."""
         other = MultiChain()
         other.graph = self.graph.copy()
         return other
@@ -227,7 +226,7 @@ class MultiChain:
         return KeyError(f"{name}: not part of the model, expected one of {names}")
 
     def check_complete(self) -> None:
-        """Raise a `ValueError` unless every chain is connected to what it cannot do without."""
+        """Raise a `ValueError` unless every required port of every chain is connected."""
         for name, chain in self.chains.items():
             met = [self._port(name, feature) for feature in self.graph[name]]
             for port in chain.ports:
@@ -239,20 +238,18 @@ class MultiChain:
 
     @property
     def has_loops(self) -> bool:
-        """Whether messages depend on each other in a circle, and are sent in sweeps.
+        """Whether the graph has loops, so that messages are sent in sweeps.
 
-        Chains and features that form a loop do, unless a cut edge (`feedback=False`) opens it.
+        An edge without feedback (`feedback=False`) opens a loop.
         """
         return not nx.is_directed_acyclic_graph(self._dependencies())
 
     def schedule(self) -> list[tuple[Step, ...]]:
         """Return every message to a feature once, in an order that makes sum-product exact on forests.
 
-        Messages that depend on each other are a group of several, all others are a group of one. What the
-        order leaves open is settled by what chains want to find at each feature (`Cavity`): first those speak
-        that want nothing, then the image (whose likelihood is worked out where these, and what the others
-        predict without it, have mass), then the chains that want the image, at last those that want to hear
-        the others, by their names.
+        Messages of a loop form one group, all others have groups of one. At a feature, messages are ordered
+        by `Cavity`: first chains that need nothing, then the image (whose likelihood is computed where the
+        predictions have mass), then chains that need the image, then those that need the others, by name.
         """
         needs = self._dependencies()
         has_loops = not nx.is_directed_acyclic_graph(needs)

@@ -22,9 +22,9 @@ Results = dict[tuple[object, ...], tuple[tuple[object, ...], Any]]
 class Message(Protocol):
     """A non-negative function of one feature node, with its scale.
 
-    Products are commutative and associative, and the node's `uniform()`, the constant 1, is neutral. They
-    are not normalised: beliefs are, when something is read from them. What a chain predicts integrates to 1.
-    An engine multiplies the same factors only once in a time slice, so that a message may cache results.
+    Products are commutative and associative, and the node's `uniform()`, the constant 1, is neutral. Products
+    are not normalised. The prediction of a chain integrates to 1. An engine multiplies the same factors only
+    once in a time slice, so that a message may cache results.
     """
 
     @property
@@ -64,11 +64,11 @@ class Named(Protocol):
 
 
 class FeatureNode(Named, Protocol[MessageType]):
-    """A latent feature F of the scene, on which chains meet; they exchange messages of `MessageType`."""
+    """A latent feature F of the scene, shared by chains; messages are of `MessageType`."""
 
     @property
     def searches(self) -> bool:
-        """Whether `evidence` looks for the feature where `prior` has mass; if not, `prior` is uniform."""
+        """Whether `evidence` searches for the feature where `prior` has mass; if not, `prior` is uniform."""
         ...
 
     def uniform(self) -> MessageType:
@@ -78,7 +78,7 @@ class FeatureNode(Named, Protocol[MessageType]):
     def evidence(self, frame: Frame, prior: MessageType, /) -> MessageType:
         """Return phi(I, F), the likelihood of a frame that is not missing, where `prior` has mass.
 
-        `prior` only says where to search and is not part of the answer.
+        `prior` only limits the search and is not part of the result.
         """
         ...
 
@@ -86,10 +86,11 @@ class FeatureNode(Named, Protocol[MessageType]):
 class Cavity(IntEnum):
     """Content of a feature's entry of `incoming` when a chain computes its message to that feature.
 
-    It may use that to decide where a mixture is projected onto the feature's form, never as information,
-    which would be counted twice. In a time slice the chains that need the least send first; ties go by name.
-    At a feature that is searched for in the image (`FeatureNode.searches`), chains that need the evidence are
-    called once before, with the messages sent by then: the image is searched where they predict the feature.
+    It may use this to decide where a mixture is projected onto the form of the feature, but not as
+    information, which would be counted twice. In a time slice, chains that need the least send first, then in
+    the order of names. At a feature that is searched for in the image (`FeatureNode.searches`), chains that
+    need the evidence are called once before, with the messages sent by then: the image is searched where they
+    predict the feature.
     """
 
     NOTHING = 0
@@ -106,21 +107,21 @@ class Cavity(IntEnum):
 @short_repr
 @dataclass(frozen=True)
 class Port:
-    """A kind of feature node that a chain meets.
+    """A kind of feature node to which a chain can be connected.
 
     Parameters
     ----------
     kind
         class of the feature node.
     cavity
-        what the chain needs there before it sends its message.
+        messages that the chain needs there before it sends its own.
     optional
-        whether a model is complete when the chain is not connected to such a node.
+        whether the chain works without such a node.
     many
-        whether the chain meets any number of these nodes, and not just one.
+        whether the chain may have several of these nodes.
     sole
-        name of a factor of the chain's message that only one chain may speak to a node: messages with two of
-        them have no product.
+        name of a factor of the message that only one chain may send to a node: messages with two of them have
+        no product.
     """
 
     kind: type
@@ -134,9 +135,9 @@ class Incoming:
     """Messages that reach a chain, by the kind of feature node or by the node itself.
 
     `incoming[PixelLabels]` and `incoming[pixels]` are the product of the evidence and of all other chains'
-    messages at that node. Its two parts are `incoming.evidence(PixelLabels)`, what the image says, and
-    `incoming.others(PixelLabels)`, what the other chains say. `incoming.get(ObjectBoxes)` is `None` where the
-    chain is connected to none. Iteration gives the nodes. Products are computed on demand.
+    messages at that node. Its two factors are `incoming.evidence(PixelLabels)`, of the image, and
+    `incoming.others(PixelLabels)`, of the other chains. `incoming.get(ObjectBoxes)` is `None` if the chain
+    has no such node. Iteration gives the nodes. Products are computed on demand.
 
     Parameters
     ----------
@@ -178,13 +179,13 @@ class Incoming:
         return self[kind] if self._matching(kind) else None
 
     def by_name(self, kind: type[FeatureNode[MessageType]], /) -> dict[str, MessageType]:
-        """Return the messages at all nodes of that kind, for chains that meet any number of them."""
+        """Return the messages at all nodes of that kind, by name."""
         return {node.name: cast(MessageType, self._message_at(node)) for node in self._matching(kind)}
 
     def once(self, function: Callable[..., Result], *arguments: object) -> Result:
         """Return `function(*arguments)` of a pure function, computed once in a time slice.
 
-        Arguments are the same if they are the very same objects, functions if they are equal (no lambdas).
+        Arguments are compared by identity, functions by equality (no lambdas).
         """
         key = (function, *map(id, arguments))
         if key not in self._results:
@@ -230,21 +231,20 @@ class Incoming:
 class Chain(Named, Protocol[State]):
     """A hidden state with its own dynamics, which predicts and observes feature nodes.
 
-    A chain holds parameters and nothing else: its knowledge is in its states, what it computes for one time
-    slice goes through `incoming.once`. States are values: no method changes the state it is given, and one
-    that draws random numbers draws from a copy (`copy.deepcopy(state.random)`) and puts that into the state
-    it returns. Whatever a method gives depends on its arguments alone.
+    A chain contains only parameters; intermediate results of a time slice go through `incoming.once`. States
+    are values: methods do not change their arguments. A method that draws random numbers draws from a copy
+    (`copy.deepcopy(state.random)`) and returns it in the new state. Results depend on the arguments only.
     """
 
     @property
     def ports(self) -> tuple[Port, ...]:
-        """The kinds of feature node that it meets, and what it wants to find there."""
+        """The kinds of feature nodes that it is connected to, and the cavity that it needs there."""
         ...
 
     def initial(self, frame: Frame, /) -> State:
         """Return the prior state at the first frame that has an image.
 
-        Its return annotation says how a saved state is read back.
+        Saved states are read by its return annotation.
         """
         ...
 
@@ -255,9 +255,9 @@ class Chain(Named, Protocol[State]):
     def message(self, state: State, feature: Never, incoming: Incoming, /) -> Message:
         """Return mu_{X -> F}: the integral over X of prediction, p(F | X) and *other* features' `incoming`.
 
-        It keeps its scale: without other features, or with uniform ones, it integrates to 1. The feature's
-        own entry is what the chain's port asks for (see `Cavity`). A chain of several kinds of feature
-        declares one overload for each, so that a type checker knows what it says to which.
+        Its scale matters: without other features, or with uniform ones, it integrates to 1. The entry of the
+        feature itself is the cavity of the port (see `Cavity`). A chain with several kinds of features may
+        declare one overload for each, for type checkers.
         """
         ...
 
@@ -302,12 +302,12 @@ class BatchIncoming(Incoming, ABC):
     @property
     @abstractmethod
     def frame(self) -> Frame:
-        """The frame, which may have to be read for it."""
+        """The frame; it may be read from the source on access."""
 
     @property
     @abstractmethod
     def time(self) -> float:
-        """s, that of the frame, which is not read for it."""
+        """s, of the frame, without reading it."""
 
     @abstractmethod
     def search(
@@ -315,17 +315,17 @@ class BatchIncoming(Incoming, ABC):
     ) -> MessageType:
         """Search for the feature where `prior` has mass, and return the evidence.
 
-        A chain that knows better than the others where to search does it itself, and returns what it goes by
-        with its trajectory (see `Smoothed`).
+        A chain may search by itself, and return the evidence that it used with its trajectory (see
+        `Smoothed`).
         """
 
 
 class BatchChain(Named, Protocol[TrajectoryType]):
-    """A hidden state that is estimated at all times at once. Rules are those of `Chain`."""
+    """A hidden state that is estimated at all times at once. The rules of `Chain` apply."""
 
     @property
     def ports(self) -> tuple[Port, ...]:
-        """The kinds of feature node that it meets."""
+        """The kinds of feature nodes that it is connected to."""
         ...
 
     def smooth(
@@ -333,8 +333,8 @@ class BatchChain(Named, Protocol[TrajectoryType]):
     ) -> Smoothed[TrajectoryType]:
         """Return the best trajectory given `incoming_over_time`, one entry for each frame in order of time.
 
-        `current` is the chain's trajectory of the round before, to start from. The return annotation says
-        how a saved trajectory is read back.
+        `current` is the trajectory of the last round, to start from. Saved trajectories are read by the
+        return annotation.
         """
         ...
 
@@ -343,8 +343,8 @@ class BatchChain(Named, Protocol[TrajectoryType]):
     ) -> Sequence[Message]:
         """Return mu_{X -> F} for each frame, given the trajectory.
 
-        `incoming_over_time` is what the trajectory goes by: a chain whose state is too large to be kept for
-        every frame works it out again, forwards, when messages are asked for.
+        `incoming_over_time` are the messages that the trajectory was computed from: a chain with a state too
+        large to be kept for every frame computes it again, forwards.
         """
         ...
 
@@ -393,12 +393,11 @@ class PerFrame(Sequence[Result]):
 
 
 class LazyFrames(Sequence[Frame]):
-    """Frames in order of time, made on demand, best one after the other.
+    """Frames in order of time that are read on demand.
 
-    A mark of sequences that `CoordinateAscent` must not hold: it asks for each frame once in a pass,
-    forwards.
+    `CoordinateAscent` does not keep them in memory, and reads each frame once per pass, forwards.
     """
 
     @abstractmethod
     def time(self, index: int, /) -> float:
-        """Return `Frame.time` of a frame, without making it."""
+        """Return `Frame.time` of a frame, without reading it."""

@@ -82,8 +82,8 @@ class Belief:
     """Posterior after a frame.
 
     `belief[chain]` or `belief["name"]` is the posterior state of a chain, `belief[feature]` or
-    `belief["name"]` the product of all messages that reach a feature node. As long as all frames were
-    missing there is no belief, and asking for one is a `KeyError`.
+    `belief["name"]` the product of all messages that reach a feature node. While all frames are missing there
+    is no belief, and access is a `KeyError`.
 
     Attributes
     ----------
@@ -116,19 +116,19 @@ class Belief:
 
     @property
     def sweeps(self) -> int:
-        """How often the messages of a loop were sent, the most of all loops; 1 without loops."""
+        """Number of sweeps of the loop that needed most; 1 without loops."""
         return 1 if self._slice is None else self._slice.sweeps
 
     @cached_property
     def log_evidence(self) -> float:
         """log p(I_t | I_1..t-1), computed on demand; 0 before the first image.
 
-        At each feature that chains speak to, it is the log of the integral of the product with the image
-        less that without it: models can be compared, whatever the scale of their messages. Features that
-        share a chain follow each other (their evidence is given that of those before); a component that
-        reads another one through a cut edge is conditioned on it. What is not exact is what chains
-        approximate. Of a component with a loop it is Bethe's approximation: its messages are sent in sweeps
-        once more, without the image, which `converged` does not tell of.
+        At each feature with messages, it is the log of the integral of the product with the image minus that
+        without it, so it does not depend on the scale of messages. Features that share a chain are
+        conditioned on earlier ones; a component that reads another one through a cut edge is conditioned on
+        it. It is exact except for approximations of the chains. For a component with a loop it is the Bethe
+        approximation, for which messages are sent once more in sweeps without the image (`converged` does not
+        include these).
         """
         return 0.0 if self._slice is None else self._slice.log_evidence()
 

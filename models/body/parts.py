@@ -41,11 +41,12 @@ N_PARTS = len(PARTS)
 class PartMessage:
     """Message about the parts' positions, from chains and from the image.
 
-    Chains send joint hypotheses, in which each part has a mixture of its own:
+    Chains send joint hypotheses, with a mixture for each part:
 
         p(F) = sum_h exp(log_hypotheses[h]) prod_part m_h,part(F_part)
 
-    The image's evidence is kept apart: a likelihood of whole bodies reads more from it than its mixtures.
+    The evidence of the image is stored separately: likelihoods of whole bodies use more of it than its
+    mixtures.
 
     Raises `ValueError` if there are not three mixtures for each hypothesis.
     """
@@ -156,13 +157,13 @@ class BodyParts:
     Parameters
     ----------
     head_height
-        px, from chin to skull: all sizes are in its units.
+        px, from chin to skull: the unit of all sizes.
     skin
         the person's skin colour; without it (grey video), edges are the only evidence of the hands.
     detector
         of faces; without it, the head is a disc of skin.
     static_skin
-        `(height, width)` nats: `static_skin` of the clip, which is no hand.
+        `(height, width)` nats: log odds of static skin-coloured clutter, from `static_skin`.
     bare
         probability that forearms are bare.
     others
@@ -188,8 +189,8 @@ class BodyParts:
     ) -> Self:
         """Learn head size, skin colour and clothes from the faces detected in some frames of a clip.
 
-        Of several people it is the one with the largest face, unless `face` is given; others' faces are
-        remembered (`OtherFaces`).
+        The person with the largest face is selected, unless `face` is given; faces of others are kept in
+        `OtherFaces`.
 
         Parameters
         ----------
@@ -198,7 +199,7 @@ class BodyParts:
         detector
             of faces.
         face
-            x, y, width, height px: about that of the person, in the first image with a face.
+            x, y, width, height px: approximate face of the person in the first image with a face.
 
         Raises
         ------
@@ -248,7 +249,7 @@ class BodyParts:
         return PartMessage(GaussianMixtures.uniform(len(PARTS)))
 
     def evidence(self, frame: Frame, prior: PartMessage) -> PartMessage:
-        """Detect the three parts, and compute the features that likelihoods of whole bodies need.
+        """Detect the three parts, and compute the features for likelihoods of whole bodies.
 
         Each part's mixture is a likelihood ratio of the detections, with the part at F against clutter:
         (1 - P) + sum_k P / (density of clutter per px^2) w_k N(F; m_k, S_k), with detection probability P.
@@ -259,8 +260,7 @@ class BodyParts:
         frame
             a missing one has the uniform message.
         prior
-            locates the head where no face is detected, whose skin is no hand, and the person whose key points
-            count.
+            gives the head if no face is detected, and selects the person among several keypoints.
         """
         image = frame.image
         if image is None:

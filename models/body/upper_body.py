@@ -23,11 +23,12 @@ ANGLES = 16  # degrees of freedom: 2 of the root, 3 of torso and neck each, 3 of
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BodyPoses(Rows):
-    """Poses of an upper body with 16 degrees of freedom, one an entry (RSMCM paper §4.1 has 13).
+    """Array of poses of an upper body with 16 degrees of freedom (13 in RSMCM paper §4.1).
 
-    x is to the right, y down and z away from the viewer; "left" is the person's own. The elbow is a hinge,
-    so the directions of upper arm and forearm determine all four angles of an arm, without jumps. All is in
-    the image's axes, not the torso's: people who lean keep their head up, and their hands in place.
+    x is to the right, y down and z away from the viewer; "left" is the person's own. The elbow is a hinge, so
+    the directions of upper arm and forearm determine all four angles of an arm, without jumps. All rotations
+    are in the axes of the image, not of the torso: people who lean keep their head upright and their hands in
+    place.
 
     Parameters
     ----------
@@ -92,8 +93,8 @@ class BodyPoses(Rows):
     def angles(self) -> Array:
         """`(n, 16)`: root, torso, neck, of each arm rotation vector of the shoulder and flexion of the elbow.
 
-        A shoulder at zero lets the arm hang, and the elbow bends the forearm towards the viewer. The twist of
-        a straight arm, which its directions leave open, is that of `transport`.
+        With a shoulder at zero the arm hangs; the elbow bends the forearm towards the viewer. A straight arm
+        has the twist of `transport`.
         """
         rotations, flexions = shoulder_rotations(self.arms)
         n = len(self)
@@ -296,7 +297,7 @@ class UpperBody:
     @classmethod
     @checked
     def from_head(cls, head_height: Positive) -> Self:
-        """Return a body of usual proportions with a head of `head_height` px, chin to top of the skull."""
+        """Return a body of average proportions with a head of `head_height` px, chin to top of the skull."""
         lengths = {name: float(share * head_height) for name, share in PROPORTIONS.items()}
         return cls(head_height=float(head_height), **lengths)
 
@@ -307,7 +308,7 @@ class UpperBody:
         joints: Annotated[Array, Shape("n_frames", 8, 2, finite=False)],
         head_heights: Array | None = None,
     ) -> Self:
-        """Fit a body to joints in a few images; what they leave open has usual proportions.
+        """Fit a body to joints in a few images; unknown lengths have average proportions.
 
         Shoulders and neck mostly face the camera, so medians are taken: with typical turns of 17 degrees the
         shoulders are 2 % too narrow. Arms point anywhere, see `projected_length`. Left and right have equal

@@ -74,8 +74,8 @@ class Categorical:
     size
         number of values.
     log_likelihood
-        log p(I | F = each value), `(size,)`, of a frame whose image is there. `None` for a feature of which
-        images say nothing by themselves.
+        log p(I | F = each value), `(size,)`, of a frame with an image. `None` if images contain no
+        information about the feature.
     """
 
     name: str

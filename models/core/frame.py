@@ -69,15 +69,14 @@ KNOWN = frozenset(POINTS).union(*SKELETONS.values())
 @short_repr
 @dataclass(frozen=True, eq=False)
 class GivenKeypoints:
-    """Points of persons in a frame, from a detector that ran: of none, perhaps.
+    """Keypoints of persons in a frame from a detector that ran, possibly none.
 
     Parameters
     ----------
     positions
         `(n, 10, 2)` float64 px of n persons, in the order of `KEYPOINTS`; NaN where a point was not found.
     scores
-        `(n, 10)` float64: how sure the detector is, 1 for wholly and more for nothing else; 0 where a point
-        was not found.
+        `(n, 10)` float64 scores from 0 (not found) to 1; higher ones count as 1.
 
     Raises
     ------
@@ -97,11 +96,10 @@ class GivenKeypoints:
 
     @classmethod
     def named(cls, points: Array) -> Self:
-        """Return key points from `(n, 15, 3)` x, y px and score of each of `POINTS`; score 0 is not detected.
+        """Return keypoints from `(n, 15, 3)` x, y px and score of each of `POINTS`; score 0 is not detected.
 
-        Of the face's, the head's centre is made. Eyes and ears are at half the head's height: the head is
-        taken to be between the middles of both. The nose is less exact, and counts where there is nothing
-        else.
+        The centre of the head is computed from the points of the face: the middle between eyes and ears, or
+        the less exact nose if there is nothing else.
 
         Raises
         ------
@@ -130,9 +128,9 @@ class GivenKeypoints:
         result
             anything with `xy` `(n, m, 2)` and perhaps `confidence` or `conf` `(n, m)`, as
             `supervision.KeyPoints` or the keypoints of Ultralytics; or an array `(n, m, 2)` or `(n, m, 3)`
-            with scores, or of one person without the first axis; m points as in one of `SKELETONS`; or
-            of one person a mapping of names to x, y and perhaps a score. Px from 0. Points at 0, 0 were not
-            found, as these libraries have it. An empty one has no person.
+            with scores, or of one person without the first axis; m points as in one of `SKELETONS`; or of one
+            person a mapping of names to x, y and perhaps a score. Px from 0. Points at 0, 0 are not found, as
+            in these libraries. An empty result has no person.
 
         Raises
         ------
@@ -251,16 +249,16 @@ class GivenPoints(Rows):
 @short_repr
 @dataclass(frozen=True, eq=False)
 class GivenBoxes:
-    """Boxes of objects in a frame, from a detector that ran: none, perhaps.
+    """Boxes of objects in a frame from a detector that ran, possibly none.
 
     Parameters
     ----------
     xyxy
         `(n, 4)` float64 px: left, top, right, bottom edges; 0 is the picture's left or top edge.
     confidence
-        `(n,)` float64 scores on any scale, the surer the higher; all 1 where they are left out.
+        `(n,)` float64 scores on any scale, higher is better; by default all 1.
     classes
-        `(n,)` names or numbers of what the objects are, if the detector tells.
+        `(n,)` names or numbers of the classes, if the detector has them.
     masks
         `(n, height, width)` bool over the picture, if the detector gives outlines.
 

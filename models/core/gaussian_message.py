@@ -25,11 +25,11 @@ LEAST_INFORMATION = 1e-12
 @short_repr
 @dataclass(frozen=True, eq=False)
 class GaussianMessage(Rows):
-    """A product over things k of exp(scale_k + vector_k . F_k - F_k . information_k F_k / 2).
+    """Product over vectors F_k of exp(scale_k + vector_k . F_k - F_k . information_k F_k / 2).
 
-    In information form products add, and a thing that a message does not mention has no information there.
-    Things are independent: what a chain knows of several jointly (one plane below all boxes, one camera that
-    sees all points) is sent as the marginal of each.
+    In information form products are sums, and the message is uniform for identities that it does not contain.
+    The vectors are independent: a chain with joint knowledge of several (one ground plane, one camera) sends
+    the marginal of each.
     """
 
     identities: Annotated[NDArray[np.int64], Shape("n")]  # increasing
@@ -39,7 +39,7 @@ class GaussianMessage(Rows):
 
     @classmethod
     def uniform(cls, dimension: int) -> Self:
-        """Return the constant 1, which mentions no thing."""
+        """Return the constant 1, which contains no identity."""
         nothing = np.zeros((0, dimension))
         return cls(np.zeros(0, np.int64), np.zeros((0, dimension, dimension)), nothing, np.zeros(0))
 
@@ -128,7 +128,7 @@ class GaussianMessage(Rows):
 
     @property
     def dimension(self) -> int:
-        """Number of coordinates of each thing."""
+        """Number of coordinates of each vector."""
         return int(self.vector.shape[1])
 
     @cached_property
@@ -137,12 +137,12 @@ class GaussianMessage(Rows):
 
     @property
     def proper(self) -> NDArray[np.bool_]:
-        """`(n,)`: whether there is information about all coordinates of the thing."""
+        """`(n,)`: whether the information matrix is positive definite."""
         return self._solved[3]
 
     @cached_property
     def moments(self) -> tuple[NDArray[np.int64], Numbers, Numbers]:
-        """Identities `(m,)`, means `(m, d)` px and covariances `(m, d, d)` px^2 of the proper things."""
+        """Identities `(m,)`, means `(m, d)` px and covariances `(m, d, d)` px^2 of proper Gaussians."""
         covariances, means, _, proper = self._solved
         if proper.all():
             return self.identities, means, covariances
@@ -150,10 +150,10 @@ class GaussianMessage(Rows):
 
     @property
     def log_mass(self) -> float:
-        """Log of the integral over all things about which there is information.
+        """Log of the integral over all vectors with information.
 
-        A coordinate without any information counts as if it were not mentioned; a thing with information
-        about a direction between coordinates alone has no finite integral.
+        Coordinates without any information are omitted; with information only about a direction between
+        coordinates, the integral is infinite.
         """
         informed = np.asarray(self.information.any(axis=(1, 2)))
         if not self.proper[informed].all():
@@ -176,7 +176,7 @@ class GaussianMessage(Rows):
         return type(self)(self.identities, filled, self.vector, scales).log_mass
 
     def marginal(self, identity: int) -> tuple[Numbers, Numbers]:
-        """Return mean `(d,)` px and covariance `(d, d)` px^2 of a thing that is proper, else a `KeyError`."""
+        """Return mean `(d,)` px and covariance `(d, d)` px^2 of a proper Gaussian, otherwise a `KeyError`."""
         identities, means, covariances = self.moments
         place, is_proper = find(identities, identity)
         if not is_proper:
@@ -184,7 +184,7 @@ class GaussianMessage(Rows):
         return means[place], covariances[place]
 
     def among(self, identities: NDArray[np.int64]) -> Self:
-        """Return the same function with rows of zeros for all other of these things."""
+        """Return the same function with zero rows for all other of these identities."""
         return self._spread(identities, places_of(identities, self.identities))
 
     def _spread(self, identities: Identities, place: Places) -> Self:
@@ -199,7 +199,7 @@ class GaussianMessage(Rows):
 @short_repr
 @dataclass(frozen=True)
 class GaussianFeature:
-    """Feature node of vectors by identity, of which an image says something by itself, or nothing.
+    """Feature node of vectors by identity, with or without a likelihood of the image.
 
     Parameters
     ----------
@@ -208,8 +208,8 @@ class GaussianFeature:
     dimension
         numbers of a vector.
     measure
-        likelihood of a frame that is not missing: `measure(frame)`. `None` for a feature of which images say
-        nothing.
+        likelihood of a frame that is not missing: `measure(frame)`. `None` if images contain no information
+        about it.
     """
 
     name: str

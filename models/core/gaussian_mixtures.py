@@ -30,8 +30,8 @@ NO_WEIGHT = -1e30  # log weight of a filler in kernels, where nothing is infinit
 class GaussianMixtures:
     """Per part p the function sum_k exp(log_weights[p, k]) g_pk(F_p) of its position F_p.
 
-    g is a Gaussian density, or the constant 1 of a flat component. Parts have equally many components: those
-    with a weight of 0 are fillers.
+    g is a Gaussian density, or the constant 1 of a flat component. All parts have the same number of
+    components; some have weight 0.
     """
 
     log_weights: Annotated[Array, Shape("parts", "n", finite=False)]  # minus infinity for a filler
@@ -135,8 +135,8 @@ class GaussianMixtures:
     def proper(self, log_mass: float, means: Array, covariances: Array) -> Self:
         """Return mixtures with a Gaussian in place of every flat component.
 
-        `log_mass` is by how much its log weight is more: log of the area, px^2, over which the flat one
-        counts.
+        `log_mass` is added to its log weight: log of the area, px^2, over which the flat component is
+        integrated.
         """
         flat = self.flat[..., None]
         return replace(
@@ -148,7 +148,7 @@ class GaussianMixtures:
         )
 
     def blended(self, other: Self, share: float) -> Self:
-        """Return this density, or with probability `share` the other one; both proper."""
+        """Return the mixture of this density and, with weight `share`, the other one; both proper."""
         own, more = (each.log_weights - each.log_masses[:, None] for each in (self, other))
         one = replace(self, log_weights=own + np.log1p(-share))
         return self._joined([one, replace(other, log_weights=more + np.log(share))], 1)

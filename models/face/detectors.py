@@ -63,7 +63,7 @@ class PartDetector(Protocol):
 @short_repr
 @dataclass(frozen=True)
 class HaarFaces:
-    """Face detector by OpenCV's Haar cascades, which its versions 4 contain.
+    """Face detector by the Haar cascades of OpenCV 4.
 
     Faces of any size are detected from the front; of a given height, if there are none, also in profile. On
     125 frames of a signer this raises the number of detected faces from 81 to 122, in less time.
@@ -74,11 +74,11 @@ class HaarFaces:
         px: of a face's box. Faces from 0.7 to 1.5 times as high are detected; by default those above an
         eighth of the image's shorter side.
     min_neighbors
-        number of neighbouring detections that make one face of known height.
+        minimum number of neighbouring detections, for faces of known height.
     upright
         whether to detect upright frontal faces only.
     file
-        another cascade (`.xml`), of Haar features or LBP, which is then the only one.
+        cascade file (`.xml`) to use instead, of Haar features or LBP.
 
     Raises
     ------

@@ -20,7 +20,7 @@ RIGID = 5  # degrees of freedom of rotation and translation, which come before t
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Poses(Rows):
-    """Poses under weak perspective, one an entry (G-flow paper §2.1).
+    """Array of poses under weak perspective (G-flow paper §2.1).
 
     Small changes of a pose are vectors of `dimension` numbers: a rotation vector w (rad) that turns the
     object as the camera sees it, r <- exp([w]x) r, then px of translation, then changes of the coefficients.
@@ -235,7 +235,7 @@ class MorphableModel(PickledByFields):
         `(n_triangles, 3)` int64, vertex numbers; counter-clockwise as the viewer in front sees them with
         y down, so that normals (cross products of edges) of what he sees have z < 0.
     identity
-        how many bases after the first say who it is and not what the face does; constant for a person.
+        number of bases after the first that describe the person, not the expression; constant for a person.
     names
         of the bases, or none.
     landmarks

@@ -45,18 +45,18 @@ class BoxDetector:
     Parameters
     ----------
     found
-        probability that it finds an object of which everything can be seen.
+        probability of detecting a fully visible object.
     clutter
-        1/px^2: false boxes in a frame, for each pixel of the picture.
+        1/px^2: density of false boxes in a frame.
     position, size
-        standard deviations of a box's foot and of its sides, as shares of the box's own size: of the root of
-        its area, and of each side.
+        standard deviations of the foot and of the sides of a box, relative to the root of its area and to
+        each side.
     doubles
-        share of found objects of which there is a second box, less exact than the first.
+        share of detected objects with a second, less accurate box.
     newcomers
-        objects that are found in a frame for the first time, on average.
+        mean number of objects per frame that are detected for the first time.
     scores
-        what they mean; `None` as long as they mean nothing.
+        distributions of scores; `None` while unknown.
     """
 
     found: Probability = 0.9
@@ -78,9 +78,9 @@ class BoxDetector:
 @checked
 @dataclass(frozen=True, eq=False)
 class LogOdds:
-    """Product over objects k of exp(values_k) where something is true of k, and 1 where it is not.
+    """Log odds of a binary variable by identity: factors exp(values_k) if it is true, 1 if not.
 
-    `identities` `(n,)` int64 increase; of an object that is not mentioned the `values`, nats, are 0.
+    `identities` `(n,)` int64 are increasing; `values` in nats are 0 for all other objects.
     """
 
     identities: Annotated[NDArray[np.int64], Shape("n")] = field(
@@ -228,7 +228,7 @@ class BoxMessage:
         )
 
     def distance(self, other: Self) -> float:
-        """Return how far two chains' messages are apart: the greatest distance of their boxes and odds."""
+        """Return the greatest distance of boxes and odds of two messages."""
         return max(
             self.objects.distance(other.objects),
             self.hidden.distance(other.hidden),
@@ -238,11 +238,11 @@ class BoxMessage:
 
     @property
     def gaussians(self) -> GaussianMessage:
-        """Boxes of objects that are seen or observed, px."""
+        """Gaussians of boxes of visible or observed objects, px."""
         return self.objects
 
     def with_gaussians(self, gaussians: GaussianMessage) -> Self:
-        """Return the message with other Gaussians of boxes that are seen."""
+        """Return the message with other Gaussians of boxes."""
         return replace(self, objects=gaussians)
 
     @property

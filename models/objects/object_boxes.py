@@ -206,13 +206,13 @@ def _box_likelihood(association: Association, means: Numbers, covariances: Numbe
 class ObjectBoxes:
     """Feature node of the boxes of objects, shared by trackers, ground planes and detectors.
 
-    An image says nothing of boxes by itself: what it shows of objects comes through the chain that also
-    speaks to the pixels. A frame that comes with the boxes of a detector does.
+    Images are evidence about boxes only through chains that also read the pixels, or by the boxes of a
+    detector.
 
     Parameters
     ----------
     detector
-        how the detector behaves, as long as no chain knows it better.
+        error model of the detector, if no chain estimates it.
     """
 
     detector: BoxDetector = field(default_factory=BoxDetector)
@@ -221,14 +221,13 @@ class ObjectBoxes:
     searches = True
 
     def uniform(self) -> BoxMessage:
-        """Return the message that mentions no object."""
+        """Return the message without objects."""
         return BoxMessage()
 
     def evidence(self, frame: Frame, prior: BoxMessage) -> BoxMessage:
         """Return the likelihood of the detector's boxes, given the objects of `prior` (see `associate`).
 
-        Uniform where the detector did not run. Where it ran and found nothing, all objects that should have
-        been found are less likely to exist.
+        Uniform if the detector did not run. If it ran and found nothing, visible objects become less likely.
         """
         if frame.boxes is None:
             return self.uniform()

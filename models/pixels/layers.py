@@ -183,12 +183,12 @@ HIGHEST = 1 + 1e-6  # of a mask's values: a probability with the rounding of flo
 @checked
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """Prediction of one object for the pixels in its region: that it covers them, and with what colour.
+    """Prediction of one object for the pixels in its region: probability of cover, and colour.
 
     Parameters
     ----------
     top, left
-        px, of the region; it may reach over the picture's edge.
+        px, of the region; it may extend beyond the image.
     mask
         `(height, width)` float32, probability that the object covers the pixel.
     appearance
@@ -197,9 +197,9 @@ class Layer:
         squared grey levels, variance of the object's colour about its appearance; and share of pixels whose
         colour is not as remembered.
     strength
-        how much likelier this object is to be seen in front of the background than an unknown one.
+        prior odds of this object over an unknown one in front of the background.
     ghost
-        instead: there is no object where the mask is, whatever the background remembers.
+        instead: the message that there is no object at the mask.
     """
 
     top: int
@@ -297,10 +297,10 @@ class LayerSheet(NamedTuple):
 
 @short_repr
 class LayerStack:
-    """Layers of one chain, front to back, and what they say together of an image.
+    """Layers front to back, and their composition.
 
-    A product of stacks holds the layers of several chains: each chain's are composed for themselves, and what
-    they say is multiplied, in whatever order. The same image is read only once.
+    A product of stacks contains the layers of several chains: the layers of each chain are composed, and the
+    results are multiplied, in any order.
 
     Parameters
     ----------
@@ -328,7 +328,7 @@ class LayerStack:
         return LayerStack(*self.factors, *other.factors)
 
     def composition(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> Composition:
-        """Return the layers composed in regions that are apart; the picture's `size` is `(height, width)`."""
+        """Return the layers composed in disjoint regions of an image of `size` `(height, width)`."""
         if not self.factors:
             return NOTHING  # and nothing is remembered: the stack without layers lives as long as the program
         key = (id(image), size)

@@ -32,10 +32,10 @@ Window = tuple[slice, slice]
 class PixelMessage:
     """Product of factors over all pixels: a background prediction, layers of objects, an image.
 
-    For every pixel it is a function of b in {0, 1} and the latent colour L. The background speaks of b = 1
-    (P(B=1) N(L; its mean, its variance)) and leaves b = 0 the rest (P(B=0) U, any colour); a chain's layers
-    are composed front to back: w1 = prod(1 - M_j), w0 = 1 + sum_j strength M_j f_j(L) prod_{i<j} (1 - M_i);
-    a ghost adds nothing and takes its share from w0; the image ties L to what was seen.
+    For every pixel it is a function of b in {0, 1} and the latent colour L. The background has the factors
+    P(B=1) N(L; mean, variance) for b = 1 and P(B=0) U for b = 0, with any colour; the layers of a chain are
+    composed front to back: w1 = prod(1 - M_j), w0 = 1 + sum_j strength M_j f_j(L) prod_{i<j} (1 - M_i); a
+    ghost reduces w0; the image fixes L to the observed colour.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class PixelMessage:
     image
         uint8 `(height, width[, 3])`, or `None`.
     view
-        by which map the frame shows the scene; `None` where the camera stands still.
+        map from the scene to the frame; `None` for a fixed camera.
 
     Raises
     ------
@@ -80,7 +80,7 @@ class PixelMessage:
         )
 
     def distance(self, other: Self) -> float:
-        """Return the greatest difference of how far two chains' layers leave a pixel clear."""
+        """Return the greatest difference of the probability that a pixel is not covered."""
         tables = [sheet.table for message in (self, other) for sheet in message.layers.factors]
         rows = max((int((table["top"] + table["rows"]).max()) for table in tables), default=0)
         columns = max((int((table["left"] + table["columns"]).max()) for table in tables), default=0)
@@ -97,7 +97,7 @@ class PixelMessage:
         Raises
         ------
         ValueError
-            if neither the image nor a background says how large the picture is.
+            if there is neither an image nor a background.
         """
         if self.image is not None:
             return self.image.shape[0], self.image.shape[1]
@@ -114,7 +114,7 @@ class PixelMessage:
 
     @property
     def composed_layers(self) -> tuple[ComposedLayers, ...]:
-        """The layers, composed; everywhere else they say nothing."""
+        """The composed layers; uniform elsewhere."""
         return self.layers.composed(self.image, self.size)
 
     def foreground(self) -> NDArray[np.uint8]:
@@ -139,14 +139,13 @@ class PixelMessage:
         Parameters
         ----------
         region
-            top, left, height and width px; it may reach over the picture's edge, where odds are even. The
-            whole picture where it is left out.
+            top, left, height and width px; it may extend beyond the image, where odds are even. Default: the
+            whole image.
 
         Returns
         -------
         log_odds
-            `(height, width)` float32 nats; pixels have a share in what their neighbours show, and without the
-            layers they are within +-6.
+            `(height, width)` float32 nats, pooled over neighbours; without layers they are within +-6.
         """
         odds = self._log_odds() * np.float32(1 / ODDS_STEPS)
         for part in self.composed_layers:
@@ -160,11 +159,10 @@ class PixelMessage:
 
     @checked
     def log_likelihood_ratio(self, region: Region | None = None) -> Map:
-        """Return the log of p(image | background is seen) over p(image | any colour is), pixel by pixel.
+        """Return the log of p(image | background visible) over p(image | any colour) for each pixel.
 
-        This is what the image says of labels, without priors and without layers: `(height, width)`
-        float32 nats; 0 where there is no image or no background to compare it with. `region` is as of
-        `log_odds`.
+        The evidence of the image about labels, without priors and layers: `(height, width)` float32 nats; 0
+        without an image or a background. `region` as for `log_odds`.
         """
         out = np.zeros(self.size if region is None else region[2:], np.float32)
         if self.subtraction is not None and self.background is not None:
@@ -177,10 +175,9 @@ class PixelMessage:
     def log_mass(self) -> float:
         """Log of the integral over labels and colours, summed over pixels (nats); 0 without a background.
 
-        With an image, whose colours are then fixed, it is the log density of what it shows. Without one,
-        colours are integrated out, and it is 0 as long as only the background has predicted anything. Colours
-        of several chains' layers at one pixel count as independent. Where a moving camera does not show the
-        scene, as many pixels beside the scene have any colour.
+        With an image, it is the log density of its colours. Without one, colours are integrated out, and it
+        is 0 if only the background has predicted. Colours of several chains' layers at one pixel count as
+        independent. Pixels of a moving camera outside the scene have the uniform density.
         """
         return (0.0 if self.view is None else self.view.where.log_mass) + self._log_mass_of_pixels()
 
@@ -214,9 +211,9 @@ class PixelMessage:
 
     @checked
     def log_density(self, among: NDArray[np.bool_]) -> float:
-        """Return the log probability (nats) of what the image shows at some pixels, given all other factors.
+        """Return the log probability (nats) of the image at some pixels, given all other factors.
 
-        Over all images these probabilities sum to 1. Labels without a prior are even.
+        These probabilities sum to 1 over all images. Labels without a prior have even odds.
 
         Parameters
         ----------
@@ -261,10 +258,10 @@ class PixelMessage:
 @checked
 @dataclass(frozen=True)
 class PixelLabels:
-    """Feature node of per-pixel labels and colours, shared by background, blobs, and whatever covers pixels.
+    """Feature node of per-pixel labels and colours, shared by background, blobs and other objects.
 
-    RSMCM paper §4.2. Departures: colours as well as grey values; the observation noise is part of each
-    prediction's own noise, since only their sum is ever used.
+    RSMCM paper §4.2. Differences: colours as well as grey values; the observation noise is part of the noise
+    of each prediction, since only their sum is used.
     """
 
     name: str = "pixels"
@@ -276,7 +273,7 @@ class PixelLabels:
         return PixelMessage()
 
     def evidence(self, frame: Frame, prior: PixelMessage) -> PixelMessage:
-        """Return the image: L is what was seen."""
+        """Return the evidence: L is the observed colour."""
         return PixelMessage(image=frame.image)
 
 
@@ -295,11 +292,11 @@ def _inside(region: Region, size: tuple[int, int]) -> tuple[Window, Window]:
 @checked
 @dataclass(frozen=True)
 class ScenePixels(PixelLabels):
-    """Labels and colours of the scene's pixels, and the map by which a frame shows them.
+    """Feature node of labels and colours in scene coordinates, and of the map to the frame.
 
-    All chains that meet `PixelLabels` meet it. Where a chain says how the camera may look (`View`), the
-    evidence is the frame registered there: an image in which the scene stays where it is, and the likelihood
-    of the map. Without such a chain it is the frame as it is.
+    Chains of `PixelLabels` can be connected to it. If a chain predicts the map (`View`), the evidence is the
+    frame resampled to scene coordinates, and the likelihood of the map. Without such a chain it is the frame
+    itself.
     """
 
     searches = True

@@ -72,10 +72,10 @@ class View:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class PointMessage:
-    """Independent Gaussians over positions by identity, with patches and the picture searched.
+    """Independent Gaussians over positions by identity, with patches and the searched image.
 
-    `view` is this frame's in the evidence, and the last frame's in a tracker's message, for the backward
-    search. It is not saved.
+    `view` is the image of this frame in the evidence, and of the last frame in a tracker's message, for the
+    backward check. It is not saved.
     """
 
     positions: GaussianMessage  # px; see `GaussianMessage`
@@ -139,17 +139,17 @@ def _grouped(
 @short_repr
 @dataclass(frozen=True)
 class PointTracks:
-    """Feature node of points in the picture, shared by trackers and models of their joint motion.
+    """Feature node of points in the image, shared by trackers and models of their joint motion.
 
     Parameters
     ----------
     patch_size
-        px, odd: side of the square patches by which points are found.
+        px, odd: side of the square patches.
     noise
-        px, standard deviation of each coordinate of points that are given; see `noise_of_tracks`.
+        px, standard deviation of each coordinate of points given with frames; see `noise_of_tracks`.
     false_alarm_rate
-        share of search windows without the point in which another place passes the test of correlation. A
-        place with a rival, or not found back in the last picture, is rejected as well.
+        share of search windows without the point in which another position passes the test of correlation.
+        Ambiguous matches, and those that fail the backward check, are rejected as well.
     search_radius
         px, largest distance from the mean of the prior at which a point is searched for.
     """
@@ -171,12 +171,12 @@ class PointTracks:
         return PointMessage.uniform()
 
     def evidence(self, frame: Frame, prior: PointMessage) -> PointMessage:
-        """Return the likelihood of positions: of points given with the frame, or found near the `prior`.
+        """Return the likelihood of positions, of points given with the frame or found near the `prior`.
 
         A given point is N(z; F, noise^2 I), whatever the prior; a missing coordinate adds nothing. Otherwise
         each point of `prior` with a patch and a standard deviation of at most `search_radius` is searched for
         by normalised correlation. A found point is area * N(z; F, R), relative to the uniform density over
-        the picture; a point that is not found is no information.
+        the image; a point that is not found adds no information.
         """
         if frame.points is not None:
             return self._given(frame.points, frame.time)
