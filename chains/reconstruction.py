@@ -55,8 +55,8 @@ class Reconstruction:
     Parameters
     ----------
     positions, covariances
-        `(n_frames, n_points, 2)` px: where shape and cameras have every point, seen or not; and px^2 of
-        these.
+        `(n_frames, n_points, 2)` px: predicted positions of all points, visible or not, and their covariances
+        in px^2.
     observed, residuals
         `(n_frames, n_points)` bool, and `(n_frames, n_points, 2)` px: observation minus position, NaN where
         not observed.
@@ -70,15 +70,15 @@ class Reconstruction:
     noise_variance
         px^2 of each observed coordinate, as estimated.
     objective, converged
-        after each round of the ascent, and whether that ended by itself.
+        after each round of the ascent, and whether it converged.
     geometry, reason
         `"euclidean"`: `shape` is determined up to scale and reflection in depth. `"affine"`: up to an affine
-        map. `"none"`: the motion says nothing of depth, and `shape` means nothing. And why it is no better.
+        map. `"none"`: the motion does not determine depth, and `shape` is meaningless. `reason` says why.
     perspective
-        the structure before a perspective camera, where that is what all of the above is of; `cameras` are
-        then what it is in the middle of the shape's depth.
+        the structure under a perspective camera, if one was fitted; all of the above then refers to it, and
+        `cameras` are its affine approximations at the mean depth.
     affine_reason
-        why there is none; empty where none was wanted.
+        why there is no perspective camera; empty if none was requested.
     """
 
     positions: Numbers
@@ -114,7 +114,7 @@ class Reconstruction:
 
     @cached_property
     def places(self) -> Numbers:
-        """`(n_frames, n_points, 2)` px: where a point was observed, or else where it is predicted."""
+        """`(n_frames, n_points, 2)` px: observed positions, or predicted ones without an observation."""
         return self.positions + np.where(self.observed[..., None], self.residuals, 0)
 
     @property
@@ -125,7 +125,7 @@ class Reconstruction:
 
     @property
     def deviations(self) -> Numbers:
-        """Root mean square uncertainty of each point along an axis, `(n_points,)`, in the shape's unit."""
+        """Standard deviation of each point along an axis, `(n_points,)`, in the unit of the shape."""
         variances: Numbers = np.trace(self.shape_covariances, axis1=1, axis2=2) / 3
         return np.sqrt(variances)
 
@@ -144,7 +144,7 @@ def reconstruct(
     lens: Lens | None = None,
     after_round: Callable[[], None] = lambda: None,
 ) -> Reconstruction:
-    """Find the structure of a film.
+    """Estimate the structure from a video or from tracks.
 
     Parameters
     ----------

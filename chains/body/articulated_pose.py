@@ -45,26 +45,26 @@ GROUPS = 4  # Gaussians of each part in the message
 class ArticulatedPose:
     """Likelihood sampling of an articulated body (RSMCM paper §4.1).
 
-    X is a pose in 16 degrees of freedom, F the places of head and hands in the picture:
+    X is a pose in 16 degrees of freedom, F the positions of head and hands in the image:
 
         p(X_t | X_t-1) ~ sum_e p(e) K(X_t | e(X_t-1), dt) g(X_t)
         p(F | X)       = delta(F - parts(X))
         p(I | X)       = face(I, X) skin(I, X) clothes(I, X) edges(I, X)
 
-    e keeps the hands or exchanges them, K are the `BodyDynamics`, g is small for unusual postures and 0 for
-    impossible ones; the likelihood is `BodyLikelihood`'s. The message to F is the prediction of each part's
+    e keeps or exchanges the hands, K are the `BodyDynamics`, g is small for unusual postures and 0 for
+    impossible ones; the likelihood is `BodyLikelihood`. The message to F is the prediction of each part's
     position, a mixture of a few Gaussians.
 
     In the first frame, head and hands are drawn from the messages at F (face and skin in the image, other
     chains' predictions) and completed to poses by inverse kinematics (`draw_from_likelihood`); then poses are
     drawn from those of the frame before, some with a hand at a detection (`draw_guided`).
 
-    The paper weights its samples once, by the posterior over the density they were drawn from. Here that
-    makes them samples of the prediction; the likelihood then comes in by tempering, with Metropolis moves
-    after each step (`temper`). Improbable modes keep a share of the samples (`Strata`).
+    The paper weights its samples once, by the posterior over the proposal. Here weighting gives samples of
+    the prediction; the likelihood is then applied by tempering, with Metropolis moves after each step
+    (`temper`). Improbable modes keep a share of the samples (`Strata`).
 
-    It needs few samples, since they are drawn where the image shows the parts, and recovers a lost body; but
-    it depends on the detectors, whose failures a `FleshTracker` on the same feature bridges.
+    It needs few samples, since they are drawn at detections, and recovers a lost body; but it depends on the
+    detectors. A `FleshTracker` on the same feature bridges their failures.
 
     If a frame shows no feature, or no possible pose fits, the state is stationary: the prediction, weighted
     by the other chains' messages.
@@ -74,9 +74,9 @@ class ArticulatedPose:
     body
         lengths of the segments.
     samples
-        poses that are kept in every frame, 10 or more.
+        number of poses per frame, 10 or more.
     start
-        poses about which the first frame's is; `None` if it is unknown.
+        poses near that of the first frame; `None` if it is unknown.
     seed
         of the random numbers.
     dynamics, likelihood

@@ -26,15 +26,15 @@ GROUPS = 6  # Gaussians of each part's mixture in the message
 @short_repr
 @dataclass(frozen=True)
 class Condensation:
-    """Bootstrap particle filter of a body's pose: the usual way, as a baseline.
+    """Bootstrap particle filter of a body's pose, as a baseline.
 
-    X is a pose, F the places of head and hands in the picture:
+    X is a pose, F the positions of head and hands in the image:
 
         p(X_t | X_t-1) ~ K(X_t | X_t-1, dt) g(X_t),    p(F | X) = delta(F - parts(X)),    p(I | X)
 
     with dynamics K and g and the likelihood as in `ArticulatedPose`. The message to F is the prediction of
-    each part's place, a mixture of a few Gaussians. The tracker that the RSMCM paper compares with (§4.1,
-    Fig. 6): a chain like any other, which alone at its feature node is the filter as published.
+    the position of each part, a mixture of a few Gaussians. The RSMCM paper compares with it (§4.1, Fig. 6).
+    As the only chain of its feature node it is the published filter.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Condensation:
     samples
         number of poses.
     start
-        poses at the first frame, in any number; `None` for anywhere in the picture.
+        poses at the first frame, any number; `None` for anywhere in the image.
     seed
         of the random numbers.
     dynamics, likelihood
@@ -115,7 +115,7 @@ class Condensation:
         return BodySamples(cast(Any, first.particles), first.log_weights, _size(frame), first.random)
 
     def predict(self, state: BodySamples, dt: float) -> BodySamples:
-        """Return poses resampled by their weights and moved at random, without those that joints forbid."""
+        """Return poses resampled by weight and drawn from the dynamics; impossible ones have weight 0."""
         state, dt = state.origin(dt)
         moved = self._filter.predict(_particles(state), dt)
         return BodySamples(
@@ -123,12 +123,12 @@ class Condensation:
         )
 
     def message(self, state: BodySamples, feature: BodyParts, incoming: Incoming) -> PartMessage:
-        """Return mixtures of the places of head and hands, with the moments of the predicted poses."""
+        """Return mixtures of the positions of head and hands, with the moments of the predicted poses."""
         message: PartMessage = self._filter.message(_particles(state), feature, incoming)
         return message
 
     def update(self, state: BodySamples, incoming: Incoming) -> BodySamples:
-        """Return the poses weighted by the likelihood of the image; as they are where there is none."""
+        """Return the poses weighted by the likelihood of the image, if there is one."""
         message = incoming[BodyParts]
         if message.image is None and not message.stacked.informative.any():
             return replace(state, before=None, elapsed=0.0, stationary=True)

@@ -50,17 +50,15 @@ class BodyDynamics:
     With the root r, the rotations o of the torso and n of the neck and the directions of upper arms and
     forearms, after dt seconds
 
-        p(r | r') = N(r; r', place^2 dt)
-        p(n | n') = N(n; k n', neck^2 (1 - k^2)),    k = exp(-dt / neck_time)
-        p(o | o') = N(o; l o', s^2 (1 - l^2)),       l = exp(-dt / torso_time),  s = (lean, turn, lean)
-        p(arm | arm') = (1 - j) vMF(upper; upper', K) vMF(fore; fore', K') + j usual(arm)
-        j = 1 - exp(-jumps dt)
+        p(r | r') = N(r; r', place^2 dt) p(n | n') = N(n; k n', neck^2 (1 - k^2)),    k = exp(-dt / neck_time)
+        p(o | o') = N(o; l o', s^2 (1 - l^2)),       l = exp(-dt / torso_time),  s = (lean, turn, lean) p(arm
+        | arm') = (1 - j) vMF(upper; upper', K) vMF(fore; fore', K') + j prior(arm) j = 1 - exp(-jumps dt)
 
-    A direction has the mean of a Brownian motion on the sphere, in any number of steps: the von Mises-Fisher
-    density with that mean stands for it, which has no poles and is drawn from exactly. Jumps are more
-    frequent than those of arms: they are also how the tracker recovers from its mistakes.
+    Directions approximate Brownian motion on the sphere, in any number of steps, by the von Mises-Fisher
+    density with the same mean. Jumps are more frequent than those of real arms, since the tracker also needs
+    them to recover from errors.
 
-    Densities include `log_posture`, draws do not. Neither leaves out what the joints forbid
+    Densities include `log_posture`, draws do not. Neither excludes poses beyond the limits of the joints
     (`UpperBody.allowed`), and densities are not normalised for either.
 
     Parameters
@@ -82,9 +80,9 @@ class BodyDynamics:
     jumps
         rate of an arm's jumps, 1/s.
     exchanges
-        rate at which left and right hand turn out to be mistaken for each other, 1/s.
+        1/s, rate at which left and right hand are found to be exchanged.
     returns
-        rate at which the whole body turns out to be elsewhere, 1/s.
+        1/s, rate at which the whole body is found to be elsewhere.
     """
 
     body: UpperBody
@@ -148,7 +146,7 @@ class BodyDynamics:
         return np.asarray(np.log(peak * np.exp(turned) + jump * np.exp(_log_usual(poses.arms))))
 
     def log_returns(self, dt: float) -> tuple[float, float]:
-        """Return the log probabilities that after `dt` s the body is anywhere, and that it has continued."""
+        """Return the log probabilities that after `dt` s the body is anywhere, or near its prediction."""
         stays = max(-self.returns * dt, np.log1p(-MOST_JUMPS))
         return float(np.log(-np.expm1(stays))) if stays else -np.inf, float(stays)
 
@@ -184,7 +182,7 @@ class BodyDynamics:
         return terms, gaussian + 2 * np.log(peak) - 0.5 * least
 
     def log_posture(self, poses: BodyPoses, dt: float = CROSSED_TIME) -> Array:
-        """`(n,)` nats, at most 0: penalty of `dt` seconds with crossed hands, which tells left from right."""
+        """`(n,)` nats, at most 0: penalty of `dt` seconds with crossed hands."""
         hands = self.body.parts(poses)[:, 1:, 0]
         across = (hands[:, 1] - hands[:, 0]) / self.body.head_height
         return np.asarray(-CROSSED * min(dt, CROSSED_TIME) * np.clip(across, 0, 1))
@@ -192,7 +190,7 @@ class BodyDynamics:
     def with_exchanged(self, ancestors: Ancestors, random: np.random.Generator) -> Ancestors:
         """Add a copy of each pose with exchanged hands, if that is possible; both share its weight.
 
-        The elbows of exchanged arms are drawn uniformly on the circles that they can be on.
+        The elbows of exchanged arms are drawn uniformly on their circles of possible positions.
         """
         if not self.exchanges:
             return ancestors

@@ -222,25 +222,25 @@ class WaitingFrames:
 
 
 class FixedLag:
-    """Fixed-lag smoother of a filter's poses.
+    """Fixed-lag smoother of the poses of a particle filter.
 
     Parameters
     ----------
     dynamics
         of the filter.
     lag
-        later frames that are waited for, and at most 5 more; 0: poses are the filter's own.
+        number of later frames to use, and at most 5 more; 0: no smoothing.
     likelihood
-        of images; that of the body if `None`.
+        of images; the default one of the body if `None`.
     trajectories
-        that are drawn: the number of smoothed poses of a frame.
+        number of trajectories to draw, which is the number of smoothed poses per frame.
     seed
         of the random numbers.
 
     Attributes
     ----------
     waiting
-        the whole state, a value that can be saved and restored.
+        frames that are not smoothed yet: the whole state, a value that can be saved and restored.
     """
 
     @checked
@@ -261,7 +261,7 @@ class FixedLag:
         self._likelihoods: dict[int, LogDensity] = {}
 
     def add(self, frame: Frame, samples: BodySamples, image: BodyImage | None = None) -> list[TimedSamples]:
-        """Add a filtered frame, and return the frames that are smoothed by now.
+        """Add a filtered frame, and return the frames that can now be smoothed.
 
         Parameters
         ----------
@@ -270,8 +270,8 @@ class FixedLag:
         samples
             the filter's posterior, or its prediction.
         image
-            the image's features: `image` of the parts' message. Without it, poses are chosen among the
-            filter's own.
+            features of the image: `image` of the parts' message. Without it, poses are selected from the
+            filter's samples.
         """
         if not self.lag:
             return [TimedSamples(frame.number, frame.time, samples)]
@@ -288,7 +288,7 @@ class FixedLag:
         return self._smooth(BLOCK)
 
     def rest(self) -> list[TimedSamples]:
-        """Smooth all frames that wait, after the last one."""
+        """Smooth all remaining frames after the last one."""
         return self._smooth(len(self.waiting.frames))
 
     def _smooth(self, count: int) -> list[TimedSamples]:

@@ -59,21 +59,21 @@ FLATTENED = 0.5  # power of the weights in messages
 class FleshTracker:
     """Multi-hypothesis tracker of head and hands in the image.
 
-    Each of up to 16 hypotheses says which detections were head, left and right hand so far. Given that, each
-    part has a position x and a velocity v, z = (x, v), and may jump:
+    Each of up to 16 hypotheses assigns all detections to head, left and right hand. Given this, each part has
+    a position x and a velocity v, z = (x, v), and may jump:
 
         p(z_t | z_t-1) = c N(z_t; A z_t-1, Q) + (1 - c) N(z_t; m, S),    c = exp(-dt / max_coast_time)
         p(F | X)       = sum_h w_h prod_part delta(F_part - x_h,part)
 
     A and Q are those of an Ornstein-Uhlenbeck velocity, m and S the moments of all positions in reach. A part
-    may be hidden, by itself or by another detection; hands exchange their states at a low rate. A detection
-    of no part is clutter, which rests, or new. In every frame each hypothesis is continued by all assignments
-    of the detections, and the best are kept.
+    may be hidden, by itself or by another detection; hands exchange their states at a low rate. Other
+    detections are static clutter, or new. In every frame each hypothesis is continued by all assignments of
+    the detections, and the best are kept.
 
     Parameters
     ----------
     body
-        whose head's height is the unit of length, and whose arms are the reach of the hands.
+        its head height is the unit of length, its arms limit the reach of the hands.
     hand_speed, head_speed
         head heights/s, stationary standard deviation of each component of the velocity.
     velocity_time
@@ -166,9 +166,9 @@ class FleshTracker:
     def update(self, state: FleshTracks, incoming: Incoming) -> FleshTracks:
         """Continue each hypothesis by the assignments that explain the image best.
 
-        Other chains' messages weigh the hypotheses and do not move the parts, as their product with the
-        state would: a pose chain predicts from the same images, and a part without detections would become
-        ever more certain. Where there are such messages the own weights are flattened, for the same reason.
+        Messages of other chains weight the hypotheses but do not move the parts: a pose chain predicts from
+        the same images, and the certainty of an unseen part would grow. For the same reason the weights are
+        flattened if there are such messages.
         """
         message = incoming[BodyParts]
         detections = PartDetections.from_mixtures(

@@ -92,7 +92,7 @@ NO_EVIDENCE = ExchangeEvidence()
 
 @dataclass(eq=False)
 class Labelling:
-    """Collects the evidence of a film's frames and labels the hands."""
+    """Labels of the hands from the evidence of many frames."""
 
     numbers: list[int] = field(default_factory=list)  # of the frames so far
     times: list[float] = field(default_factory=list)  # s

@@ -72,7 +72,7 @@ class BodySamples:
         return self.poses.take(systematic(self.log_weights, n, random))
 
     def reweighed(self, log_factors: Array) -> "BodySamples":
-        """Return the posterior: weights times factors, whose mean is the evidence."""
+        """Return the samples with weights times factors; the mean factor is the evidence."""
         log_weights = self.log_weights + log_factors
         evidence = log_sum(log_weights)
         if not np.isfinite(evidence):  # no sample fits: the prediction is kept

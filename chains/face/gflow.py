@@ -144,21 +144,21 @@ class GFlow(PickledByFields):
     `PixelLabels` is the probability that the object covers a pixel, to `PointTracks` Gaussians of vertices.
 
     An expert is a history of poses; given it, texture and background are Kalman filters. Gauss-Newton finds
-    the mode of each expert's posterior of the pose on coarse to fine levels. On resampling frames samples
-    about the modes, weighted by the full predictive distribution, become the next experts; on the others each
-    expert goes on at its mode.
+    the mode of each expert's posterior of the pose on coarse to fine levels. In resampling frames, samples
+    around the modes, weighted by the full predictive distribution, become the next experts; in other frames
+    each expert continues at its mode.
 
-    Departures: the picture is divided by its local mean, which removes the light; sums over pixels are
-    tempered to an effective number of independent ones; only the finest level's texture is filtered (see
-    `Texture`); experts start their search dispersed; the object may be lost, and is then searched for in the
-    whole picture. A missing picture changes only the elapsed time: points without a picture are not used.
+    Differences from the paper: the image is divided by its local mean, which removes the light; sums over
+    pixels are tempered to an effective number of independent ones; only the texture of the finest level is
+    filtered (see `Texture`); experts start their search dispersed; a lost object is searched for in the whole
+    image. A missing image changes only the elapsed time: points without an image are not used.
 
     Parameters
     ----------
     model
         shape of the object.
     start
-        poses at the first picture, one for all experts or one each; or a function that finds them in it.
+        poses at the first image, one for all experts or one each; or a function that finds them in it.
     experts
         number of experts, eta.
     surface
@@ -169,8 +169,8 @@ class GFlow(PickledByFields):
         px, of patches.
     gain
         Kalman gain of the texels in their steady state at 25 frames a second, from 0 (template) to 1 (optic
-        flow), or `"learned"` for each texel. It stands for a noise per second: at another rate the filter has
-        another gain.
+        flow), or `"learned"` for each texel. It defines a noise per second, so that the gain differs at
+        another rate.
     temperature
         squared grey levels: noise of a texel's prediction in the steady state, tau.
     effective_pixels
@@ -189,22 +189,21 @@ class GFlow(PickledByFields):
         random walk of the pose.
     texture
         of the object if it is known at the start, for one expert. Without it every expert learns its texture
-        from the first picture at its own pose: then they should start from one pose, since an expert that
-        starts off the object learns a wrong texture and never recovers (hence the common texture of Table 2,
-        I).
+        from the first image at its own pose. Then all should start from one pose, since an expert with a
+        wrong start learns a wrong texture and does not recover (hence the common texture of Table 2, I).
     recover
-        detect that the object is lost by the fit of its texture, and search for it all over the picture.
+        detect by the fit of the texture that the object is lost, and search for it in the whole image.
     finder
-        detector of the object for when it may be lost, such as `DetectedFace`. Without one it is found again
-        by its texture only.
+        detector for an object that may be lost, such as `DetectedFace`. Without one it is found again by its
+        texture only.
     background
-        `"experts"`: each expert has its own map of the background, eq. (2), and no other chain's is used.
-        `"shared"`: the background is the one that another chain predicts at the same feature node, if any.
+        `"experts"`: each expert has its own background, eq. (2). `"shared"`: another chain of the same
+        feature node predicts the background, if there is one.
     tracked
         numbers of the vertices that are points of the `PointTracks` node to which the chain is connected, in
         increasing order; their identities there are these numbers.
     occlusion
-        leave out texels that the object occludes itself or shows at a grazing angle.
+        omit texels that are occluded by the object itself, or seen at a grazing angle.
     seed
         of all draws.
     """
@@ -270,17 +269,17 @@ class GFlow(PickledByFields):
 
     @cached_property
     def noise(self) -> TexelNoise:
-        """Noises of which gain and temperature are the steady state, eq. (33)."""
+        """Noise variances with this gain and temperature in the steady state, eq. (33)."""
         return TexelNoise.of_steady_state(0.0 if self.gain == "learned" else self.gain, self.temperature)
 
     @classmethod
     def optic_flow(cls, model: MorphableModel, start: Poses, **more: Any) -> Self:
-        """Constrained optic flow (§4.2): one expert at its mode, its patches as in the last picture."""
+        """Return constrained optic flow (§4.2): one expert at its mode, its patches as in the last image."""
         return cls(model, start, **{**ONE_AT_MODE, "gain": 1.0, "surface": "patches", **more})
 
     @classmethod
     def template(cls, model: MorphableModel, start: Poses, **more: Any) -> Self:
-        """Template matching (§4.3): one expert at its mode, whose texture stays as first seen or as given."""
+        """Return template matching (§4.3): one expert at its mode, with a constant texture."""
         return cls(model, start, **{**ONE_AT_MODE, "gain": 0.0, **more})
 
     def initial(self, frame: Frame) -> GFlowState:
@@ -310,7 +309,7 @@ class GFlow(PickledByFields):
     ) -> PixelMessage | PointMessage:
         """Return the message to a feature (mu_{X -> F}); uniform while the object is lost.
 
-        To pixels: the share of the experts that covers each, at their poses in this picture if other chains
+        To pixels: the weight of the experts that cover each, at their poses in this image if other chains
         predict the background. To points: the predicted positions of the tracked vertices.
         """
         if isinstance(feature, PointTracks):

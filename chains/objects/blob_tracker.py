@@ -50,37 +50,37 @@ FADING = 0.06  # s, time constant with which a mask fades where it reaches too f
 class BlobTracker:
     """Tracker of any number of blobs.
 
-    Lengths that should grow with the picture are shares of its area or of the blob's own size.
+    Lengths are relative to the size of the image or of the blob.
 
     Parameters
     ----------
     min_area
-        share of the picture's area below which a spot of foreground starts no object.
+        minimum area of a new object, as a share of the area of the image.
     mask_time, colour_time
-        s, time constants with which a mask and its colours follow what is seen.
+        s, time constants of the updates of a mask and its colours.
     colour_variance
-        squared grey levels, variance of a new object's colours about the remembered ones; an upper bound.
+        squared grey levels, upper bound of the variance of an object's colours, and its initial value.
     outliers
         share of an object's pixels whose colour is not as remembered.
     strength
-        how much likelier a known object is in front of the background than an unknown one.
+        prior odds of a known object over an unknown one in front of the background.
     likelihood_power
-        exponent of the pixels' likelihood in a registration: neighbours are not independent.
+        exponent of the likelihood of the pixels in registration, since neighbours are not independent.
     acceleration
-        blob lengths/s^2, standard deviation of the random acceleration, which lasts half a second.
+        blob lengths/s^2, standard deviation of the acceleration, with a correlation time of half a second.
     initial_velocity_std
         blob lengths/s, standard deviation of a new blob's velocity.
     max_coast_time, max_hidden_time
-        s for which a blob may stay unseen that should be visible, or that another one hides.
+        s for which an unseen blob is kept: one that should be visible, and one that is hidden by another.
     confirmation_time
-        s for which an object must have been seen before it is reported.
+        s for which an object must be seen before it is reported.
     ghost_threshold
-        nats of evidence from which on a blob is a ghost: log ratio of an outline that is an edge of the
-        background's picture and one that is an edge of the image (see `chains.objects.blob_scene`).
+        nats, evidence above which a blob is a ghost: log ratio of its outline as an edge of the background
+        image over an edge of the image (see `chains.objects.blob_scene`).
     split_time
-        s for which a blob must have had a waist, or the width of two people, before it is split.
+        s for which a blob must look like two people (a narrow waist, or the width of two) before it is split.
     size_time
-        s, time constant with which a blob's usual size follows its box, which bounds its mask.
+        s, time constant of the mean size of a blob, which bounds its mask.
     """
 
     min_area: Positive = 0.0003
@@ -103,13 +103,13 @@ class BlobTracker:
     ports = (Port(PixelLabels, Cavity.OTHERS), Port(ObjectBoxes, optional=True))
 
     def initial(self, frame: Frame) -> BlobState:
-        """Return a state without objects: what stands there at first is background until it moves."""
+        """Return a state without objects: objects in the first frame are background until they move."""
         image = frame.required_image()
         channels = 1 if image.ndim == 2 else image.shape[2]
         return BlobState(Blobs.none(channels), 0, image.shape[:2], 0.0, self.confirmation_time)
 
     def predict(self, state: BlobState, dt: float) -> BlobState:
-        """Predict all blobs `dt` seconds ahead: constant velocity but for a random force."""
+        """Predict all blobs `dt` seconds ahead: constant velocity with white acceleration."""
         blobs = state.blobs
         if len(blobs):
             blobs = detections.predict(blobs, dt, self.acceleration, state.detecting)

@@ -95,19 +95,19 @@ class DetectorState:
 class DetectorRates:
     """Rates of a detector, learned while it runs.
 
-    Each rate has a conjugate Beta or Gamma distribution, whose counts are the state: its means are exact.
-    It is none of the generic chains: the state is neither Gaussian nor one of a few values.
+    Each rate has a conjugate Beta or Gamma distribution, whose counts are the state: its means are exact. No
+    generic chain fits: the state is neither Gaussian nor one of a few values.
 
     Parameters
     ----------
     detection_probability
-        share of the time for which it notices an object that is in sight, at first.
+        initial probability of detecting a visible object.
     clutter
-        false boxes in a frame, at first.
+        initial number of false boxes per frame.
     doubles
-        second boxes of an object that it finds, at first.
+        initial number of second boxes per detected object.
     newcomers
-        1/s, objects that come into the picture, at first.
+        1/s, initial rate of new objects.
     memory
         s, time constant of forgetting.
     """
@@ -122,7 +122,7 @@ class DetectorRates:
     ports = (Port(ObjectBoxes, sole="detector"),)
 
     def initial(self, frame: Frame) -> DetectorState:
-        """Return a detector without observations: the parameters' rates."""
+        """Return the state without observations, with the rates of the parameters."""
         height, width = frame.required_image().shape[:2]
         return DetectorState(
             counts=np.zeros(4),

@@ -143,28 +143,28 @@ class GroundState:
 class GroundPlane:
     """Scene-level chain over the boxes of objects.
 
-    Heights are a linear regression on the foot's row that all objects share, with a share of each object's
-    own (a Kalman filter without dynamics: cameras stay, people keep their size); feet have first-order
-    dynamics. Both take observations for a mixture of good ones and outliers (half hidden, or no person). It
-    is no `LinearGaussianChain`: the regression correlates all objects, and one mixture weight belongs to a
-    height and a foot together.
+    Heights are a linear regression on the row of the feet, common to all objects, with an offset per object
+    (a Kalman filter without dynamics: the camera is fixed, people keep their size); feet have first-order
+    dynamics. Observations are a mixture of inliers and outliers (half hidden, or not a person). It is not a
+    `LinearGaussianChain`, since the regression correlates all objects, and height and foot share one mixture
+    weight.
 
     Parameters
     ----------
     stature
-        standard deviation of people's sizes, as a share.
+        relative standard deviation of the sizes of people.
     height_std
-        standard deviation of one person's height about their own mean (gait, ragged outlines), as a share.
+        relative standard deviation of the height of one person (gait, irregular outlines).
     foot_std
-        heights: standard deviation of the bottom edge's middle about the point on the ground below a person.
+        heights: standard deviation of the middle of the bottom edge around the true ground point.
     acceleration
-        heights/s^2, standard deviation of what moves a foot out of its straight way; it lasts half a second.
+        heights/s^2, standard deviation of the acceleration, with a correlation time of half a second.
     initial_velocity_std
         heights/s, standard deviation of the velocity of a new object.
     outliers
-        share of observations that do not show an object from head to foot.
+        share of observations that do not show a complete object.
     observation_time
-        s after which an observation of the same object is worth a whole new one: outlines err for a while.
+        s after which an observation of the same object is independent: errors of outlines are correlated.
     max_coast_time
         s after which an object without observations ends.
     """
@@ -182,7 +182,7 @@ class GroundPlane:
     ports = (Port(ObjectBoxes),)
 
     def initial(self, frame: Frame) -> GroundState:
-        """Return a state without objects, with a vague perspective: people look taller lower down."""
+        """Return a state without objects, with a vague prior of the perspective."""
         height, width = frame.required_image().shape[:2]
         none = np.zeros(0)
         return GroundState(

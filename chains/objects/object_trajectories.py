@@ -308,7 +308,8 @@ class ObjectTrajectories:
     Parameters
     ----------
     acceleration
-        heights/s^2, standard deviation of a foot's random acceleration, which lasts half a second.
+        heights/s^2, standard deviation of the acceleration of a foot, with a correlation time of half a
+        second.
     growth
         heights/s^2, the same of width and height.
     initial_velocity_std

@@ -44,7 +44,7 @@ FEWEST_FRAMES = 9  # from which an empty scene is found, however large they are
 
 @runtime_checkable
 class SceneModel(Protocol):
-    """Chain of filtering that finds the empty scene of a film, and can start from it."""
+    """Filtering chain that can estimate a background image of a video, and start from it."""
 
     def empty_scene(
         self,
@@ -55,12 +55,12 @@ class SceneModel(Protocol):
     ) -> EmptyScene:
         """Return the empty scene that images `(height, width[, 3])` show, taken at `times` `(n_images,)` s.
 
-        `covered` `(height, width)` is for every image where objects are known to be.
+        `covered` `(height, width)` are the pixels of known objects in each image.
         """
         ...
 
     def initial_in(self, scene: EmptyScene, /) -> Any:
-        """Return the chain's state before the first frame, given the empty scene."""
+        """Return the state of the chain before the first frame, given the background image."""
         ...
 
 
@@ -86,20 +86,20 @@ class SceneTrajectory:
 @checked
 @dataclass(frozen=True)
 class SceneFilter:
-    """Batch chain of background and objects: filtered over a film from its empty scene.
+    """Batch chain of background and objects: a filter that starts from a background image of the whole video.
 
     Parameters
     ----------
     model
-        of filtering chains over one `PixelLabels` and perhaps one `ObjectBoxes`, one of them a `SceneModel`
-        such as `AdaptiveBackground`.
+        of filtering chains over one `PixelLabels` and optionally one `ObjectBoxes`, one of them a
+        `SceneModel` such as `AdaptiveBackground`.
     memory
-        s, for which the beginning of the film says more of its first scene than what comes later: frames
-        that are so much later count 1/e. Cars park and leave, and light changes.
+        s, time constant of the weights of frames for the background image, since cars park and leave, and
+        light changes: frames that are so much later count 1/e.
     most_frames
-        from how many frames the empty scene is found, as long as they take less than `most_bytes`.
+        maximum number of frames for the background image, if they take less than `most_bytes`.
     most_bytes
-        of pictures at once.
+        maximum memory of images.
 
     Raises
     ------
@@ -121,9 +121,9 @@ class SceneFilter:
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: SceneTrajectory | None = None
     ) -> Smoothed[SceneTrajectory]:
-        """Find the empty scene from frames all over the film.
+        """Estimate the background image from frames of the whole video.
 
-        Pixels in boxes that other chains sent do not count.
+        Pixels in boxes of other chains are excluded.
 
         Raises
         ------
@@ -145,7 +145,7 @@ class SceneFilter:
         return Smoothed(SceneTrajectory(self.empty_scene(images, np.array(seen), covered), times, boxes))
 
     def sample_size(self, n_bytes: int) -> int:
-        """Return from how many pictures of `n_bytes` the empty scene is found."""
+        """Return the number of images of `n_bytes` each for the background image."""
         return max(min(self.most_frames, self.most_bytes // n_bytes), FEWEST_FRAMES)
 
     def empty_scene(
@@ -154,7 +154,7 @@ class SceneFilter:
         times: Numbers,
         covered: Sequence[NDArray[np.bool_]] | None = None,
     ) -> EmptyScene:
-        """Return the empty scene of a sample of images: see `SceneModel.empty_scene`."""
+        """Return the background image of a sample of images: see `SceneModel.empty_scene`."""
         return self._background()[1].empty_scene(images, times, covered)
 
     def _background(self) -> tuple[str, SceneModel]:
@@ -203,8 +203,8 @@ class SceneFilter:
     def initial_state(self, trajectory: SceneTrajectory) -> RunState:
         """Return the state of the filter before the first frame.
 
-        The scene is empty. Chains that meet boxes alone are updated with all boxes of the film, and
-        then predicted until all objects have left: what lasts, such as a ground plane, is kept.
+        It has no objects. Chains of boxes only are updated with all boxes of the video, and then predicted
+        until all objects have left: static states, such as a ground plane, are kept.
         """
         state = self.state_in(trajectory.empty, float(trajectory.times[0]))
         states = dict(state.states)
@@ -223,7 +223,7 @@ class SceneFilter:
         return replace(state, states=states)
 
     def state_in(self, empty: EmptyScene, time: float) -> RunState:
-        """Return the state before the first frame, at `time` s, given the empty scene alone."""
+        """Return the state before the first frame, at `time` s, given the background image only."""
         background, model = self._background()
         blank = Frame(np.zeros(empty.shape, np.uint8), time, 1)
         states: dict[str, Any] = {

@@ -104,22 +104,21 @@ class AdaptiveBackground:
     Parameters
     ----------
     prior
-        P(B=1) of a pixel where no other chain predicts anything.
+        P(B=1) of a pixel without other predictions.
     noise
-        squared grey levels: sensor noise plus the scene's own, at first.
+        squared grey levels: initial noise variance of sensor and scene.
     noise_rate
-        1/s, at which a pixel's own noise follows what is seen of it (0: fixed variance as in the paper).
+        1/s, rate at which the noise variance of a pixel is learned (0: fixed variance as in the paper).
     drift
-        squared grey levels per second by which a background value may wander.
+        squared grey levels per second, random walk of a background value.
     first_variance
-        squared grey levels: of a value seen once.
+        squared grey levels: variance of a value seen once.
     settle_time
-        s for which a new colour must stay, where no chain predicts an object, to become background
-        (the second hypothesis); infinite switches it off.
+        s after which a new colour that no chain explains becomes background; infinite switches this off.
     pooling
-        weight of what the 5 x 5 pixels about a pixel show in its own log odds.
+        weight of the evidence of the surrounding 5 x 5 pixels in the log odds of a pixel.
     follow_light
-        estimate a smooth field of light in every frame, so that clouds and lamps do not make foreground.
+        estimate a smooth field of light in every frame, so that clouds and lamps do not become foreground.
     """
 
     prior: Probability = 0.95
@@ -134,12 +133,12 @@ class AdaptiveBackground:
 
     @property
     def ports(self) -> tuple[Port, ...]:
-        """The light of a frame is found in its image before the pixels are predicted."""
+        """The light of a frame is estimated from its image before the pixels are predicted."""
         cavity = Cavity.IMAGE if self.follow_light else Cavity.NOTHING
         return (Port(PixelLabels, cavity, sole="background"),)
 
     def initial(self, frame: Frame) -> BackgroundState:
-        """Return a state whose empty scene is the first image, with the variance of one observation."""
+        """Return a state with the first image as background, with the variance of one observation."""
         image = frame.required_image()
         height, width = image.shape[:2]
         variance, noise = (np.full(height * width, x, np.float32) for x in (self.first_variance, self.noise))
@@ -158,7 +157,7 @@ class AdaptiveBackground:
         )
 
     def predict(self, state: BackgroundState, dt: float) -> BackgroundState:
-        """Predict the background `dt` seconds ahead: variances grow when values are next looked at."""
+        """Predict the background `dt` seconds ahead; variances grow when they are next used."""
         return replace(state, elapsed=state.elapsed + dt)
 
     def message(self, state: BackgroundState, feature: PixelLabels, incoming: Incoming) -> PixelMessage:
@@ -223,10 +222,9 @@ class AdaptiveBackground:
         times: NDArray[np.float64],
         covered: Sequence[NDArray[np.bool_]] | None = None,
     ) -> EmptyScene:
-        """Return the empty scene that a sample of images shows.
+        """Estimate the background image from a sample of images.
 
-        First without knowing how the light changes from image to image, then with the light of each image
-        relative to the scene found so far.
+        First without changes of the light, then with the light of each image relative to the first estimate.
 
         Parameters
         ----------
@@ -235,8 +233,8 @@ class AdaptiveBackground:
         times
             `(n_images,)` s.
         covered
-            `(height, width)` for every image: where objects are known to be, which does not count, unless
-            they always are.
+            `(height, width)` for every image: pixels of known objects, which are excluded unless an object is
+            always there.
         """
         first = self.initial(Frame(images[0], 0.0, 1))
         steady = LightField(first.light, first.size)
@@ -247,7 +245,7 @@ class AdaptiveBackground:
         return scene
 
     def initial_in(self, scene: EmptyScene) -> BackgroundState:
-        """Return the state before the first frame, given the empty scene."""
+        """Return the state before the first frame, given the background image."""
         state = self.initial(Frame(np.zeros(scene.shape, np.uint8), 0.0, 1))
         pixels = fixed_point(scene.mean, scene.variance, scene.noise)
         return replace(state, **pixels._asdict(), light=scene.light)

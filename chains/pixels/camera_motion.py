@@ -57,17 +57,16 @@ class CameraState:
 @short_repr
 @dataclass(frozen=True)
 class CameraMotion:
-    """Chain of a camera that shakes, turns, or slowly drifts about where it looked in the first frame.
+    """Chain of a camera that shakes, turns or slowly drifts around its view in the first frame.
 
-    What the first frame does not show never becomes part of the scene: a camera that pans away from it loses
-    it.
+    The scene is limited to the view of the first frame: a camera that pans away from it loses it.
 
     Parameters
     ----------
     reach
-        share of half the picture's diagonal by which the camera's shake moves places (standard deviation).
+        standard deviation of the motion of image positions, as a share of half the diagonal of the image.
     time
-        s, time constant with which the camera returns to where it rests.
+        s, time constant with which the camera returns to its mean view.
     """
 
     reach: Positive = 0.05
@@ -77,7 +76,7 @@ class CameraMotion:
     ports = (Port(ScenePixels, sole="camera"),)
 
     def initial(self, frame: Frame) -> CameraState:
-        """Return a camera at rest, with the first image as the scene's picture."""
+        """Return a camera at rest, with the first image as the image of the scene."""
         picture = frame.required_image().astype(np.float32)
         return CameraState(self._motion(picture).initial(frame), picture, 0.0)
 
@@ -100,11 +99,11 @@ class CameraMotion:
         return replace(state, where=where, elapsed=state.elapsed + dt)
 
     def message(self, state: CameraState, feature: ScenePixels, incoming: Incoming) -> PixelMessage:
-        """Return the density of the map, with the scene's picture (mu_{C -> F})."""
+        """Return the density of the map, with the image of the scene (mu_{C -> F})."""
         return PixelMessage(view=View.predicted(state.mean, state.covariance, state.picture))
 
     def update(self, state: CameraState, incoming: Incoming) -> CameraState:
-        """Return the map given the frame's registration, and the picture updated at background pixels."""
+        """Return the map given the registration, and the image of the scene updated by background pixels."""
         found = incoming.evidence(ScenePixels)
         if found.image is None:
             return state

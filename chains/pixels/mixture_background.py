@@ -305,23 +305,23 @@ class MixtureState:
 class MixtureBackground:
     """Per-pixel mixture of Gaussians, for scenes in which pixels alternate between several colours.
 
-    It takes the place of `AdaptiveBackground`, but does not follow the light: use it where that is steady.
+    It replaces `AdaptiveBackground` under constant light, which it does not follow.
 
     Parameters
     ----------
     prior
-        P(B=1) of a pixel where no other chain predicts anything.
+        P(B=1) of a pixel without other predictions.
     components
         of a pixel, at most.
     rate
-        share per second by which weights follow what is seen. A new colour that stays becomes background
-        after `-log(background_share) / rate` s, here 4.5.
+        1/s, learning rate. A new constant colour becomes background after `-log(background_share) / rate` s,
+        by default 4.5.
     background_share
-        the most probable components that together weigh more than this are background.
+        the most probable components with a total weight above this are background.
     first_variance
         squared grey levels, of a component seen once.
     pooling
-        weight of what the 5 x 5 pixels about a pixel show in its own log odds.
+        weight of the evidence of the surrounding 5 x 5 pixels in the log odds of a pixel.
     """
 
     prior: Probability = 0.95
@@ -349,7 +349,7 @@ class MixtureBackground:
         return MixtureState((image.shape[0], image.shape[1]), mixture, 0.0)
 
     def predict(self, state: MixtureState, dt: float) -> MixtureState:
-        """Predict the mixture `dt` seconds ahead: it stays, and more is learned from the next frame."""
+        """Predict the mixture `dt` seconds ahead: it is constant; the next learning rate grows."""
         return replace(state, elapsed=state.elapsed + dt)
 
     def message(self, state: MixtureState, feature: PixelLabels, incoming: Incoming) -> PixelMessage:
@@ -359,9 +359,9 @@ class MixtureBackground:
     def update(self, state: MixtureState, incoming: Incoming) -> MixtureState:
         """Update the mixture by the frame, at each pixel's own rate.
 
-        It is `rate` times r / P(B=1), where r = P(B=1 | everything else). That factor is one where no other
-        chain speaks. Where others are sure of background that shows itself as something else (an object of
-        the first image that has left), that colour is taken for it at once.
+        It is `rate` times r / P(B=1), where r = P(B=1 | everything else). That factor is 1 without other
+        chains. If others are certain of background with a different colour (an object of the first image has
+        left), the colour is learned at once.
         """
         image = incoming.evidence(PixelLabels).image
         if image is None:

@@ -457,14 +457,14 @@ class FeatureTracks:
 @short_repr
 @dataclass(frozen=True)
 class FeatureMatcher:
-    """Batch chain of points matched by their features, however far they move between pictures.
+    """Batch chain of points matched by their features between distant images.
 
     Parameters
     ----------
     n_points
-        number of points to keep in each picture, those seen most often.
+        number of points per image, those seen most often.
     n_features
-        number of features of a picture to match.
+        number of features per image to match.
     """
 
     n_points: Count = 500
@@ -476,10 +476,10 @@ class FeatureMatcher:
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: FeatureTracks | None = None
     ) -> Smoothed[FeatureTracks]:
-        """Match the features of all pictures.
+        """Match the features of all images.
 
         In later rounds matches have to agree with the predictions of other chains, and points are searched
-        for at these. Frames with given points have no others.
+        for at these. Frames with given points are not matched.
         """
         if current is None:
             tracks = self._match_pictures(incoming_over_time)
@@ -494,7 +494,7 @@ class FeatureMatcher:
         feature: PointTracks,
         incoming_over_time: Sequence[BatchIncoming] = (),
     ) -> list[PointMessage]:
-        """Return uniform messages: a position in one picture does not predict that in another."""
+        """Return uniform messages: a position in one image does not predict that in another."""
         return [PointMessage.uniform()] * len(trajectory.areas)
 
     def _match_pictures(self, incoming_over_time: Sequence[BatchIncoming]) -> FeatureTracks:

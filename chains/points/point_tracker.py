@@ -545,21 +545,21 @@ REMEMBERED = 4  # lost points that are kept in filtering, for each tracked one
 class PointTracker:
     """Tracker of independent points with constant velocity and random acceleration.
 
-    In pictures new points begin at corners without a tracked point. A point ends when it leaves the picture,
-    when its position is too uncertain, or when it is found on an older one. Points that are given with the
-    frames keep their identities; scales then follow from the noise of the feature node, whatever their unit.
+    In images, new points begin at corners without a tracked point. A point ends when it leaves the image,
+    when its position is too uncertain, or when it coincides with an older one. Points given with the frames
+    keep their identities; scales then follow from the noise of the feature node, in any unit.
 
     Parameters
     ----------
     n_points
-        number of points to track in pictures.
+        number of points to track in images.
     spacing
-        px, least distance of a new point from the others.
+        px, minimum distance of a new point from the others.
     acceleration
-        px/s^2, standard deviation of the acceleration, whose correlation time is half a second. By default it
-        is learned: such that half of the points are found inside their 50 % regions.
+        px/s^2, standard deviation of the acceleration, with a correlation time of half a second. By default
+        it is learned such that half of the points are found inside their 50 % regions.
     max_position_std
-        px in pictures, standard deviation of a position from which on a point is lost.
+        px (in images), standard deviation of a position above which a point is lost.
     """
 
     n_points: Count = 300
@@ -581,7 +581,7 @@ class PointTracker:
         return predict_state(state, dt)
 
     def message(self, state: TrackerState, feature: PointTracks, incoming: Incoming) -> PointMessage:
-        """Return predicted positions (mu_{X -> F}), patches, also of lost points, and the last picture."""
+        """Return predicted positions (mu_{X -> F}), patches, also of lost points, and the last image."""
         return predict_message(state)
 
     def update(self, state: TrackerState, incoming: Incoming) -> TrackerState:
@@ -613,10 +613,10 @@ class PointTracker:
     ) -> Smoothed[PointTrajectory]:
         """Smooth the points of all frames, given all evidence and the messages of other chains.
 
-        In pictures points are tracked from frame to frame as in filtering. In later rounds the points of the
-        last round are searched for again, in all frames: at the positions that other chains predict, and from
-        where they were found first; there are no new ones. Identities that others take for one point and that
-        look alike are joined, and so are those that are found at one place in several frames.
+        In images, points are tracked from frame to frame as in filtering. In later rounds the points of the
+        last round are searched for again in all frames, at the positions that other chains predict; there are
+        no new ones. Identities are joined if other chains consider them one point and their patches are
+        similar, or if they coincide in several frames.
         """
         others = [incoming.others(PointTracks) for incoming in incoming_over_time]
         if any(incoming.frame.image is not None for incoming in incoming_over_time):

@@ -89,19 +89,18 @@ class StructureTrajectory:
 class FactorStructure:
     """Batch chain of shape and motion over `PointTracks`: cameras M_t, points S_i, RSMCM eq. (18) to (20).
 
-    The message to a point is N(M_t (S_i, 1), P_ti) with P_ti the covariance that shape and cameras leave and
-    the features' own scatter; `same_as` groups the tracks of one point. Variances of what
-    comes in count up to a common factor that is learned. Frames are taken to be evenly spaced: a step of eq.
-    (19) is one from frame to frame. Places are right with a probability that is learned, or else outliers;
-    see `factorise_robustly`.
+    The message to a point is N(M_t (S_i, 1), P_ti), with P_ti the covariance from shape, cameras and model
+    error; `same_as` groups the tracks of one point. Variances of observations are known up to a common
+    factor, which is learned. Frames are assumed to be evenly spaced: a step of eq. (19) is one frame.
+    Positions are inliers with a learned probability, or outliers; see `factorise_robustly`.
 
     Parameters
     ----------
     coherence
-        whether cameras move smoothly, eq. (19), or each frame is on its own.
+        whether cameras move smoothly, eq. (19), or are independent.
     associate
         whether partial tracks may show the same point; see `associate_tracks`. If not, every track is a
-        point of its own.
+        separate point.
     """
 
     coherence: bool = True
@@ -113,7 +112,7 @@ class FactorStructure:
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: StructureTrajectory | None = None
     ) -> Smoothed[StructureTrajectory]:
-        """Return shape and cameras fitted to `incoming`, from scratch, so that no early error stays.
+        """Return shape and cameras fitted to `incoming` from scratch, so that early errors do not persist.
 
         Raises
         ------

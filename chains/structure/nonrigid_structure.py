@@ -51,17 +51,17 @@ class NonrigidTrajectory:
 class NonrigidStructure:
     """Batch chain of a deforming shape and its poses over `PointTracks`, in place of `FactorStructure`.
 
-    The message to a point is its expected place, and the covariance that pose, weights and bases leave, with
-    the features' own scatter, in every frame that shows four points or more; whether the point is seen there
-    or not. `same_as` groups the tracks of one point.
+    The message to a point is its predicted position with the covariance from pose, weights, bases and model
+    error, in every frame that shows four points or more, whether the point is visible or not. `same_as`
+    groups the tracks of one point.
 
     Parameters
     ----------
     bases
-        number of morph bases with the mean shape, 2 or more.
+        number of morph bases including the mean shape, 2 or more.
     associate
         whether partial tracks may show the same point; see `learn_associated`. If not, every track is a
-        point of its own.
+        separate point.
     """
 
     bases: Annotated[int, at_least(2)] = 3

@@ -630,20 +630,19 @@ class StructureState:
 class RecursiveStructure:
     """Rigid shape and camera motion, from the points that others track; RSMCM eq. (18) to (20), filtered.
 
-    The message to a point is `N(M_-i (S_i, 1), P_i)` with `M_-i` the camera that the frame's other points
-    show (its cavity; where none is seen, the camera's motion) and P_i the covariance that this camera and
-    S_i leave.
+    The message to a point is `N(M_-i (S_i, 1), P_i)`, with `M_-i` the camera from the other points of the
+    frame (the predicted camera if there are none), and P_i the covariance from this camera and S_i.
 
-    Until the points' motion determines a shape its message is uniform: with a static camera, a flat scene, or
-    fewer than six points always. When the camera is lost (another scene, no point of the shape in sight), the
-    shape ends and a new one begins.
+    Its message is uniform until the motion determines a shape (never with a static camera, a flat scene, or
+    fewer than six points). When the camera is lost (another scene, no visible point of the shape), the shape
+    ends and a new one begins.
 
     Parameters
     ----------
     max_coast_time
         s after which a point without observations ends.
     max_points
-        that are kept; those that were seen longest ago end first.
+        maximum number of points; those not seen for longest end first.
     """
 
     max_coast_time: Positive = 20.0
@@ -667,8 +666,8 @@ class RecursiveStructure:
     def message(self, state: StructureState, feature: PointTracks, incoming: Incoming) -> PointMessage:
         """Return the densities of all points' positions (mu_{S -> F}); uniform as long as there is no shape.
 
-        All points depend on one camera, which a message of independent points cannot hold: each gets its own
-        marginal, given its cavity's information about the other points.
+        All points depend on one camera, which a message of independent points cannot represent: each gets its
+        own marginal, given the other points.
         """
         structure = state.structure
         if structure is None or not len(structure):

@@ -78,32 +78,32 @@ class LinearGaussianState:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class LinearGaussianChain:
-    """Kalman filter of each of the things on a feature: objects, points, or one vector.
+    """Kalman filter for each identity of a feature: objects, points, or one vector.
 
-    Of a thing's state x and its features z after a step of dt seconds:
+    For a state x and its feature z after a step of dt seconds:
 
         p(x' | x) = N(x'; F(dt) x, Q(dt)),    p(z | x) = N(z; H x, R)
         mu_{X -> F} = N(z; H m, H P H' + R)
 
-    A thing begins when a message first has information about it, with the initial state given that message,
-    and ends when there was none for longer than `max_coast_time`.
+    An identity begins with the first message that has information about it, and ends after `max_coast_time`
+    without information.
 
     Parameters
     ----------
     F, Q
-        `(n, n)` transition and covariance of its noise, of a step or as functions of `dt`.
+        `(n, n)` transition and process noise covariance, for one step or as functions of `dt`.
     H, R
-        `(d, n)` and `(d, d)`: features of a state, and covariance of what they scatter about it; `None` for
-        features that are the state, and for no scatter.
+        `(d, n)` observation matrix and `(d, d)` covariance of the feature given the state; `None` for the
+        identity and for 0.
     features
         class of the feature node, whose messages have `gaussians`: `ObjectBoxes` (foot x, foot y, width,
         height), `PointTracks` (x, y), `GaussianFeature`.
     initial_mean, initial_covariance
-        `(n,)` and `(n, n)`, of a thing that begins; 0 and the unit matrix where `None`.
+        `(n,)` and `(n, n)`, of a new identity; 0 and the unit matrix if `None`.
     identities
-        of things that are there from the first frame on, and stay.
+        identities that exist from the first frame on and do not end.
     max_coast_time
-        s without information after which another thing ends.
+        s without information after which other identities end.
 
     Raises
     ------
@@ -171,21 +171,21 @@ class LinearGaussianChain:
         return LinearGaussianState(state.identities, mean, covariance, state.unseen + dt)
 
     def gaussians(self, state: LinearGaussianState) -> GaussianMessage:
-        """Return the densities of the features of all things."""
+        """Return the densities of the features of all identities."""
         means, covariances = self._features_of(state)
         return GaussianMessage.from_moments(state.identities, means, covariances)
 
     def message(self, state: LinearGaussianState, feature: FeatureNode[Any], incoming: Incoming) -> Any:
-        """Return the densities of the features of all things (mu_{X -> F})."""
+        """Return the densities of the features of all identities (mu_{X -> F})."""
         uniform = cast(GaussianFactor, feature.uniform())
         return uniform.with_gaussians(self.gaussians(state)) if len(state.identities) else uniform
 
     def update(self, state: LinearGaussianState, incoming: Incoming) -> LinearGaussianState:
-        """Return the states given all of `incoming`, with things that begin and without those that end."""
+        """Return the states given all of `incoming`, with new identities and without those that end."""
         return self.condition(state, incoming[self.features].gaussians)
 
     def condition(self, state: LinearGaussianState, measured: GaussianMessage) -> LinearGaussianState:
-        """Return the states given a factor about their features, which may be flat in any direction.
+        """Return the states given a factor of their features, which may be uniform in some directions.
 
         Covariances are updated in Joseph's form, and stay positive definite.
         """
@@ -249,7 +249,7 @@ class DiscreteState:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class DiscreteChain:
-    """Hidden Markov model: one of a few states, with the forward pass of its probabilities.
+    """Hidden Markov model with a few states, filtered by the forward algorithm.
 
         p(X' = j | X = i) = transition(dt)[i, j],    mu_{X -> F} = sum over i of p(X = i) p(F | X = i)
 
@@ -258,8 +258,8 @@ class DiscreteChain:
     transition
         `(k, k)`, rows of sum 1, of a step or as a function of `dt`, as `lambda dt: expm(dt * rates)`.
     message_of
-        message of probabilities `(k,)` to a feature node: `message_of(probabilities, feature)`. `None` for
-        `Categorical` nodes, with tables p(F | X) by `emission`.
+        message to a feature node for probabilities `(k,)` of the states: `message_of(probabilities,
+        feature)`. `None` for `Categorical` nodes, with tables p(F | X) by `emission`.
     log_likelihood
         nats `(k,)`: log of the integral of p(F | X) times a message at a feature node, for each state:
         `log_likelihood(message, feature)`. `None` for `Categorical` nodes.
@@ -268,8 +268,8 @@ class DiscreteChain:
     initial_probabilities
         `(k,)`; equal where `None`.
     emission
-        `(k, size)` tables p(F | X) of categorical nodes: one for all, or by name of the node; `None` where
-        the feature is the state.
+        `(k, size)` tables p(F | X) of categorical nodes: one for all, or by name of the node; `None` if the
+        feature is the state.
     many
         whether there may be several nodes of a class.
 
@@ -328,7 +328,7 @@ class DiscreteChain:
     def message(self, state: DiscreteState, feature: FeatureNode[Any], incoming: Incoming) -> Any:
         """Return the message of the prediction, given the other features (mu_{X -> F}).
 
-        Of features that are not categorical it has the integral 1.
+        For features that are not categorical it has the integral 1.
         """
         weights, log_scale = self._weighted(state, incoming, without=feature)
         if self.message_of is not None:
@@ -337,7 +337,7 @@ class DiscreteChain:
             return CategoricalMessage(np.log(self._emitted(weights, feature)) + log_scale)
 
     def update(self, state: DiscreteState, incoming: Incoming) -> DiscreteState:
-        """Return the probabilities given all of `incoming`; as they are where nothing fits."""
+        """Return the probabilities given all of `incoming`; unchanged if all likelihoods are 0."""
         return DiscreteState(self._weighted(state, incoming)[0])
 
     def _emitted(self, weights: Array, feature: Named) -> Array:
@@ -420,9 +420,9 @@ class ParticleState:
         return mean, (self.weights * apart.T) @ apart
 
     def reweighed(self, log_factors: Array) -> Self:
-        """Return the posterior: weights times factors, whose mean is the evidence.
+        """Return the samples with weights times factors; the mean factor is the evidence.
 
-        Where nothing fits, weights stay as they are, and the evidence is 0.
+        If all factors are 0, weights do not change, and the log evidence is 0.
         """
         log_weights = self.log_weights + log_factors
         evidence = log_sum(log_weights)
@@ -435,16 +435,16 @@ class ParticleState:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class ParticleChain:
-    """Bootstrap particle filter: particles are moved by the dynamics, and weighted by the likelihood.
+    """Bootstrap particle filter: particles are drawn from the dynamics, and weighted by the likelihood.
 
     N. Gordon, D. Salmond, A. Smith, *Novel approach to nonlinear/non-Gaussian Bayesian state estimation*
     (1993), with systematic resampling. Particles are an array with a row for each, or an object with a length
-    that gives rows by `particles.take(places)`.
+    and a method `take(indices)`.
 
     Parameters
     ----------
     transition
-        draws of p(X' | X): `transition(particles, dt, random)` gives particles, or these and `(n,)` log
+        draws of p(X' | X): `transition(particles, dt, random)` returns particles, or particles and `(n,)` log
         factors of their weights.
     message_of
         message of particles with weights `(n,)` of sum 1 to a feature node, of integral 1:
@@ -453,14 +453,13 @@ class ParticleChain:
         nats `(n,)`: log of the integral of p(F | X) times a message at a feature node, for each particle:
         `log_likelihood(particles, message, feature)`.
     draw_initial
-        draws of the prior: `draw_initial(count, frame, random)` gives so many particles.
+        draws of the prior: `draw_initial(count, frame, random)` returns `count` particles.
     features
         class of the feature nodes, or a tuple of classes.
     count
         number of particles.
     resampling_share
-        particles are resampled in proportion to their weights before a step in which fewer than this share of
-        them is effective; 1 for always.
+        particles are resampled before a step if the effective sample size is below this share; 1 for always.
     seed
         of the random numbers.
     """
@@ -493,7 +492,7 @@ class ParticleChain:
         return ParticleState(particles, np.full(self.count, -log(self.count)), random)
 
     def predict(self, state: ParticleState, dt: float) -> ParticleState:
-        """Return particles moved by `dt` s, after those of little weight were replaced."""
+        """Return particles `dt` s ahead, after resampling if needed."""
         random, particles, log_weights = copied(state.random), state.particles, state.log_weights
         if self.resampling_share == 1 or state.effective < self.resampling_share * self.count:
             places = systematic(log_weights, self.count, random)
