@@ -191,9 +191,9 @@ def point_leverages(listed, cameras, inverses):
 
 ROW = 4
 STATE = 12
+BACK = np.kron([[1.0, -1.0, 0.5], [0.0, 1.0, -1.0], [0.0, 0.0, 1.0]], np.eye(ROW))  # inverse of F in eq. (19)
 
 
-@compiled
 def smooth_cameras(information, vector, precision, noise, start_mean, start_variance):
     """Return posterior of the cameras under eq. (19), and what it says of the motion's noise.
 
@@ -204,140 +204,167 @@ def smooth_cameras(information, vector, precision, noise, start_mean, start_vari
     exp(sum of (vector . m - m . information m / 2) precision) dM; and `(12,)` squares and counts, both
     positive, whose difference is twice its derivative by `noise`.
     """
-    n_frames = information.shape[0]
-    first = 0
-    while first < n_frames - 1 and information[first, ROW - 1, ROW - 1] <= 0.0:
-        first += 1
-    mean, spread = start_mean.copy(), np.diag(start_variance)
-    filtered, log_evidence = _filtered(information, vector, precision, noise, first, mean, spread)
+    n_frames = len(information)
+    seen = np.flatnonzero(information[:, -1, -1] > 0)
+    first = int(seen[0]) if len(seen) else n_frames - 1
+    n = n_frames - first
+    means, spreads = np.empty((n, STATE, 2)), np.empty((n, STATE, STATE))
+    means[0], spreads[0] = start_mean, np.diag(start_variance)
+    filtered = means, spreads, np.empty((n, ROW, STATE)), np.empty((n, ROW, ROW)), np.empty((n, ROW, 2))
+    log_evidence = _filter(
+        np.ascontiguousarray(information[first:]), vector[first:], precision, noise, *filtered
+    )
     cameras, covariance = np.empty((n_frames, 2, ROW)), np.empty((n_frames, ROW, ROW))
-    squares, counts = _smoothed(filtered, first, mean, spread, cameras, covariance)
-    for t in range(first - 1, -1, -1):
-        for j in range(STATE):
-            spread[j, j] += noise[j]
-        _undo(mean)
-        _undo(spread)
-        _undo(spread.T)
-        _read(mean, spread, cameras[t], covariance[t])
+    squares, counts, pull, stiffness = _smooth(*filtered, cameras[first:], covariance[first:])
+    if first > 0:
+        spread = spreads[0] - spreads[0] @ stiffness @ spreads[0]
+        mean = means[0] + spreads[0] @ pull
+        for t in range(first - 1, -1, -1):
+            mean, spread = BACK @ mean, BACK @ (spread + np.diag(noise)) @ BACK.T
+            cameras[t] = mean[:ROW].T
+            covariance[t] = 0.5 * (spread + spread.T)[:ROW, :ROW]
     return cameras, covariance, log_evidence, squares, counts
 
 
-@inlined
-def _filtered(information, vector, precision, noise, first, mean, spread):
-    """The way forward, from the state `mean`, `spread` (changed in place) of frame `first`."""
-    n_frames = information.shape[0]
-    means, spreads = np.empty((n_frames, STATE, 2)), np.empty((n_frames, STATE, STATE))
-    ahead, gains = np.empty((n_frames, STATE, ROW)), np.empty((n_frames, ROW, ROW))
-    shrinks = np.empty((n_frames, ROW, ROW))
-    innovations = np.empty((n_frames, ROW, 2))
-    scaled, left = np.empty((ROW, ROW)), np.empty((STATE, ROW))
+@compiled
+def _filter(information, vector, precision, noise, means, spreads, updates, gains, innovations):
+    """Fill filtered states from those of the first frame before its update; return the log evidence.
+
+    `updates` B and `gains` G take what later frames say back through an update, which changes the first four
+    rows of pull p and stiffness S: B p + innovation; B S, and B S B^T + G.
+    """
+    scaled, table, left = np.empty((ROW, ROW)), np.empty((ROW, 2 * ROW)), np.empty((STATE, ROW))
     log_evidence = 0.0
-    for t in range(first, n_frames):
-        if t > first:
-            _advance(mean)
-            _advance(spread)
-            _advance(spread.T)
+    for t in range(information.shape[0]):
+        mean, spread, update = means[t], spreads[t], updates[t]
+        if t > 0:
+            _advance(means[t - 1], mean)
+            _advance(spreads[t - 1], spread)
             for j in range(STATE):
+                for k in range(ROW):
+                    spread[j, k] += spread[j, ROW + k] + 0.5 * spread[j, 2 * ROW + k]
+                    spread[j, ROW + k] += spread[j, 2 * ROW + k]
                 spread[j, j] += noise[j]
         for j in range(ROW):
             for k in range(ROW):
                 scaled[j, k] = precision * information[t, j, k]
-        ahead[t] = spread[:, :ROW]
-        shrink = shrinks[t]
-        log_evidence -= _shrinkage(scaled, spread, shrink)
-        log_evidence += _innovate(scaled, vector[t], precision, mean, spread, shrink, innovations[t])
-        _multiply(shrink, scaled, gains[t])
-        _multiply(ahead[t], gains[t], left)
-        for j in range(STATE):
-            for c in range(2):
+        log_evidence -= _invert_sum(scaled, spread, table)
+        for j in range(ROW):
+            for k in range(ROW):
+                update[j, k] = table[j, ROW + k]
+                total = 0.0
                 for n in range(ROW):
-                    mean[j, c] += ahead[t, j, n] * innovations[t, n, c]
+                    total += table[j, ROW + n] * scaled[n, k]
+                gains[t, j, k] = total
+            for k in range(ROW, STATE):
+                total = 0.0
+                for n in range(ROW):
+                    total -= gains[t, j, n] * spread[n, k]
+                update[j, k] = total
+        for c in range(2):
+            for j in range(ROW):
+                explained = 0.0
+                for k in range(ROW):
+                    explained += scaled[j, k] * mean[k, c]
+                pull = precision * vector[t, j, c]
+                log_evidence += mean[j, c] * (pull - 0.5 * explained)
+                left[j, c] = pull - explained
+            for j in range(ROW):
+                total = 0.0
+                for k in range(ROW):
+                    total += update[j, k] * left[k, c]
+                innovations[t, j, c] = total
+            for j in range(STATE):
+                total = 0.0
+                for k in range(ROW):
+                    total += spread[j, k] * innovations[t, k, c]
+                mean[j, c] += total
+                if j < ROW:
+                    log_evidence += 0.5 * left[j, c] * total
         # the first four columns as a product: their difference from the prediction would cancel
         for j in range(ROW, STATE):
             for k in range(ROW, j + 1):
                 total = spread[j, k]
                 for n in range(ROW):
-                    total -= left[j, n] * ahead[t, k, n]
+                    total += spread[j, n] * update[n, k]
                 spread[j, k] = spread[k, j] = total
-        _multiply(ahead[t], shrink, left)
+        for j in range(STATE):
+            for k in range(ROW):
+                total = 0.0
+                for n in range(ROW):
+                    total += spread[j, n] * update[n, k]
+                left[j, k] = total
         for j in range(STATE):
             for k in range(min(j + 1, ROW)):
                 value = 0.5 * (left[j, k] + left[k, j]) if j < ROW else left[j, k]
                 spread[j, k] = spread[k, j] = value
-        means[t] = mean
-        spreads[t] = spread
-    return (means, spreads, ahead, gains, shrinks, innovations), log_evidence
+    return log_evidence
 
 
-@inlined
-def _smoothed(filtered, first, mean, spread, cameras, covariance):
-    """The way back to frame `first`, whose state is written to `mean`, `spread`; and every frame's camera."""
-    means, spreads, ahead, gains, shrinks, innovations = filtered
-    product = np.empty((STATE, STATE))
+@compiled
+def _smooth(means, spreads, updates, gains, innovations, cameras, covariance):
+    """Fill cameras and covariance, back from the last frame; return squares and counts.
+
+    Also what later frames say of the first filtered state x, P: x + P pull, P - P stiffness P.
+    """
     squares, counts = np.zeros(STATE), np.zeros(STATE)
-    # what later frames say of a prediction: x + P pull, P - P stiffness P
     pull, stiffness = np.zeros((STATE, 2)), np.zeros((STATE, STATE))
-    for t in range(means.shape[0] - 1, first - 1, -1):
+    product, moved = np.empty((ROW, STATE)), np.empty((ROW, 2))
+    for t in range(means.shape[0] - 1, -1, -1):
+        spread, update = spreads[t], updates[t]
         for j in range(STATE):
             squares[j] += pull[j, 0] ** 2 + pull[j, 1] ** 2
             counts[j] += 2.0 * stiffness[j, j]
         _retreat(pull)
         _retreat(stiffness)
-        _retreat(stiffness.T)
-        _multiply(stiffness, spreads[t], product)
-        rows = STATE if t == first else ROW
-        for j in range(rows):
+        for j in range(STATE):
+            for k in range(ROW):
+                stiffness[j, 2 * ROW + k] += stiffness[j, ROW + k] + 0.5 * stiffness[j, k]
+                stiffness[j, ROW + k] += stiffness[j, k]
+        _multiply(spread, stiffness, product)
+        for j in range(ROW):
             for c in range(2):
                 total = means[t, j, c]
                 for n in range(STATE):
-                    total += spreads[t, j, n] * pull[n, c]
-                mean[j, c] = total
+                    total += spread[j, n] * pull[n, c]
+                cameras[t, c, j] = total
             for k in range(j + 1):
-                total = spreads[t, j, k]
+                total = spread[j, k]
                 for n in range(STATE):
-                    total -= spreads[t, j, n] * product[n, k]
-                spread[j, k] = spread[k, j] = total
-        _read(mean, spread, cameras[t], covariance[t])
-        _through_update(pull, ahead[t], gains[t], shrinks[t])
-        _through_update(stiffness, ahead[t], gains[t], shrinks[t])
-        _through_update(stiffness.T, ahead[t], gains[t], shrinks[t])
+                    total -= product[j, n] * spread[n, k]
+                covariance[t, j, k] = covariance[t, k, j] = total
+        if t == 0:
+            break
+        _multiply(update, stiffness, product)
         for j in range(ROW):
             for c in range(2):
-                pull[j, c] += innovations[t, j, c]
-            for k in range(ROW):
-                stiffness[j, k] += gains[t, j, k]
-    return squares, counts
+                total = innovations[t, j, c]
+                for n in range(STATE):
+                    total += update[j, n] * pull[n, c]
+                moved[j, c] = total
+            for k in range(ROW, STATE):
+                stiffness[j, k] = stiffness[k, j] = product[j, k]
+            for k in range(j + 1):
+                total = 0.5 * (gains[t, j, k] + gains[t, k, j])
+                for n in range(STATE):
+                    total += product[j, n] * update[k, n]
+                stiffness[j, k] = stiffness[k, j] = total
+        for j in range(ROW):
+            pull[j, 0], pull[j, 1] = moved[j, 0], moved[j, 1]
+    return squares, counts, pull, stiffness
 
 
-@inlined
-def _read(mean, spread, camera, covariance):
-    """Write the camera that is part of a state, and its covariance."""
+@compiled
+def _advance(before, after):
+    """Write F times a matrix of 12 rows, with F of eq. (19)."""
     for j in range(ROW):
-        for c in range(2):
-            camera[c, j] = mean[j, c]
-        for k in range(ROW):
-            covariance[j, k] = spread[j, k]
+        for c in range(after.shape[1]):
+            after[j, c] = before[j, c] + before[ROW + j, c] + 0.5 * before[2 * ROW + j, c]
+            after[ROW + j, c] = before[ROW + j, c] + before[2 * ROW + j, c]
+            after[2 * ROW + j, c] = before[2 * ROW + j, c]
 
 
-@inlined
-def _undo(rows):
-    """F^-1 times a matrix of 12 rows, in place."""
-    for j in range(ROW):
-        for c in range(rows.shape[1]):
-            rows[ROW + j, c] -= rows[2 * ROW + j, c]
-            rows[j, c] -= rows[ROW + j, c] + 0.5 * rows[2 * ROW + j, c]
-
-
-@inlined
-def _advance(rows):
-    """F times a matrix of 12 rows, in place, with F of eq. (19)."""
-    for j in range(ROW):
-        for c in range(rows.shape[1]):
-            rows[j, c] += rows[ROW + j, c] + 0.5 * rows[2 * ROW + j, c]
-            rows[ROW + j, c] += rows[2 * ROW + j, c]
-
-
-@inlined
+@compiled
 def _retreat(rows):
     """F^T times a matrix of 12 rows, in place."""
     for j in range(ROW):
@@ -346,66 +373,30 @@ def _retreat(rows):
             rows[ROW + j, c] += rows[j, c]
 
 
-@inlined
-def _through_update(rows, ahead, gain, shrink):
-    """(I - H^T G H P) times 12 rows, in place; `ahead` is P H^T, `shrink` spares a difference."""
-    for c in range(rows.shape[1]):
-        v0 = v1 = v2 = v3 = 0.0
-        for n in range(ROW, STATE):
-            v0 += ahead[n, 0] * rows[n, c]
-            v1 += ahead[n, 1] * rows[n, c]
-            v2 += ahead[n, 2] * rows[n, c]
-            v3 += ahead[n, 3] * rows[n, c]
-        w0, w1, w2, w3 = rows[0, c], rows[1, c], rows[2, c], rows[3, c]
-        for j in range(ROW):
-            kept = shrink[j, 0] * w0 + shrink[j, 1] * w1 + shrink[j, 2] * w2 + shrink[j, 3] * w3
-            rows[j, c] = kept - (gain[j, 0] * v0 + gain[j, 1] * v1 + gain[j, 2] * v2 + gain[j, 3] * v3)
-
-
-@inlined
+@compiled
 def _multiply(one, other, out):
-    """Write `one @ other` to `out`: small matrices, for which a call of BLAS costs more than the work."""
-    for j in range(one.shape[0]):
-        for k in range(other.shape[1]):
-            total = 0.0
-            for n in range(other.shape[0]):
-                total += one[j, n] * other[n, k]
-            out[j, k] = total
+    """Write the first four rows of `one @ other`, with `other` 12x12."""
+    for j in range(ROW):
+        for k in range(STATE):
+            out[j, k] = 0.0
+        for n in range(STATE):
+            for k in range(STATE):
+                out[j, k] += one[j, n] * other[n, k]
 
 
-@inlined
-def _innovate(scaled, vector, precision, mean, spread, shrink, innovation):
-    """Write u, with mean + P H^T u the filtered mean; return the exponent of the log evidence."""
-    exponent = 0.0
-    for c in range(2):
-        residual = np.empty(ROW)
-        for j in range(ROW):
-            explained = 0.0
-            for k in range(ROW):
-                explained += scaled[j, k] * mean[k, c]
-            residual[j] = precision * vector[j, c]
-            exponent += mean[j, c] * (residual[j] - 0.5 * explained)
-            residual[j] -= explained
-        d0, d1, d2, d3 = residual[0], residual[1], residual[2], residual[3]
-        for j in range(ROW):
-            innovation[j, c] = shrink[j, 0] * d0 + shrink[j, 1] * d1 + shrink[j, 2] * d2 + shrink[j, 3] * d3
-        for j in range(ROW):
-            for k in range(ROW):
-                exponent += 0.5 * residual[j] * spread[j, k] * innovation[k, c]
-    return exponent
+@compiled
+def _invert_sum(scaled, spread, table):
+    """Write W = (I + information P)^-1 as the last four columns, by elimination with pivots.
 
-
-@inlined
-def _shrinkage(scaled, spread, shrink):
-    """Write W = (I + information P)^-1 (4, 4), by elimination with pivots; return log |W^-1|."""
-    table = np.zeros((ROW, 2 * ROW))
+    Returns log |W^-1|.
+    """
     for j in range(ROW):
         for k in range(ROW):
             total = 1.0 if j == k else 0.0
+            table[j, ROW + k] = total
             for n in range(ROW):
                 total += scaled[j, n] * spread[n, k]
             table[j, k] = total
-        table[j, ROW + j] = 1.0
     log_determinant = 0.0
     for j in range(ROW):
         best = j
@@ -424,9 +415,6 @@ def _shrinkage(scaled, spread, shrink):
                 factor = table[k, j]
                 for n in range(2 * ROW):
                     table[k, n] -= factor * table[j, n]
-    for j in range(ROW):
-        for k in range(ROW):
-            shrink[j, k] = table[j, ROW + k]
     return log_determinant
 
 
