@@ -7,14 +7,13 @@ either independent, or moving by eq. (19). The posterior is sought in the form q
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...optimisation import Anderson
-from .kernels import frame_moments, invert_information, point_moments, smooth_cameras, squared_error
-from .observations import Array, Observations
+from .kernels import invert_information, smooth_cameras
+from .observations import Array, Observations, SparseObservations
 
 UPPER = np.triu_indices(4)
 DENSE = 0.5  # share of the matrix that must be seen for products of full matrices to be faster than lists
@@ -50,66 +49,57 @@ def camera_moments(cameras: Array, covariance: Array | None = None) -> Array:
 
 
 class Sums:
-    """Weighted sums over the observations.
+    """Weighted sums over observations by frame, of `n_points` points.
 
-    Over lists where the matrix is sparse, as matrix products where most points are seen. Where all are, with
-    equal weights, all points have one normal matrix, and so have all frames: it is repeated without being
-    stored again.
+    Products with sparse matrices, or with full ones where most points are seen. Where all are, with equal
+    weights, all points have one normal matrix, and so have all frames: it is repeated without being stored
+    again.
     """
 
-    def __init__(self, observations: Observations) -> None:
-        self._observations = observations
-        size = observations.n_frames * observations.n_points
-        weight = observations.by_frame.weight
-        self._dense = observations.count > DENSE * size
-        self._equal = observations.count == size and float(np.ptp(weight)) == 0.0
+    def __init__(self, by_frame: SparseObservations, n_points: int) -> None:
+        weight = by_frame.weight
+        size = (len(by_frame.edges) - 1) * n_points
+        self._equal = len(weight) == size and float(np.ptp(weight)) == 0.0
+        tables = [
+            by_frame.matrix(values, n_points) for values in (weight, weight * by_frame.x, weight * by_frame.y)
+        ]
+        if len(weight) > DENSE * size:
+            tables = [table.toarray() for table in tables]
+        self.weight, self._x, self._y = tables
+        self._squares = np.bincount(by_frame.other, weight * (by_frame.x**2 + by_frame.y**2), n_points)
 
-    @cached_property
-    def _tables(self) -> tuple[Array, Array]:
-        """Weights `(n_frames, n_points)` and weighted positions `(2 n_frames, n_points)`."""
-        listed, n_points = self._observations.by_frame, self._observations.n_points
-        n_frames = self._observations.n_frames
-        weight, weighted = np.zeros((n_frames, n_points)), np.zeros((n_frames, 2, n_points))
-        weight[listed.own, listed.other] = listed.weight
-        weighted[listed.own, 0, listed.other] = listed.weight * listed.x
-        weighted[listed.own, 1, listed.other] = listed.weight * listed.y
-        return weight, weighted.reshape(2 * n_frames, n_points)
-
-    @cached_property
-    def _squares(self) -> Array:
-        """Weighted squares of each point's positions."""
-        listed = self._observations.by_point
-        squares = listed.weight * (listed.x**2 + listed.y**2)
-        return np.bincount(listed.own, squares, self._observations.n_points).astype(np.float64)
-
-    @cached_property
+    @property
     def total(self) -> float:
         """Weighted squares of all positions."""
         return float(self._squares.sum())
 
     def of_frames(self, shape: Array, moments: Array) -> tuple[Array, Array]:
-        """Return information `(n_frames, 4, 4)`, vector `(n_frames, 4, 2)` of cameras at noise variance 1."""
-        if not self._dense:
-            information, vector = frame_moments(self._observations.by_frame, shape, moments)
-            return information, vector
-        weight, weighted = self._tables
-        seconds = _summed(moments, len(weight)) if self._equal else weight @ moments
-        vector = weighted @ homogeneous(shape)
-        return _matrices(seconds, _SYMMETRIC), np.ascontiguousarray(
-            vector.reshape(-1, 2, 4).transpose(0, 2, 1)
-        )
+        """Return information `(n_frames, 4, 4)`, vector `(n_frames, 4, 2)` of cameras at noise variance 1.
+
+        `moments` `(n_points, 10)` are E[s s^T], s = (S, 1), as of `shape_moments`.
+        """
+        n_frames = self.weight.shape[0]
+        seconds = _summed(moments, n_frames) if self._equal else self.weight @ moments
+        points = homogeneous(shape)
+        return _matrices(seconds, _SYMMETRIC), np.stack([self._x @ points, self._y @ points], axis=2)
 
     def of_points(self, cameras: Array, moments: Array) -> tuple[Array, Array, Array]:
-        """Return information `(n_points, 3, 3)`, vector `(n_points, 3)`, quadratic `(n_points,)`."""
-        if not self._dense:
-            information, vector, quadratic = point_moments(self._observations.by_point, cameras, moments)
-            return information, vector, quadratic
-        weight, weighted = self._tables
-        seconds = _summed(moments, weight.shape[1]) if self._equal else weight.T @ moments
-        vector = weighted.T @ cameras.reshape(-1, 4)
+        """Return information `(n_points, 3, 3)`, vector `(n_points, 3)`, quadratic `(n_points,)`.
+
+        E[sum_t w |x_t - M_t (S, 1)|^2] = quadratic - 2 vector . S + S . information S. `moments` `(n_frames,
+        10)` are E[m m^T] summed over both rows m, as of `camera_moments`.
+        """
+        n_points = self.weight.shape[1]
+        seconds = _summed(moments, n_points) if self._equal else self.weight.T @ moments
+        vector = self._x.T @ cameras[:, 0] + self._y.T @ cameras[:, 1]
         quadratic = self._squares - 2 * vector[:, 3] + seconds[:, 9]
         information = _matrices(seconds, _SYMMETRIC[:3, :3])
         return information, vector[:, :3] - seconds[:, [3, 6, 8]], quadratic
+
+
+def squared_error(by_frame: SparseObservations, cameras: Array, shape: Array) -> float:
+    """Return the weighted squared error at given cameras and shape."""
+    return float(by_frame.weight @ np.sum(by_frame.errors(cameras, shape) ** 2, axis=0))
 
 
 def _summed(moments: Array, n: int) -> Array:
@@ -122,7 +112,7 @@ def _matrices(seconds: Array, places: NDArray[np.int64]) -> Array:
     if repeated(seconds):
         matrix = seconds[0, places]
         return np.broadcast_to(matrix, (len(seconds), *matrix.shape))
-    return seconds[:, places]
+    return np.take(seconds, places, axis=1)
 
 
 def repeated(matrices: Array) -> bool:
@@ -280,8 +270,9 @@ def expectation_maximisation(
     shape is extrapolated from the last ones, and steps that lower the bound are taken back. Also returns the
     bound at each iteration that counts, before its update of the points; it never falls.
     """
-    sums, by_point = Sums(observations), observations.by_point
-    log_weight = float(np.log(observations.by_frame.weight).sum())
+    by_frame = observations.by_frame
+    sums = Sums(by_frame, observations.n_points)
+    log_weight = float(np.log(by_frame.weight).sum())
     count = 0.5 * observations.numbers  # what is filled in adds as much to the error as to what is divided by
     shape, covariance = posterior.shape, posterior.shape_covariance
     noise, prior = posterior.noise, posterior.prior
@@ -313,7 +304,7 @@ def expectation_maximisation(
         second = covariance + shape[:, :, None] * shape[:, None, :]
         error = float(np.sum(quadratic) - 2 * np.sum(vector * shape) + np.sum(information * second))
         if error < 1e-6 * sums.total:  # a difference of numbers so much larger is rounding
-            error = float(squared_error(by_point, cameras.cameras, shape).sum())
+            error = squared_error(by_frame, cameras.cameras, shape)
             error += float(np.sum(information * covariance)) + _camera_error(sums, cameras.covariance, shape)
         noise = max(error / (2 * count), LEAST_NOISE**2)
         if len(history) > WINDOW and history[-1] - history[-1 - WINDOW] < WINDOW * tolerance:

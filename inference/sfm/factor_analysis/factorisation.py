@@ -20,24 +20,17 @@ from .em import (
     LEAST_VARIANCE,
     CameraPrior,
     Posterior,
+    Sums,
     camera_moments,
     expectation_maximisation,
     first_prior,
     homogeneous,
     shape_moments,
-)
-from .initialisation import RANK, Mask, freedom, grown, mean_filled, regauged, whitened, whitening
-from .kernels import (
-    camera_gradient,
-    eliminate_points,
-    frame_moments,
-    invert_information,
-    point_leverages,
-    point_moments,
-    reduced_step,
     squared_error,
 )
-from .observations import Array, Indices, Observations, as_arrays, determined
+from .initialisation import RANK, Mask, freedom, grown, mean_filled, regauged, whitened, whitening
+from .kernels import invert_information
+from .observations import Array, Indices, Observations, SparseObservations, as_arrays, determined
 
 ACCURACY = 1e-3  # relative, of the solution of the normal equations
 MOST_PRODUCTS = 500
@@ -80,28 +73,26 @@ def variable_projection(
     rank
         2 for a flat shape, whose third axis is 0.
     """
-    by_point, by_frame = observations.by_point, observations.by_frame
-    points = np.diff(by_point.edges) > 0
+    by_frame = observations.by_frame
+    sums = Sums(by_frame, observations.n_points)
+    points = np.diff(observations.by_point.edges) > 0
 
     def linearised(at: LeastSquares) -> Callable[[float], LeastSquares | None]:
         if at.error <= enough:
             return lambda damping: at
-        gradient = camera_gradient(by_point, at.cameras, at.shape)
-        information, _ = frame_moments(by_frame, at.shape, shape_moments(at.shape))
+        gradient = _camera_gradient(by_frame, at.cameras, at.shape)
+        information, _ = sums.of_frames(at.shape, shape_moments(at.shape))
         scale = float(np.einsum("tjj->", information)) / (4 * len(at.cameras))
 
         def step(damping: float) -> LeastSquares | None:
             added = damping * scale
             preconditioner, _ = invert_information(information, np.full(4, added), 1.0)
-            moved = reduced_step(
-                by_point, by_frame, at.cameras, at.shape, at.inverses, information, preconditioner, gradient,
-                added, ACCURACY, MOST_PRODUCTS,
-            )  # fmt: skip
+            moved = _reduced_step(sums, at, information, preconditioner, gradient, added)
             with np.errstate(over="ignore", invalid="ignore"):  # where damping is too small it may run away
                 promised = -float(np.sum(moved * gradient))
             if damping <= NEAR and promised <= tolerance * at.error:
                 return at  # even an undamped step would hardly gain
-            shape, inverses, error = eliminate_points(by_point, at.cameras + moved)
+            shape, inverses, error = eliminate_points(by_frame, sums, at.cameras + moved)
             if not error < at.error:
                 return None
             return LeastSquares(*_in_gauge(at.cameras + moved, shape, inverses, points, rank), error)
@@ -110,7 +101,7 @@ def variable_projection(
 
     cameras = cameras.copy()
     cameras[..., rank:RANK] = 0
-    shape, inverses, error = eliminate_points(by_point, cameras)
+    shape, inverses, error = eliminate_points(by_frame, sums, cameras)
     return levenberg_marquardt(
         LeastSquares(*_in_gauge(cameras, shape, inverses, points, rank), error),
         linearised,
@@ -119,6 +110,70 @@ def variable_projection(
         most_steps=most_steps,
         settled_steps=STILL,
     )[0]
+
+
+ROUNDING = 1e-13  # share of a point's information below which a direction of it is rounding
+
+
+def eliminate_points(by_frame: SparseObservations, sums: Sums, cameras: Array) -> tuple[Array, Array, float]:
+    """Return the best points for given cameras, inverses of their information, and the squared error.
+
+    `(n_points, 3)` and `(n_points, 3, 3)`. Directions that only rounding determines stay at 0.
+    """
+    information, vector, _ = sums.of_points(cameras, camera_moments(cameras))
+    least = ROUNDING * np.trace(information, axis1=1, axis2=2) + 1e-300
+    root = np.zeros((len(vector), RANK, RANK))  # of the inverse, lower triangular: root^T root
+    rows = np.zeros((len(vector), RANK, RANK))  # Cholesky factor, with no row for what is left open
+    for j in range(RANK):
+        rows[:, j, :j] = np.einsum("ik,ijk->ij", information[:, j, :], root)[:, :j]
+        pivot = information[:, j, j] - np.sum(rows[:, j, :j] ** 2, axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            scale = np.where(pivot > least, 1 / np.sqrt(pivot), 0.0)
+        root[:, j, j] = scale
+        root[:, j, :j] = -scale[:, None] * np.einsum("ik,ikj->ij", rows[:, j, :j], root[:, :j, :j])
+    inverses = np.einsum("ikj,ikl->ijl", root, root)
+    shape = np.einsum("ijk,ik->ij", inverses, vector)
+    return shape, inverses, squared_error(by_frame, cameras, shape)
+
+
+def _camera_gradient(by_frame: SparseObservations, cameras: Array, shape: Array) -> Array:
+    """Half the derivative of the squared error by cameras, `(n_frames, 2, 4)`."""
+    points, errors = homogeneous(shape), by_frame.weight * by_frame.errors(cameras, shape)
+    return -np.stack([by_frame.matrix(each, len(shape)) @ points for each in errors], axis=1)
+
+
+def _reduced_step(
+    sums: Sums, at: LeastSquares, information: Array, preconditioner: Array, gradient: Array, damping: float
+) -> Array:
+    """The Gauss-Newton step of cameras `(n_frames, 2, 4)`, points eliminated, by conjugate gradients.
+
+    The matrix is never formed: a product with it goes through all observations twice. It leaves out how the
+    eliminated points' own directions turn (Kaufman). `information` `(n_frames, 4, 4)` is that of cameras at
+    fixed points and `preconditioner` the inverse of it plus `damping`.
+    """
+    n_frames, points = len(gradient), homogeneous(at.shape)
+    rows = at.cameras[..., :RANK]
+    turned = np.ascontiguousarray(rows.transpose(0, 2, 1))
+    step, residual, direction = np.zeros(gradient.shape), -gradient, np.zeros(gradient.shape)
+    before = first = 1.0
+    for turn in range(MOST_PRODUCTS):
+        solved = residual @ preconditioner
+        length = float(np.sum(solved * residual))
+        if turn == 0:
+            first, before = length, np.inf
+        if length <= ACCURACY**2 * first:
+            break
+        direction = solved + length / before * direction
+        before = length
+        of_points = (sums.weight.T @ (turned @ direction).reshape(n_frames, -1)).reshape(-1, RANK, 4)
+        solutions = np.einsum("ijk,ikl,il->ij", at.inverses, of_points, points, optimize=True)
+        pulls = (solutions[:, :, None] * points[:, None, :]).reshape(len(points), -1)
+        of_frames = (sums.weight @ pulls).reshape(n_frames, RANK, 4)
+        product = damping * direction + direction @ information - rows @ of_frames
+        stride = length / max(float(np.sum(product * direction)), 1e-300)
+        step += stride * direction
+        residual -= stride * product
+    return step
 
 
 def _in_gauge(
@@ -164,7 +219,7 @@ def around_start(
     cameras = _bridged(cameras, frames)
     shape[~points] = 0
     part = observations.only(frames, points)
-    error = float(squared_error(part.by_point, cameras, shape).sum())
+    error = squared_error(part.by_frame, cameras, shape)
     noise = max(error / max(freedom(part), 0.1 * part.count), LEAST_VARIANCE)
     covariance = np.tile(np.eye(RANK), (len(shape), 1, 1))
     covariance[points] *= min(noise, 1e-2)
@@ -193,7 +248,7 @@ def around_optimum(observations: Observations, part: Observations, optimum: Leas
     cameras, shape = optimum.cameras, optimum.shape
     noise = max(optimum.error / max(freedom(part), 1.0), LEAST_VARIANCE**2)
     points, frames = np.diff(part.by_point.edges) > 0, np.diff(part.by_frame.edges) > 0
-    information, _, _ = point_moments(part.by_point, cameras, camera_moments(cameras))
+    information, _, _ = Sums(part.by_frame, part.n_points).of_points(cameras, camera_moments(cameras))
     good = points
     for _ in range(2):  # the first spread is that of points which may be anywhere
         mean, change = whitening(shape[good])
@@ -205,9 +260,12 @@ def around_optimum(observations: Observations, part: Observations, optimum: Leas
     shape[~points] = 0
 
     prior = first_prior(cameras[frames], coherent=False)
-    leverages = point_leverages(part.by_frame, cameras, covariance / noise)
-    others = part.by_frame._replace(weight=part.by_frame.weight * (1 - leverages))
-    information, _ = frame_moments(others, shape, shape_moments(shape))
+    by_frame, rows = part.by_frame, cameras[..., :RANK]
+    # leverage of each observation on its own point, 0 to 1
+    turned = np.einsum("tcj,tck->tjk", rows, rows)[by_frame.own]
+    leverages = by_frame.weight * np.einsum("njk,njk->n", turned, covariance[by_frame.other]) / (2 * noise)
+    others = by_frame._replace(weight=by_frame.weight * (1 - np.minimum(leverages, 1.0)))
+    information, _ = Sums(others, part.n_points).of_frames(shape, shape_moments(shape))
     camera_covariance, _ = invert_information(information, np.full(4, LEAST_VARIANCE), 1 / noise)
     posterior = Posterior(cameras, camera_covariance, shape, covariance, noise, prior)
     return _completed(observations, posterior, frames, points)
@@ -220,14 +278,14 @@ def _completed(observations: Observations, posterior: Posterior, frames: Mask, p
     noise = max(posterior.noise, LEAST_VARIANCE)  # or the prior would be lost in rounding
     if not frames.all():
         seen = observations.only(~frames, points).by_frame
-        information, vector = frame_moments(seen, shape, shape_moments(shape, covariance))
+        information, vector = Sums(seen, len(shape)).of_frames(shape, shape_moments(shape, covariance))
         spread, _ = invert_information(information, 1 / posterior.prior.numbers, 1 / noise)
         camera_covariance[~frames] = spread[~frames]
         cameras[~frames] = (spread @ vector / noise)[~frames].transpose(0, 2, 1)
     if not points.all():
-        seen = observations.only(frames, ~points).by_point
+        seen = observations.only(frames, ~points).by_frame
         moments = camera_moments(cameras, camera_covariance)
-        information, pull, _ = point_moments(seen, cameras, moments)
+        information, pull, _ = Sums(seen, len(shape)).of_points(cameras, moments)
         spread, _ = invert_information(information, np.ones(RANK), 1 / noise)
         covariance[~points] = spread[~points]
         shape[~points] = np.einsum("ijk,ik->ij", spread, pull)[~points] / noise
@@ -419,10 +477,11 @@ def _beginning(
 def _with_points(part: Observations, cameras: Array) -> tuple[Array, Array]:
     """Given cameras with the points that fit them best; translations may become frames' middles."""
     listed = part.by_frame
+    sums = Sums(listed, part.n_points)
     counts = np.maximum(np.diff(listed.edges), 1)
     middles = [np.bincount(listed.own, values, part.n_frames) / counts for values in (listed.x, listed.y)]
     centred = np.concatenate([cameras[..., :3], np.stack(middles, axis=1)[..., None]], axis=2)
-    tried = [(each, *eliminate_points(part.by_point, each)) for each in (cameras, centred)]
+    tried = [(each, *eliminate_points(listed, sums, each)) for each in (cameras, centred)]
     best, shape, _, _ = min(tried, key=lambda each: each[3])
     return best, shape
 
@@ -453,7 +512,7 @@ def _in_pixels(
 ) -> Factorisation:
     """The result in px, with the axes of the shape in the order in which they move points."""
     scale, square = observations.scale, observations.scale**2
-    error = float(squared_error(observations.by_point, posterior.cameras, posterior.shape).sum())
+    error = squared_error(observations.by_frame, posterior.cameras, posterior.shape)
     turn = np.eye(4)
     turn[:RANK, :RANK] = _axes(posterior.cameras, np.diff(observations.by_frame.edges))
     axes = turn[:RANK, :RANK]
@@ -520,7 +579,7 @@ FIRST_ROUNDS = 3  # in which the variance of right positions is that of their me
 FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.05, 1e-4, 0.2
 """Of outliers. Where more do not fit, the camera is not affine, and nothing is an outlier."""
 
-ROUNDING, TINY = 1e-12, 1e-300  # of the largest square, and absolutely: the least variance
+LEAST_SHARE_OF_LARGEST, TINY = 1e-12, 1e-300  # of the largest square, and absolutely: the least variance
 MEDIAN = 2 * float(np.log(2))  # of the squared length of a vector of two standard normal numbers
 TRUSTED = 0.5  # probability from which a position is taken to be right
 
@@ -621,7 +680,7 @@ def _noise(squares: Array, right: Array, numbers: Indices, *, first: bool) -> fl
         variance = float(np.median(squares[(right > TRUSTED) & (numbers == numbers.max())])) / MEDIAN
     else:
         variance = float(right @ squares) / float((right * numbers).sum())
-    return max(variance, ROUNDING * float(squares.max()), TINY)
+    return max(variance, LEAST_SHARE_OF_LARGEST * float(squares.max()), TINY)
 
 
 def _free_squares(fit: Factorisation, where: Array, weights: Array, seen: tuple[Indices, Indices]) -> Array:

@@ -6,8 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import svds
 
-from .em import LEAST_NOISE, CameraPrior, camera_moments, estimate_cameras, first_prior, shape_moments
-from .kernels import frame_moments, invert_information, point_moments, squared_error
+from .em import (
+    LEAST_NOISE,
+    CameraPrior,
+    Sums,
+    camera_moments,
+    estimate_cameras,
+    first_prior,
+    shape_moments,
+    squared_error,
+)
+from .kernels import invert_information
 from .observations import LEAST_POINTS, Array, Observations
 
 Mask = NDArray[np.bool_]
@@ -198,7 +207,8 @@ def _clearness(observations: Observations, first: int, length: int, members: Ind
 def _resect(observations: Observations, partial: _PartialStructure, terms: "_Terms") -> bool:
     """Add frames whose camera the known points determine about as well as that of the best one left."""
     part = observations.only(~partial.frames, partial.points)
-    information, vector = frame_moments(part.by_frame, partial.shape, shape_moments(partial.shape))
+    sums = Sums(part.by_frame, part.n_points)
+    information, vector = sums.of_frames(partial.shape, shape_moments(partial.shape))
     strength = np.linalg.eigvalsh(information)[:, 0]
     strength[np.diff(part.by_frame.edges) < terms.points] = 0
     chosen = strength >= max(terms.strength, 0.5 * strength.max(initial=0))
@@ -210,7 +220,8 @@ def _resect(observations: Observations, partial: _PartialStructure, terms: "_Ter
 def _intersect(observations: Observations, partial: _PartialStructure, terms: "_Terms") -> bool:
     """Add points that known cameras determine well enough."""
     part = observations.only(partial.frames, ~partial.points)
-    information, vector, _ = point_moments(part.by_point, partial.cameras, camera_moments(partial.cameras))
+    sums = Sums(part.by_frame, part.n_points)
+    information, vector, _ = sums.of_points(partial.cameras, camera_moments(partial.cameras))
     strength = np.linalg.eigvalsh(information)[:, 0]
     chosen = (np.diff(part.by_point.edges) >= VIEWS) & (strength * terms.spread**2 > partial.noise)
     if chosen.any():
@@ -226,9 +237,10 @@ def _refine(observations: Observations, partial: _PartialStructure, rounds: int)
     all_frames = np.ones(len(partial.cameras), bool)
     views = part.by_frame if partial.prior is None else observations.only(all_frames, partial.points).by_frame
     resected = np.diff(views.edges) >= LEAST_POINTS
+    of_views, of_part = Sums(views, part.n_points), Sums(part.by_frame, part.n_points)
     for _ in range(rounds):
         cameras, shape = whitened(partial.cameras, partial.shape, points)
-        information, vector = frame_moments(views, shape, shape_moments(shape))
+        information, vector = of_views.of_frames(shape, shape_moments(shape))
         if partial.prior is None:
             covariance, _ = invert_information(information[resected], np.full(4, RIDGE), 1.0)
             cameras[resected] = (covariance @ vector[resected]).transpose(0, 2, 1)
@@ -237,7 +249,7 @@ def _refine(observations: Observations, partial: _PartialStructure, rounds: int)
             partial.prior = estimate_cameras(information, vector, noise, partial.prior).better
             estimate = estimate_cameras(information, vector, noise, partial.prior)
             cameras, partial.camera_covariance = estimate.cameras, estimate.covariance
-        information, vector, _ = point_moments(part.by_point, cameras, camera_moments(cameras))
+        information, vector, _ = of_part.of_points(cameras, camera_moments(cameras))
         covariance, _ = invert_information(information[points], np.full(RANK, RIDGE), 1.0)
         shape[points] = np.einsum("ijk,ik->ij", covariance, vector[points])
         partial.cameras, partial.shape = cameras, shape
@@ -246,7 +258,7 @@ def _refine(observations: Observations, partial: _PartialStructure, rounds: int)
 
 def _noise(part: Observations, cameras: Array, shape: Array) -> float:
     """Noise variance that is left by cameras and shape."""
-    error = float(squared_error(part.by_point, cameras, shape).sum())
+    error = squared_error(part.by_frame, cameras, shape)
     return error / max(freedom(part), 0.05 * part.count)
 
 

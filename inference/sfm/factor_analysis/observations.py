@@ -39,7 +39,8 @@ class SparseObservations(NamedTuple):
         """Return the observations of `n` rows, which are sorted by row already."""
         edges = np.zeros(n + 1, np.int64)
         np.cumsum(np.bincount(own, minlength=n), out=edges[1:])
-        return cls(edges, own, other, x, y, weight)
+        # loops are compiled once, for arrays without gaps
+        return cls(edges, *(np.ascontiguousarray(each) for each in (own, other, x, y, weight)))
 
     def transposed(self, n: int) -> Self:
         """Return the observations sorted by the other side, of which there are `n`."""
@@ -47,6 +48,15 @@ class SparseObservations(NamedTuple):
         order = rows.tocsc().data  # faster than sorting
         own, x, y, weight = self.own[order], self.x[order], self.y[order], self.weight[order]
         return self.sorted_by(self.other[order], n, own, x, y, weight)
+
+    def matrix(self, values: Array, n: int) -> csr_array:
+        """Return values of the observations as a matrix; the other side has `n` columns."""
+        return csr_array((values, self.other, self.edges), shape=(len(self.edges) - 1, n))
+
+    def errors(self, cameras: Array, shape: Array) -> Array:
+        """Return `(2, n)`: observed minus predicted, of observations by frame."""
+        rows, points = cameras[self.own], shape[self.other]
+        return np.array([self.x, self.y]) - np.einsum("ncj,nj->cn", rows[..., :3], points) - rows[..., 3].T
 
     def only(self, own: NDArray[np.bool_], other: NDArray[np.bool_]) -> Self:
         """Return the observations of which both sides are kept."""
