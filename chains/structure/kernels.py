@@ -23,7 +23,9 @@ def track_information(tracks, cameras, white, drift, decay):
     determinant = np.zeros(n)
     mean = np.empty((2, 4))  # of the drift, as a linear function of the point: three factors and a constant
     for k in range(n):
-        mean[:] = 0.0
+        for r in range(2):
+            for c in range(4):
+                mean[r, c] = 0.0
         variance = drift
         for o in range(edges[k], edges[k + 1]):
             t = frame[o]
@@ -67,7 +69,7 @@ def track_information(tracks, cameras, white, drift, decay):
 def camera_coupling(tracks, point, homogeneous, cameras, white, drift, decay, least):
     """Return second derivatives of the fit by cameras, and by cameras and points.
 
-    Of both rows of a camera alike: own (4 n_frames, 4 n_frames). With the points: cross (2, n_frames, 4,
+    Of both rows of a camera alike: own (n_frames, 4, n_frames, 4). With the points: cross (2, n_frames, 4,
     n_points, 3). The noise's inverse falls off with the frames between; what is below `least` is left out.
     """
     edges, _, frame, _, _, weight = tracks
@@ -77,15 +79,16 @@ def camera_coupling(tracks, point, homogeneous, cameras, white, drift, decay, le
     longest = 0
     for k in range(len(edges) - 1):
         longest = max(longest, edges[k + 1] - edges[k])
+    mean = np.zeros(longest)
     rows = np.zeros((longest, longest))  # innovations as combinations of the track's observations
     for k in range(len(edges) - 1):
         first, length, p = edges[k], edges[k + 1] - edges[k], point[k]
-        mean = np.zeros(length)
         variance = drift
         for i in range(length):
             if i > 0:
                 kept = decay ** (frame[first + i] - frame[first + i - 1])
-                mean *= kept
+                for j in range(i):
+                    mean[j] *= kept
                 variance = kept * kept * variance + (1.0 - kept * kept) * drift
             spread = variance + white / weight[first + i]
             gain = variance / spread
@@ -119,7 +122,7 @@ def camera_coupling(tracks, point, homogeneous, cameras, white, drift, decay, le
                             cross[r, ti, a, p, b] += entry * homogeneous[p, a] * cameras[tj, r, b]
                             if i != j:
                                 cross[r, tj, a, p, b] += entry * homogeneous[p, a] * cameras[ti, r, b]
-    return own.reshape(4 * n_frames, 4 * n_frames), cross
+    return own, cross
 
 
 @compiled
@@ -151,43 +154,37 @@ def same_point_gains(mean, covariance, apart, spread, gains):
 
 @compiled
 def assign_tracks(
-    order, tracks, information, vector, prior_information, prior_vector, cameras, variance, far, log_new,
-    hard, of_track, member, shares, busy,
+    order, tracks, information, vector, alone, cameras, variance, far, log_new, hard, of_track, member,
+    shares, others, whole, sums, mean, covariance, before, busy,
 ):  # fmt: skip
     """Return the probabilities that tracks show points, in `order`, each without its own observations.
 
-    `information` `(n, 3, 3)` and `vector` `(n, 3)` are of each track, those of the prior of any point. A
-    point is tried if the middle observation of the track, of this variance, is at most `far` squared
-    standard deviations from where cameras show it, or if the track was its own before. `log_new` are the log
-    prior odds that a track shows none of the points against that it shows a certain one; `hard` makes each
-    track a member of one point or none. `of_track` `(n + 1,)`, `member` and `shares` are memberships, track
-    by track. `busy` `(n_points, n_frames)`, how many of its observations each point has in a frame, is
-    changed in place. Returns the new points and probabilities, in the order of the turns, and how many each
+    `information` `(n, 3, 3)` and `vector` `(n, 3)` are of each track, `alone` `(n,)` its log partition
+    together with the prior over that of the prior. A point is tried if the middle observation of the track,
+    of this variance, is at most `far` squared standard deviations from where cameras show it, or if the
+    track was its own before. `log_new` are the log prior odds that a track shows none of the points against
+    that it shows a certain one; `hard` makes each track a member of one point or none. `of_track` `(n + 1,)`,
+    `member` and `shares` are memberships, track by track. What is known of the points is changed in place:
+    sums of memberships `others`, of information `whole` and of vectors `sums`, with mean, covariance and log
+    partition `before`, and `busy` `(n_points, n_frames)`, how many of its observations each has in a frame.
+    Returns `(n_found, 2)` the new points and probabilities, in the order of the turns, and how many each
     turn has.
     """
     edges, _, frame, x, y, weight = tracks
     n, n_points = information.shape[0], busy.shape[0]
-    others, whole, sums = _sum_information(
-        information, vector, prior_information, prior_vector, of_track, member, shares, n_points
-    )
-    mean, covariance, before = np.empty((n_points, 3)), np.empty((n_points, 3, 3)), np.empty(n_points)
-    for p in range(n_points):
-        before[p] = _settle(whole[p], sums[p], mean[p], covariance[p])
-    nothing = _log_partition(prior_information, prior_vector)
     tried, scores = np.empty(n_points, np.int64), np.empty(n_points)
     counts = np.zeros(n, np.int64)
-    points, probabilities = np.empty(2 * n, np.int64), np.empty(2 * n)
-    end = 0
+    found, end = np.empty((2 * n, 2)), 0
+    tried_whole, tried_sums = np.empty((3, 3)), np.empty(3)
+    tried_mean, tried_covariance = np.empty(3), np.empty((3, 3))
     for k in order:
-        alone = _log_partition(prior_information + information[k], prior_vector + vector[k])
         own, most = -1, 0.0  # the point that would be left without a track
         for e in range(of_track[k], of_track[k + 1]):
             p, share = member[e], shares[e]
             others[p] -= share
             if others[p] < 0.5 and share > most:
                 own, most = p, share
-            whole[p] -= share * information[k]
-            sums[p] -= share * vector[k]
+            _add(whole[p], sums[p], -share, information[k], vector[k], whole[p], sums[p])
             before[p] = _settle(whole[p], sums[p], mean[p], covariance[p])
             for o in range(edges[k], edges[k + 1]):
                 busy[p, frame[o]] -= share
@@ -210,8 +207,9 @@ def assign_tracks(
             if free < 1e-3:
                 scores[i] = -1e30
             else:
-                together = _log_partition(whole[p] + information[k], sums[p] + vector[k])
-                scores[i] = together - before[p] - alone + nothing + np.log(free)
+                _add(whole[p], sums[p], 1.0, information[k], vector[k], tried_whole, tried_sums)
+                together = _settle(tried_whole, tried_sums, tried_mean, tried_covariance)
+                scores[i] = together - before[p] - alone[k] + np.log(free)
             highest = max(highest, scores[i])
             if p == own:  # which is what "new" means then
                 scores[i] = max(scores[i], log_new)
@@ -221,9 +219,11 @@ def assign_tracks(
             if scores[i] == highest:
                 best = i
             total += np.exp(max(scores[i] - highest, -80.0))
-        if end + n_tried > len(points):
-            points = np.concatenate((points, np.empty(len(points) + n_tried, np.int64)))
-            probabilities = np.concatenate((probabilities, np.empty(len(probabilities) + n_tried)))
+        if end + n_tried > found.shape[0]:
+            longer = np.empty((2 * found.shape[0] + n_tried, 2))
+            for i in range(end):
+                longer[i, 0], longer[i, 1] = found[i, 0], found[i, 1]
+            found = longer
         for i in range(n_tried):
             p = tried[i]
             share = np.exp(max(scores[i] - highest, -80.0)) / total
@@ -231,34 +231,24 @@ def assign_tracks(
                 share = 1.0 if i == best else 0.0
             if share < 1e-4:
                 continue
-            points[end], probabilities[end] = p, share
+            found[end, 0], found[end, 1] = p, share
             end += 1
             counts[k] += 1
             others[p] += share
-            whole[p] += share * information[k]
-            sums[p] += share * vector[k]
+            _add(whole[p], sums[p], share, information[k], vector[k], whole[p], sums[p])
             before[p] = _settle(whole[p], sums[p], mean[p], covariance[p])
             for o in range(edges[k], edges[k + 1]):
                 busy[p, frame[o]] += share
-    return points[:end], probabilities[:end], counts
+    return found[:end], counts
 
 
 @compiled
-def _sum_information(
-    information, vector, prior_information, prior_vector, of_track, member, shares, n_points
-):
-    """Sums over the tracks of points: shares (n_points,), information and vector, with the prior."""
-    others, whole, sums = np.zeros(n_points), np.empty((n_points, 3, 3)), np.empty((n_points, 3))
-    for p in range(n_points):
-        whole[p] = prior_information
-        sums[p] = prior_vector
-    for k in range(information.shape[0]):
-        for e in range(of_track[k], of_track[k + 1]):
-            p = member[e]
-            others[p] += shares[e]
-            whole[p] += shares[e] * information[k]
-            sums[p] += shares[e] * vector[k]
-    return others, whole, sums
+def _add(whole, sums, share, information, vector, new_whole, new_sums):
+    """Write a point's information with a share of a track's."""
+    for i in range(3):
+        new_sums[i] = sums[i] + share * vector[i]
+        for j in range(3):
+            new_whole[i, j] = whole[i, j] + share * information[i, j]
 
 
 @compiled
@@ -285,7 +275,10 @@ def _near(camera, x, y, noise, far, mean, covariance, tried):
 
 @compiled
 def _settle(information, vector, mean, covariance):
-    """Fill mean (3,) and covariance (3, 3) of what is known of a point; returns its log partition."""
+    """Fill mean (3,) and covariance (3, 3) of what is known of a point; return the log partition.
+
+    That is the log integral of exp(vector . x - x . information x / 2), without log(2 pi).
+    """
     a, b, c = information[0, 0], information[0, 1], information[0, 2]
     d, e, f = information[1, 1], information[1, 2], information[2, 2]
     covariance[0, 0], covariance[0, 1], covariance[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
@@ -299,14 +292,8 @@ def _settle(information, vector, mean, covariance):
         mean[i] = 0.0
         for j in range(3):
             mean[i] += covariance[i, j] * vector[j]
-    return _log_partition(information, vector)
-
-
-@compiled
-def _log_partition(information, vector):
-    """Log integral of exp(vector . x - x . information x / 2), without log(2 pi)."""
-    square, log_root = _whitened(vector, information)
-    return 0.5 * square - log_root
+    square = mean[0] * vector[0] + mean[1] * vector[1] + mean[2] * vector[2]
+    return 0.5 * (square - np.log(determinant))
 
 
 @inlined

@@ -145,8 +145,8 @@ def covariance_of_points(
     whole = np.tile(np.eye(3), (n_points, 1, 1))
     np.add.at(whole, point_of_track, information)
     inverse = np.linalg.inv(whole)
-    own += camera_precision(fit, n_frames) * observations.scale**2
     size = 4 * n_frames
+    own = own.reshape(size, size) + camera_precision(fit, n_frames) * observations.scale**2
     coupling = cross.reshape(2 * size, n_points, 3).transpose(1, 0, 2)
     halves = np.matmul(coupling, np.linalg.cholesky(inverse)).transpose(1, 0, 2).reshape(2 * size, -1)
     marginal = -(halves @ halves.T)
@@ -402,12 +402,20 @@ class _Association:
         alone = np.count_nonzero(np.bincount(membership.indices[membership.data > TORN]) == 1)
         n, n_points = membership.shape
         odds = max((alone + 1) / (n - alone + 1), NEW_POINT / (1 - NEW_POINT))
-        points, shares, counts = assign_tracks(
-            order, tracks, information, vector, prior, prior @ mean, np.ascontiguousarray(self._cameras),
+        pull = prior @ mean
+        alone = log_partition(information + prior, vector + pull) - log_partition(prior, pull)
+        whole, sums = pooled(membership, information) + prior, pooled(membership, vector) + pull
+        covariances = np.ascontiguousarray(np.linalg.inv(whole))
+        means = np.einsum("pij,pj->pi", covariances, sums)
+        others = np.asarray(membership.sum(axis=0), np.float64)
+        found, counts = assign_tracks(
+            order, tracks, information, vector, alone, np.ascontiguousarray(self._cameras),
             noise.white + noise.drift, FAR, float(np.log(n_points * odds)), hard,
             membership.indptr.astype(np.int64), membership.indices.astype(np.int64), membership.data,
+            others, whole, sums, means, covariances, log_partition(whole, sums),
             pooled(membership, self._seen),
         )  # fmt: skip
+        points, shares = found[:, 0].astype(np.int64), found[:, 1]
         own = np.repeat(order, counts[order])
         return csr_array((shares, (own, points)), shape=membership.shape)
 

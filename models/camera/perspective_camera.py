@@ -49,11 +49,6 @@ class PerspectiveCameras:
     principal: Array
 
     @property
-    def arrays(self) -> tuple[Array, Array, Array, float]:
-        """Rotations, scales, shifts and curvature, for compiled loops."""
-        return self.rotations, self.scales, self.shifts, self.curvature
-
-    @property
     def focal(self) -> float:
         """Focal length, px; infinite for a camera far away."""
         return 1 / self.curvature if self.curvature else np.inf

@@ -21,15 +21,7 @@ from ....models.core.short_repr import short_repr
 from ....models.numerics.rotations import exponential
 from ...optimisation import Damping, levenberg_marquardt
 from ..factor_analysis.observations import Array, SparseObservations
-from .kernels import (
-    CAMERA,
-    eliminated,
-    normal_equations,
-    prediction_covariances,
-    put_in,
-    squared_distances,
-    triangulate,
-)
+from .kernels import CAMERA, eliminate_points
 
 HEAVIEST, LIGHTEST = 3.0, 100.0  # degrees of freedom: Cauchy's distribution, and as good as normal
 HARDLY = 0.1  # share of its weight that is left to an outlier: at 5 deviations with the heaviest tails
@@ -111,6 +103,8 @@ class StudentNoise:
         return float(np.mean(slope)) ** 2 / max(float(np.mean(pull)), 1e-300) * left / self.variance
 
 
+ROUNDS = 12  # reweighted linear solutions of each start of a point
+OPEN = 1e-9  # share of a point's information below which a direction of it is rounding; there the point stays
 DAMPING = Damping(1e-3, least=1e-9, most=1e9)
 STILL = 3  # steps in a row that hardly gain: one may be short because it was damped
 BEHIND = 1e6  # px^2, that stands for a point behind a camera, and the largest that is distinguished
@@ -118,7 +112,13 @@ GAUGE = 7  # numbers of a shape's place, turn and size, which no film shows
 
 
 class Sums(NamedTuple):
-    """What `normal_equations` gives."""
+    """Normal equations at given weights: sums of w J^T J and of w J^T r, by blocks.
+
+    The unknowns of a camera are a turn w (R <- exp([w]x) R), log a, and u of `PerspectiveCameras`; of all
+    frames q = 1 / f; of a point X. Blocks of cameras `(n_frames, 6, 6)` and `(n_frames, 6)`; of q with them
+    `(n_frames, 6)`, with itself, and its sum; of points `(n_points, 3, 3)` and `(n_points, 3)`; of the point
+    and the camera of each observation `(n, 3, 6)`; of q and a point `(n_points, 3)`.
+    """
 
     cameras: Array
     camera_vector: Array
@@ -155,8 +155,41 @@ def freedom(listed: SparseObservations, *, focal_known: bool) -> int:
 
 def squares_of(listed: SparseObservations, cameras: PerspectiveCameras, shape: Array) -> Array:
     """Return squared residuals `(n,)` px^2."""
-    squares: Array = squared_distances(listed, *cameras.arrays, shape, NEAREST, BEHIND)
-    return squares
+    _, depths, seen = _seen(cameras.of(listed.other), shape[listed.own])
+    squares = np.sum((np.array([listed.x, listed.y]) - seen.T) ** 2, axis=0)
+    return np.where(depths < NEAREST, BEHIND, np.minimum(squares, BEHIND))
+
+
+def _seen(cameras: PerspectiveCameras, places: Array) -> tuple[Array, Array, Array]:
+    """Return points `(n, 3)`, each turned by a camera of its own, their depths, and px where seen."""
+    turned = np.einsum("nij,nj->ni", cameras.rotations, places)
+    depths = 1 + cameras.curvature * cameras.scales * turned[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        seen = (cameras.scales[:, None] * turned[:, :2] + cameras.shifts) / depths[:, None]
+    return turned, depths, seen
+
+
+def _jacobians(cameras: PerspectiveCameras, places: Array) -> tuple[Array, Array, Array, Array]:
+    """Derivatives of where points are seen by camera `(n, 2, 6)`, place `(n, 2, 3)` and q `(n, 2)`.
+
+    Also where they are seen. All are 0 for a point that is not in front of its camera.
+    """
+    turned, depths, seen = _seen(cameras, places)
+    front = depths >= NEAREST
+    inverse, seen = np.where(front, 1 / np.where(front, depths, 1), 0), np.where(front[:, None], seen, 0)
+    by_turned = cameras.scales * inverse  # of x by p_x; by p_z it is -x q times that
+    bend = cameras.curvature * by_turned[:, None] * seen
+    px, py, pz = turned.T
+    by_camera = np.zeros((len(places), 2, CAMERA))
+    by_camera[:, :, 0], by_camera[:, :, 1] = -bend * py[:, None], bend * px[:, None]
+    by_camera[:, 0, 1] += by_turned * pz
+    by_camera[:, 1, 0] -= by_turned * pz
+    by_camera[:, 0, 2], by_camera[:, 1, 2] = -by_turned * py, by_turned * px
+    by_camera[:, :, 3] = by_turned[:, None] * turned[:, :2] - bend * pz[:, None]
+    by_camera[:, 0, 4] = by_camera[:, 1, 5] = inverse
+    rotations = cameras.rotations
+    by_place = by_turned[:, None, None] * rotations[:, :2] - bend[:, :, None] * rotations[:, 2:]
+    return by_camera, by_place, -seen * (by_turned * pz)[:, None], seen
 
 
 def adjust(
@@ -203,15 +236,83 @@ def adjust(
 
 
 def retriangulated(listed: SparseObservations, bundle: Bundle) -> Array:
-    """Triangulate points `(n_points, 3)` again, where that makes them likelier."""
+    """Triangulate points `(n_points, 3)` again, where that makes them likelier.
+
+    From where they are, from all observations of each alike, and from its first and its last one alone: an
+    outlier spoils one of the starts.
+    """
     noise, shape = bundle.noise, bundle.shape.copy()
-    triangulate(listed, *bundle.cameras.arrays, shape, noise.variance, noise.freedom, NEAREST, BEHIND)
+    cameras, own = bundle.cameras.of(listed.other), listed.own
+    seen = np.array([listed.x, listed.y]).T
+    sums = _sums_of_points(listed)
+
+    def costs(places: Array) -> tuple[Array, Array]:
+        """Minus the log likelihood of each point, and what each observation counts in the next solution."""
+        _, depths, predicted = _seen(cameras, places[own])
+        squares = np.sum((seen - predicted) ** 2, axis=1)
+        squares = np.where(depths < NEAREST, BEHIND, np.minimum(squares, BEHIND))
+        ratio = listed.weight * squares / (noise.freedom * noise.variance)
+        counts = listed.weight / ((1 + ratio) * np.maximum(depths, NEAREST) ** 2)
+        return sums @ np.log1p(ratio), counts
+
+    # equations are linear in the point once its depths are divided out
+    rows = cameras.rotations[:, :2] - (cameras.curvature * seen)[:, :, None] * cameras.rotations[:, 2:]
+    rows *= cameras.scales[:, None, None]
+    aims = seen - cameras.shifts
+    first, last = np.zeros(len(own), bool), np.zeros(len(own), bool)
+    some = np.diff(listed.edges) > 0
+    first[listed.edges[:-1][some]] = last[listed.edges[1:][some] - 1] = True
+    best, counts = costs(shape)
+    starts = counts, listed.weight, np.where(first | last, listed.weight, 0.0)
+    beginning = shape.copy()
+    for counts in starts:
+        tried = beginning
+        for _ in range(ROUNDS):
+            counted = counts[:, None, None] * rows
+            information = (sums @ np.einsum("nci,ncj->nij", counted, rows).reshape(-1, 9)).reshape(-1, 3, 3)
+            vector = sums @ np.einsum("nci,nc->ni", counted, aims)
+            ridge = OPEN * np.trace(information, axis1=1, axis2=2) + 1e-30
+            information += ridge[:, None, None] * np.eye(3)
+            tried = np.linalg.solve(information, (vector + ridge[:, None] * tried)[..., None])[..., 0]
+            cost, counts = costs(tried)
+            better = cost < best
+            best[better], shape[better] = cost[better], tried[better]
     return shape
+
+
+def _sums_of_points(listed: SparseObservations) -> csr_array:
+    """Matrix whose product with numbers of the observations is their sums over those of each point."""
+    n = len(listed.x)
+    return csr_array((np.ones(n), np.arange(n), listed.edges), shape=(len(listed.edges) - 1, n))
 
 
 def sums_of(listed: SparseObservations, weights: Array, cameras: PerspectiveCameras, shape: Array) -> Sums:
     """Return normal equations at the weights `(n,)` of observations."""
-    return Sums(*normal_equations(listed, weights, *cameras.arrays, shape, NEAREST))
+    by_camera, by_place, by_focal, seen = _jacobians(cameras.of(listed.other), shape[listed.own])
+    errors = np.array([listed.x, listed.y]).T - seen
+    both = np.concatenate([by_camera, by_focal[:, :, None]], axis=2)
+    weighted = weights[:, None, None] * both
+    n, n_frames, last = len(weights), len(cameras.scales), CAMERA
+    of_points = _sums_of_points(listed)
+    of_frames = csr_array((np.ones(n), (listed.other, np.arange(n))), shape=(n_frames, n))
+    blocks = (of_frames @ np.einsum("nci,ncj->nij", weighted, both).reshape(n, -1)).reshape(
+        n_frames, last + 1, last + 1
+    )
+    vectors = of_frames @ np.einsum("nci,nc->ni", weighted, errors)
+    mixed = np.einsum("nci,ncj->nij", by_place, weighted)
+    by_place_weighted = weights[:, None, None] * by_place
+    squares = np.einsum("nci,ncj->nij", by_place_weighted, by_place)
+    return Sums(
+        cameras=blocks[:, :last, :last],
+        camera_vector=vectors[:, :last],
+        border=blocks[:, :last, last],
+        corner=float(blocks[:, last, last].sum()),
+        corner_vector=float(vectors[:, last].sum()),
+        points=(of_points @ squares.reshape(n, -1)).reshape(-1, 3, 3),
+        point_vector=of_points @ np.einsum("nci,nc->ni", by_place_weighted, errors),
+        mixed=np.ascontiguousarray(mixed[:, :, :last]),
+        mixed_border=of_points @ mixed[:, :, last],
+    )
 
 
 def reduced(
@@ -236,7 +337,7 @@ def reduced(
         mixed_border = np.zeros_like(mixed_border)
         matrix[-1, :] = 0
         matrix[-1, -1], vector[-1] = 1, 0
-    eliminated(listed, inverses, sums.mixed, mixed_border, sums.point_vector, matrix, vector)
+    eliminate_points(listed, inverses, sums.mixed, mixed_border, sums.point_vector, matrix, vector)
     return matrix, vector, inverses
 
 
@@ -264,11 +365,13 @@ def _moved(
         shifts=cameras.shifts + by_camera[:, 4:],
         curvature=cameras.curvature + float(step[-1]),
     )
-    return moved, at.shape + put_in(listed, inverses, sums.mixed, sums.mixed_border, sums.point_vector, step)
+    pull = np.einsum("kim,km->ki", sums.mixed, by_camera[listed.other])
+    left = sums.point_vector - step[-1] * sums.mixed_border - _sums_of_points(listed) @ pull
+    return moved, at.shape + np.einsum("ijk,ik->ij", inverses, left)
 
 
 HELD = 1e6  # information on the gauge, in that on a number of a camera: so much that it does not vary
-OPEN = 1e-10  # information, in that if all points were known, below which it is rounding
+LEAST_INFORMATION = 1e-10  # in that if all points were known, below which it is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,7 +445,7 @@ def _of_cameras(
     gauge, _ = np.linalg.qr(size[:, None] * gauge_of(cameras))
     values, axes = np.linalg.eigh(matrix / size[:, None] / size + HELD * gauge @ gauge.T)
     axes /= size[:, None]
-    whole: Array = (axes / np.maximum(values, OPEN)) @ axes.T
+    whole: Array = (axes / np.maximum(values, LEAST_INFORMATION)) @ axes.T
     if focal_known:
         whole[-1, :] = whole[:, -1] = 0
     return whole, inverses
@@ -365,6 +468,13 @@ def gauge_of(cameras: PerspectiveCameras) -> Array:
 def predicted(bundle: Bundle, covariance: BundleCovariance) -> tuple[Array, Array]:
     """Return positions `(n_frames, n_points, 2)` px of all points, and their covariances px^2."""
     positions, _ = bundle.cameras.seen(bundle.shape)
-    known = covariance.cameras, covariance.points, covariance.points_and_cameras
-    covariances: Array = prediction_covariances(*bundle.cameras.arrays, bundle.shape, *known)
+    covariances = np.empty((*positions.shape, 2))
+    for t, of_camera in enumerate(covariance.cameras):
+        frames = np.full(len(bundle.shape), t)
+        by_camera, by_place, by_focal, _ = _jacobians(bundle.cameras.of(frames), bundle.shape)
+        by_both = np.concatenate([by_camera, by_focal[:, :, None]], axis=2)
+        columns = [*range(CAMERA * t, CAMERA * (t + 1)), -1]
+        mixed = by_place @ covariance.points_and_cameras[:, :, columns] @ by_both.mT
+        covariances[t] = by_both @ of_camera @ by_both.mT + by_place @ covariance.points @ by_place.mT
+        covariances[t] += mixed + mixed.mT
     return positions, covariances
