@@ -68,16 +68,16 @@ Start = TypeVar("Start")
 @short_repr
 @dataclass(frozen=True, eq=False)
 class TrackerState(Generic[Start]):
-    """State of a tracker after an image: a value that can be kept, and assigned to `state` again.
+    """State of a tracker after an image: an immutable value that can be kept, and assigned to `state`.
 
     Parameters
     ----------
     run
         state of the engine.
     start
-        the face or person that is tracked; `None` of objects and points, and before anything was detected.
+        the tracked face or person; `None` for objects and points, and before the first detection.
     settings
-        of the tracker: only one with the same settings can go on.
+        of the tracker: only one with the same settings can continue.
     """
 
     run: RunState
@@ -91,7 +91,7 @@ class Tracker(ABC, Generic[Start, Result]):
     Parameters
     ----------
     frame_rate
-        images per second, where `update` is given no time.
+        images per second, if `update` gets no time.
     settings
         on which the state depends, plain JSON.
     """
@@ -253,19 +253,19 @@ class Objects:
 
 
 class ObjectTracker(Tracker[None, Objects]):
-    """Tracker of moving objects from pixels, and from a detector's boxes where there are any.
+    """Tracker of moving objects from pixels, and optionally from the boxes of a detector.
 
     The model is that of `rsmcm background`: an adaptive background, blobs, a ground plane and the detector's
-    rates correct each other. Without a detector, what moves is an object.
+    rates correct each other. Without a detector, everything that moves is an object.
 
     Parameters
     ----------
     camera
-        `"fixed"`, or `"moving"` for one that pans or shakes.
+        `"fixed"`, or `"moving"` for one that shakes, turns or drifts a little.
     parameters
-        of the chains, by section and name, as in the file that `--config` names.
+        of the chains, by section and name, as in the file of `--config`.
     frame_rate
-        images per second, where `update` is given no time.
+        images per second, if `update` gets no time.
     """
 
     @checked
@@ -292,16 +292,16 @@ class ObjectTracker(Tracker[None, Objects]):
         image
             uint8, BGR or grey; `None` if it is missing.
         boxes
-            what a detector has found in it: `(n, 4)` px, left, top, right, bottom, or `(n, 5)` with a score
-            on any scale; or `supervision.Detections`, or the boxes of Ultralytics. `None` if the detector did
-            not run on this image; no boxes (n = 0) if it ran and found nothing, which counts against objects.
+            boxes of a detector: `(n, 4)` px, left, top, right, bottom, or `(n, 5)` with a score on any scale;
+            or `supervision.Detections`, or the boxes of Ultralytics. `None` if the detector did not run on
+            this image; n = 0 if it ran and found nothing, which is evidence against objects.
         time
             s, later than that of the last image.
 
         Raises
         ------
         TypeError, ValueError
-            in one line, if an argument is of another type, shape or range.
+            if an argument has a wrong type, shape or range.
         """
         found = None if boxes is None else GivenBoxes.of(boxes)
         belief = self._step(self._frame(image, time, boxes=found))
@@ -354,15 +354,15 @@ class FaceTracker(Tracker[FaceStart, TrackedFace | None]):
     Parameters
     ----------
     detector
-        model file of YuNet (.onnx) or a cascade (.xml) that finds the face; that of OpenCV 4 without it.
+        model file of YuNet (.onnx) or a cascade (.xml), to find the face; default: the cascade of OpenCV 4.
     model
-        of faces; a small built-in one without it.
+        of faces; default: a small built-in one.
     experts
-        number of hypotheses.
+        number of experts (pose hypotheses).
     seed
-        of all random draws.
+        of random numbers.
     frame_rate
-        images per second, where `update` is given no time.
+        images per second, if `update` gets no time.
     """
 
     start_type = FaceStart
@@ -389,14 +389,14 @@ class FaceTracker(Tracker[FaceStart, TrackedFace | None]):
         landmarks: Annotated[Any, Shape("n", 2, finite=False)] | None = None,
         time: float | None = None,
     ) -> TrackedFace | None:
-        """Return the face in the next image; `None` as long as no image has shown one.
+        """Return the face in the next image; `None` until a face was found.
 
         Parameters
         ----------
         image
             uint8, BGR or grey; `None` if it is missing.
         box
-            `(4,)` px: where the face is; left, top, right, bottom. Used until a face is tracked.
+            `(4,)` px: left, top, right, bottom of the face. Used until a face is tracked.
         landmarks
             `(n, 2)` px of the face, in the order of the model's landmarks or vertices, NaN where one is
             missing. Used until a face is tracked. Without box and landmarks, the detector finds the face.
@@ -406,7 +406,7 @@ class FaceTracker(Tracker[FaceStart, TrackedFace | None]):
         Raises
         ------
         TypeError, ValueError
-            in one line, if an argument is of another type, shape or range, or nothing detects faces.
+            if an argument has a wrong type, shape or range, or there is no face detector.
         """
         frame = self._frame(image, time)
         if not self._started(frame, lambda first: self._find(first, box, landmarks)):
@@ -489,18 +489,18 @@ class _Keypoints:
 class BodyTracker(Tracker[SavedPerson, TrackedBody | None]):
     """Tracker of head and arms of one person who faces the camera, as `rsmcm body --lag 0`.
 
-    Size and colour of the person are learned from the first image in which there is one.
+    Size and colour of the person are learned from the first image with a person.
 
     Parameters
     ----------
     detector
-        model file of YuNet (.onnx) that finds the face; the cascade of OpenCV 4 without it.
+        model file of YuNet (.onnx), to find the face; default: the cascade of OpenCV 4.
     samples
-        number of poses that are drawn for each image.
+        number of pose samples per image.
     seed
-        of all random draws.
+        of random numbers.
     frame_rate
-        images per second, where `update` is given no time.
+        images per second, if `update` gets no time.
     """
 
     start_type = SavedPerson
@@ -525,16 +525,16 @@ class BodyTracker(Tracker[SavedPerson, TrackedBody | None]):
         head: Annotated[Any, Shape(4)] | None = None,
         time: float | None = None,
     ) -> TrackedBody | None:
-        """Return the pose in the next image; `None` as long as no image has shown a person.
+        """Return the pose in the next image; `None` until a person was found.
 
         Parameters
         ----------
         image
-            uint8, BGR; `None` if it is missing. Grey images have no skin colour: hands are hardly seen.
+            uint8, BGR; `None` if it is missing. Grey images have no skin colour: hands are hardly detected.
         keypoints
-            what a detector of poses has found in it: `(n, 17, 2)` px, or `(n, 17, 3)` with scores, in COCO's
-            order; `supervision.KeyPoints`, the keypoints of Ultralytics, or of one person names with x, y.
-            `None` if the detector did not run; none (n = 0) if it ran and found nobody.
+            keypoints of a detector: `(n, 17, 2)` px, or `(n, 17, 3)` with scores, in COCO's order;
+            `supervision.KeyPoints`, the keypoints of Ultralytics, or for one person a dictionary of names
+            with x, y. `None` if the detector did not run; n = 0 if it ran and found nobody.
         head
             `(4,)` px: the head, from chin to the top of the skull; left, top, right, bottom. Used until a
             person is tracked. Without keypoints and head, the detector finds the face.
@@ -544,7 +544,7 @@ class BodyTracker(Tracker[SavedPerson, TrackedBody | None]):
         Raises
         ------
         TypeError, ValueError
-            in one line, if an argument is of another type, shape or range, or nothing detects faces.
+            if an argument has a wrong type, shape or range, or there is no face detector.
         """
         given = None if keypoints is None else GivenKeypoints.of(keypoints)
         frame = self._frame(image, time, keypoints=given)
@@ -620,12 +620,12 @@ class PointTracker(Tracker[None, Points]):
     Parameters
     ----------
     rigid
-        whether the points belong to one rigid object: its shape, which is learned, then predicts where hidden
-        points are, and finds them again under their identity.
+        whether the points belong to one rigid object: its learned shape then predicts hidden points, so that
+        they are found again under their identity.
     points
         number of points.
     frame_rate
-        images per second, where `update` is given no time.
+        images per second, if `update` gets no time.
     """
 
     @checked
@@ -651,14 +651,14 @@ class PointTracker(Tracker[None, Points]):
         image
             uint8, BGR or grey; `None` if it is missing.
         positions, identities
-            `(n, 2)` px and `(n,)`, increasing: points that another tracker has found, in place of an image's.
+            `(n, 2)` px and `(n,)`, increasing: points of another tracker, instead of points of the image.
         time
             s, later than that of the last image.
 
         Raises
         ------
         TypeError, ValueError
-            in one line, if an argument is of another type, shape or range.
+            if an argument has a wrong type, shape or range.
         """
         if (positions is None) != (identities is None):
             raise ValueError("positions: got them or identities alone, expected both or neither")

@@ -63,20 +63,20 @@ def build_model(
     ----------
     engine
         `"recursive-bp"`: background, blobs, ground plane and a detector's rates correct each other.
-        `"feed-forward"`: the same chains, but the background hears nothing of the blobs. `"stand-alone"`: the
-        background by itself.
-        `"coordinate-ascent"`: the filter by which a whole film is read, the same as `"recursive-bp"`.
+        `"feed-forward"`: the same chains without messages from the blobs to the background. `"stand-alone"`:
+        the background only. `"coordinate-ascent"`: the filter for a whole video, the same as
+        `"recursive-bp"`.
     parameters
-        those of the chains that differ from their defaults, by section and name; a section's `model` says
-        which chain it is. Chains of others are in the section `chains`, by the names under which they are
-        announced, and are connected to the features that they meet.
+        parameters that differ from the defaults, by section and name; `model` of a section selects the chain.
+        Chains of other packages are in the section `chains`, by the names of their entry points, and are
+        connected to the features of their ports.
     camera
-        `"moving"`: a chain follows the camera, and all others hear of a scene that stands still.
+        `"moving"`: a chain follows the camera, and all others work in scene coordinates.
 
     Raises
     ------
     ValueError
-        if there is no such engine or chain, a parameter is out of range, or a chain meets none of the
+        if there is no such engine or chain, a parameter is out of range, or a chain has no port for the
         features.
     """
     background, blobs, ground, detector, motion = (

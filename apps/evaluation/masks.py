@@ -61,7 +61,7 @@ class PixelScores:
 
 @dataclass
 class PixelScore:
-    """Counter of right and wrong pixels, frame by frame.
+    """Counter of correct and wrong pixels, frame by frame.
 
     Shadow counts as background; pixels that are unknown or outside the region of interest do not count.
     """

@@ -40,7 +40,7 @@ class TooFewError(ValueError):
 
 @checked
 def report_validity(folder: str | Path) -> str:
-    """Return a table of all pairs of chains of a run, and its meaning in sentences.
+    """Return a table of all pairs of chains of a run, with an explanation.
 
     Raises
     ------

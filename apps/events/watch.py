@@ -48,7 +48,7 @@ CLOCK = 1e-4
 
 
 class Kind(StrEnum):
-    """What happens."""
+    """Kind of an event."""
 
     ENTERED = "entered"
     """A zone, over its border."""
@@ -69,7 +69,7 @@ class Kind(StrEnum):
 
 
 class Moment(NamedTuple):
-    """Where a foot is at a time: s, number of the frame, px."""
+    """Position of a foot at a time: s, number of the frame, px."""
 
     time: float
     frame: int
@@ -78,7 +78,7 @@ class Moment(NamedTuple):
 
 
 class Sighting(NamedTuple):
-    """Somebody in a frame: identity, foot x and y and height (px), and whether the frame shows it."""
+    """Object in a frame: identity, foot x and y and height (px), and whether it is visible."""
 
     identity: int
     x: float
@@ -89,20 +89,20 @@ class Sighting(NamedTuple):
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened.
+    """Event in a zone or at a line.
 
     Parameters
     ----------
     moment, kind
-        when and where, and what it is.
+        time and position, and kind of the event.
     zone
-        name of the zone or line; "" of who stands in no zone.
+        name of the zone or line; "" for standing outside of all zones.
     identity
         of the track.
     duration
-        s: of the stay that ends, or of the standing; `None` of events that end nothing.
+        s: of the stay or the standing that ends; otherwise `None`.
     direction
-        of a crossing; else "".
+        of a crossing; otherwise "".
     """
 
     moment: Moment
@@ -265,9 +265,10 @@ def _sighting(given: Any) -> Sighting:
 
 
 class Watch:
-    """What happens to zones and lines, frame after frame; memory grows with those who are there at a time.
+    """Detector of events in zones and at lines, frame by frame.
 
-    Events come when they are known: a crossing when it is sure, a disappearance after `Zones.max_coast_time`.
+    Events are returned when they are certain: a disappearance after `Zones.max_coast_time`. Memory is
+    proportional to the number of tracks at a time.
     """
 
     @checked
@@ -278,7 +279,7 @@ class Watch:
 
     @checked
     def update(self, time: float, number: int, sightings: Iterable[Sighting]) -> list[Event]:
-        """Go on with who is in a frame; a frame with nobody may be left out."""
+        """Process the objects of a frame, and return new events; empty frames may be omitted."""
         if time < self._time:
             raise ValueError(f"time: got {time}, expected {self._time} s of the last frame or more")
         self._time, found = time, list[Event]()
@@ -297,7 +298,7 @@ class Watch:
         return found
 
     def end(self, last: int) -> list[Event]:
-        """What ends with the film, whose last frame has that number."""
+        """Return the events at the end of the video, with the number of its last frame."""
         found: list[Event] = []
         for track in self._by_age():
             kind: Kind = Kind.REMAINED if track.last.frame == last else Kind.DISAPPEARED
@@ -354,13 +355,13 @@ class EventLog:
 
 
 class EventWriter(LineWriter):
-    """`events.csv`, with the columns of `COLUMNS`, in the order in which events are known."""
+    """Writer of `events.csv`, with the columns of `COLUMNS`, in the order of detection."""
 
     def __init__(self, path: Path, events: Sequence[Event] = ()) -> None:
         super().__init__(path, [",".join(COLUMNS), *map(line_of, events)])
 
     def write(self, events: Sequence[Event]) -> None:
-        """Append what happens in a frame; who reads along sees it at once."""
+        """Append the events of a frame; readers of the file see them at once."""
         if events:
             self.append(map(line_of, events))
             with naming(self._path):
@@ -401,7 +402,7 @@ def line_of(event: Event) -> str:
 
 @checked
 def read_events(path: str | Path) -> list[Event]:
-    """Read what `EventWriter` wrote; ValueError, naming file and line, if it is no such file."""
+    """Read `events.csv`; a ValueError with file and line if it is not such a file."""
     path, found = Path(path), []
     with path.open(encoding="utf-8", newline="") as file:
         rows = csv.reader(file)

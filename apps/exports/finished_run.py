@@ -28,7 +28,7 @@ SUMMARY = "summary.json"
 class RunFrame(NamedTuple):
     """Frame of a background run: its number from 1, and its objects, whose covariances are NaN.
 
-    `foreground` is `(height, width)` uint8, 0 or 255; `None` where the run wrote no mask.
+    `foreground` is `(height, width)` uint8, 0 or 255; `None` without a mask.
     """
 
     number: int
@@ -120,7 +120,7 @@ class FinishedRun:
 
     @property
     def picture_names(self) -> list[str]:
-        """Names of the files of the source's pictures, in order; none unless it is a folder that is there."""
+        """Names of the image files of the source, in order; empty unless it is an existing folder."""
         if not os.path.isdir(self.source):  # which asks for any text, unlike `Path.is_dir`
             return []
         return [path.name for path in images_among(Path(self.source).iterdir())]
@@ -194,7 +194,7 @@ def read_tracks_table(path: str | Path) -> dict[str, NDArray[Any]]:
     Parameters
     ----------
     path
-        of the file, or of the folder of a run that holds it.
+        of the file, or of the folder of a run.
 
     Returns
     -------

@@ -46,7 +46,7 @@ def to_movement(run: str | Path, out: str | Path) -> str:
 
 @checked
 def movement_dataset(run: str | Path) -> "xarray.Dataset":
-    """Return the tracks of a run as a dataset of `movement`, from version 0.17 on (before, dims were plural).
+    """Return the tracks of a run as a dataset of `movement` 0.17 or newer (older ones have plural dims).
 
     Of a background run bounding boxes: `position` (the middle, px from the left and upper edge of the
     picture), `shape` (width and height, px) and `confidence`. Of a body and a face poses: `position` (px, the

@@ -50,7 +50,7 @@ SHOWN_CLASSES = 10  # in a message
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """What a detector has found in the frames of a film; called with a frame, the boxes for it.
+    """Detections of a video from a file; calling it with a frame returns the boxes of that frame.
 
     Parameters
     ----------
@@ -61,13 +61,13 @@ class Detections:
     xyxy
         `(n, 4)` float64 px from 0: left, top, right, bottom.
     confidence
-        `(n,)` float64; `None` if the file tells none.
+        `(n,)` float64; `None` if the file has none.
     class_index, class_names
-        `(n,)` int32 into the names, and `(n_classes,)` text; `None` and none if the file tells none.
+        `(n,)` int32 into the names, and `(n_classes,)` text; `None` and empty if the file has none.
     place, unit
-        `(n,)` int64: where each stands in the file, in units such as "line".
+        `(n,)` int64: position of each in the file, in units such as "line".
     looked
-        the frames on which the detector ran, whether it found something there or not.
+        the frames on which the detector ran.
     """
 
     path: Path
@@ -84,7 +84,7 @@ class Detections:
         return len(self.frame)
 
     def at(self, number: int) -> GivenBoxes | None:
-        """The boxes of frame `number`, perhaps none; `None` where the detector did not run."""
+        """The boxes of frame `number`, possibly none; `None` if the detector did not run."""
         if number not in self.looked:
             return None
         rows = rows_of_frame(self.frame, number)
@@ -97,7 +97,7 @@ class Detections:
         return self.at(frame.number)
 
     def of_classes(self, names: Sequence[str]) -> "Detections":
-        """Only the boxes of some classes; ValueError, naming what there is, if there is none of a name."""
+        """Only the boxes of some classes; a ValueError that lists all classes if a name does not exist."""
         if self.class_index is None:
             raise ValueError(f"--classes: got {','.join(names)!r}, but {self.path} tells no classes")
         known = self.class_names.tolist()
@@ -116,17 +116,17 @@ class Detections:
         )
 
     def counted(self, numbers: Collection[int]) -> dict[str, int]:
-        """How many boxes there are in the frames of these numbers, and in how many it looked."""
+        """Number of boxes in the frames of these numbers, and number of frames on which the detector ran."""
         looked = [number for number in numbers if number in self.looked]
         return {"boxes": int(np.isin(self.frame, looked).sum()), "frames": len(looked)}
 
     def check(self, film: str, size: tuple[int, int], last: int | None) -> None:
-        """Make sure that the boxes can be of a film with this name, `(width, height)` px and last frame.
+        """Check that the boxes fit a video with this name, `(width, height)` px and last frame.
 
         Raises
         ------
         ValueError
-            if a frame comes after the last one, or a box lies beyond the picture.
+            if a frame comes after the last one, or a box is outside the image.
         """
         end = self.looked[-1] if isinstance(self.looked, range) else max(self.looked)
         if last is not None and end > last:
@@ -149,22 +149,22 @@ class Detections:
 def read_detections(
     path: str | Path, classes: Sequence[str] = (), *, film: str = "the film", pictures: Sequence[str] = ()
 ) -> Detections:
-    """Read what a detector has found in the frames of a film; the content tells the file's form.
+    """Read detections of a video; the format is recognised by the content.
 
     Parameters
     ----------
     path
         MOT's `det.txt` (`read_mot`), CSV with a header (`read_csv`), or COCO's JSON (`read_coco`).
     classes
-        names of classes to keep; all where there are none.
+        names of classes to keep; default: all.
     film, pictures
-        name of the film, and of its pictures in order, if it consists of such: COCO's JSON may name them.
+        name of the video, and names of its images in order, to which COCO's JSON may refer.
 
     Raises
     ------
     ValueError
-        naming file and line, if it is no such file, or is damaged or empty; or naming what classes there are,
-        if there is none of a name.
+        with file and line, if it is not such a file, damaged or empty; or with a list of all classes, if a
+        name does not exist.
     OSError
         if the file cannot be read.
     """
@@ -335,17 +335,17 @@ def frames_looked_at(numbers: NDArray[np.int64]) -> range | frozenset[int]:
 
 @checked
 def with_boxes(frames: Iterable[Frame], detector: Callable[[Frame], Any], every: int = 1) -> Iterator[Frame]:
-    """Frames with the boxes that a detector finds in them.
+    """Yield frames with the boxes of a detector.
 
     Parameters
     ----------
     frames
-        in order, as `open_source` gives them; one without an image stays without boxes.
+        in order, as from `open_source`; one without an image gets no boxes.
     detector
-        is called with a frame. It returns what `GivenBoxes.of` takes (`supervision.Detections`, an array
-        `(n, 4)` to `(n, 6)`), or `None`: it has not looked. `Detections` of a file are such a detector.
+        function of a frame. It returns an argument of `GivenBoxes.of` (`supervision.Detections`, an array
+        `(n, 4)` to `(n, 6)`), or `None` if it did not run. `Detections` of a file are such a detector.
     every
-        it is called for every so many frames with an image, the first among them.
+        it is called for the first of every so many frames with an image.
 
     Raises
     ------

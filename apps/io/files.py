@@ -331,13 +331,13 @@ class MaskWriter:
     Parameters
     ----------
     folder
-        of the results; made where it is not there.
+        of the results; created if necessary.
     mode
-        `"none"`, `"png"` (a picture a frame) or `"video"`.
+        `"none"`, `"png"` (one image per frame) or `"video"`.
     rate
-        pictures per second of the video.
+        frames per second of the video.
     resume_after
-        number of the frame after which this run goes on; 0 for a new one.
+        number of the frame after which this run continues; 0 for a new one.
     """
 
     def __init__(

@@ -80,11 +80,11 @@ class BoxTruth:
 
     @property
     def frames(self) -> range:
-        """The annotated frame numbers: first to last with a box; one without boxes in between is empty."""
+        """The annotated frame numbers: all from the first to the last frame with a box."""
         return range(int(self.frame[0]), int(self.frame[-1]) + 1)
 
     def at(self, number: int) -> "BoxTruth":
-        """Return the boxes of frame `number` (1-based), perhaps none."""
+        """Return the boxes of frame `number` (1-based), possibly none."""
         rows = rows_of_frame(self.frame, number)
         return BoxTruth(self.frame[rows], self.identity[rows], self.box[rows], self.kind[rows])
 
@@ -99,7 +99,7 @@ class MaskTruth:
     files
         file of the mask of each annotated frame (1-based), inside the temporal region of interest.
     region
-        `(height, width)` bool, the region of interest; `None` for the whole picture.
+        `(height, width)` bool, the region of interest; `None` for the whole image.
     """
 
     files: dict[int, Path]

@@ -47,7 +47,7 @@ NORMALISED = 2.0
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Keypoints:
-    """Points of the persons in a film, sorted by frame; called with a frame, those of it.
+    """Keypoints of a video from a file, sorted by frame; calling it with a frame returns those of that frame.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Keypoints:
     given
         points of all n.
     place
-        `(n,)`: where each stands, for messages.
+        `(n,)`: position of each in the file, for messages.
     """
 
     path: Path
@@ -70,7 +70,7 @@ class Keypoints:
         return len(self.frame)
 
     def at(self, number: int) -> GivenKeypoints | None:
-        """The persons of frame `number`; `None` where the detector did not run, or found nobody."""
+        """The persons of frame `number`; `None` if the detector did not run, or found nobody."""
         rows = rows_of_frame(self.frame, number)
         if rows.start == rows.stop:
             return None
@@ -81,24 +81,24 @@ class Keypoints:
         return self.at(frame.number)
 
     def frames(self) -> Iterator[tuple[int, GivenKeypoints]]:
-        """Numbers of the frames in which somebody was found, and who."""
+        """Numbers of the frames with persons, and these persons."""
         for number in np.unique(self.frame).tolist():
             given = self.at(number)
             assert given is not None
             yield number, given
 
     def counted(self, numbers: Collection[int]) -> dict[str, int]:
-        """How many persons there are in the frames of these numbers, and in how many of them."""
+        """Number of persons in the frames of these numbers, and number of frames with persons."""
         taken = self.frame[np.isin(self.frame, list(numbers))]
         return {"persons": len(taken), "frames": len(np.unique(taken))}
 
     def check(self, film: str, size: tuple[int, int], last: int | None) -> None:
-        """Make sure that the points can be of a film with this name, `(width, height)` px and last frame.
+        """Check that the points fit a video with this name, `(width, height)` px and last frame.
 
         Raises
         ------
         ValueError
-            if a frame comes after the last one, or nothing of a person lies in the picture.
+            if a frame comes after the last one, or a person is outside the image.
         """
         if last is not None and len(self) and self.frame[-1] > last:
             first = int(np.searchsorted(self.frame, last + 1))
@@ -121,7 +121,7 @@ class Keypoints:
 
 @checked
 def read_keypoints(path: str | Path, *, film: str = "the film", pictures: Sequence[str] = ()) -> Keypoints:
-    """Read the points that a detector has found of persons in a film; the content tells the form.
+    """Read keypoints of persons in a video; the format is recognised by the content.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def read_keypoints(path: str | Path, *, film: str = "the film", pictures: Sequen
         CSV with a header (`read_csv`), COCO's JSON of results (`read_coco`), or the folder of OpenPose's JSON
         (`read_openpose`).
     film, pictures
-        name of the film, and of its pictures in order, if it consists of such.
+        name of the video, and names of its images in order.
 
     Raises
     ------
@@ -306,7 +306,7 @@ class _Persons:
 def with_keypoints(
     frames: Iterable[Frame], detector: Callable[[Frame], Any], every: int = 1
 ) -> Iterator[Frame]:
-    """Frames with the points that a detector of poses or hands finds in them.
+    """Yield frames with the keypoints of a detector of poses or hands.
 
     Parameters and errors are those of `with_boxes`, but the detector returns what `GivenKeypoints.of` takes;
     `Keypoints` of a file are such a detector.

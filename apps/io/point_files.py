@@ -68,7 +68,7 @@ def read_points(path: str | Path, *, allow_single: bool = False) -> NDArray[np.f
         (n_points, n_frames)`, and `video (n_frames, height, width, 3)`. A leading axis of length 1 goes. Or
         motion capture as of `read_shapes`, of which x and y are taken: as seen from far away.
     allow_single
-        whether one coordinate of a point may be missing while the other one is there.
+        whether a single coordinate of a point may be missing.
 
     Returns
     -------

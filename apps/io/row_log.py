@@ -98,9 +98,9 @@ class _Column:
 class RowLog:
     """All rows of a run. `log["time"]` is a column of all frames, `log.objects("id")` one of all objects.
 
-    Nothing is held in memory, and a column on disk is read where it is looked at, so that a run may have
-    any length. Columns and their types are those of the first row, or of the first object. Rows behind frame
-    `resume_after`, after which this run goes on, are cut off.
+    Columns are on disk and read on access, so that a run may have any length. Columns and their types are
+    those of the first row, or of the first object. Rows after frame `resume_after`, where a resumed run
+    continues, are removed.
     """
 
     def __init__(self, folder: Path, resume_after: int = 0) -> None:
@@ -145,22 +145,22 @@ class RowLog:
 
     @property
     def numbers(self) -> list[str]:
-        """Names of an application's own columns with one number a frame."""
+        """Names of the application's own columns with one number per frame."""
         usual = {"number", "time", "missing", "seconds", "objects"}
         return [name for name, column in self._frames.items() if not column.shape and name not in usual]
 
     def write_table(self, path: Path) -> None:
-        """Write number, time and an application's own numbers of all frames as CSV, whole or not at all."""
+        """Write number, time and the application's own columns of all frames as CSV."""
         names = ["number", "time", *self.numbers]
         rows = zip(*(self[name].tolist() for name in names), strict=True)
         write_text(path, "".join(f"{','.join(map(str, row))}\n" for row in [names, *rows]))
 
     def objects(self, name: str) -> NDArray[Any]:
-        """A column of all objects; none where there was no object."""
+        """Return a column of all objects; empty if there was none."""
         return self._objects[name].values() if name in self._objects else np.zeros(0)
 
     def append(self, row: Values, objects: Values) -> None:
-        """Append a frame, whose `row` has its `number`, with the objects in it: arrays of one length.
+        """Append a frame, whose `row` has its `number`, with its objects: arrays of equal length.
 
         It is a ValueError if it has other columns, shapes or types than those before.
         """
@@ -182,7 +182,7 @@ class RowLog:
                 column.append(np.asarray(objects[name]))
 
     def frames(self) -> Iterator[tuple[dict[str, Any], dict[str, NDArray[Any]]]]:
-        """Row after row with its objects, as they were appended."""
+        """Yield rows with their objects, as they were appended."""
         columns = {name: column.values() for name, column in self._frames.items()}
         things = {name: column.values() for name, column in self._objects.items()}
         stop = 0
@@ -200,7 +200,7 @@ class RowLog:
     def write_arrays(
         self, path: Path, constants: Mapping[str, NDArray[Any]], columns: Mapping[str, str | NDArray[Any]]
     ) -> None:
-        """Write an `.npz` of constant arrays, and arrays with an entry a frame, whole or not at all.
+        """Write an `.npz` of constant arrays, and arrays with one entry per frame.
 
         `columns`: by the name of the array, the name of a column of the log, or the values themselves.
         """
@@ -209,7 +209,7 @@ class RowLog:
             np.savez(unfinished, allow_pickle=False, **constants, **of_frames)
 
     def remove(self) -> None:
-        """Remove the files: nobody goes on with this run."""
+        """Remove the files of a finished run."""
         self.__exit__()
         remove_rows(self._folder)
 

@@ -91,8 +91,7 @@ class TrackedBox:
 class TrackWriter(LineWriter):
     """`tracks.txt` in MOT format: frame, id, x, y, width, height, confidence, -1, -1, -1.
 
-    Frames count from 1, and so do pixels, as MOT has it: the upper left corner of a box at (0, 0) is written
-    as 1, 1.
+    Frames and pixels count from 1 in MOT: the upper left corner of a box at (0, 0) is written as 1, 1.
     """
 
     def write(self, number: int, tracks: Sequence[TrackedObject]) -> None:

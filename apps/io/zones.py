@@ -28,16 +28,16 @@ WITHIN = 1e-9
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Zone:
-    """A polygon of the picture.
+    """Polygon of the image.
 
-    Where it reaches the picture's edge it has no border: nobody can be seen to cross it there.
+    It has no border at the edge of the image, where no crossing is visible.
 
     Parameters
     ----------
     name
         of the zone.
     polygon
-        `(n, 2)` px, corners in either order; pixels' edges are at whole numbers, as of boxes.
+        `(n, 2)` px, corners in either order; integer coordinates are pixel edges, as for boxes.
     size
         `(width, height)` px of the picture.
     """
@@ -60,9 +60,9 @@ class Zone:
         object.__setattr__(self, "_inner", ~on_edge.any(axis=1))
 
     def distance(self, places: ArrayLike) -> NDArray[np.float64]:
-        """How far places `(..., 2)` px are inside of the border, px; negative outside.
+        """Distance of positions `(..., 2)` px from the border, px; negative outside.
 
-        It is infinite where there is no border. A place out of the picture counts as the nearest one in it.
+        It is infinite without a border. Positions outside the image are moved to its edge.
         """
         size = np.array(self.size, np.float64)
         within = np.minimum(np.maximum(places, WITHIN * size), (1 - WITHIN) * size)
@@ -85,10 +85,9 @@ class Zone:
 @short_repr
 @dataclass(frozen=True)
 class Line:
-    """A line of the picture that is crossed from left to right, or from right to left.
+    """Line of the image that is crossed from left to right, or from right to left.
 
-    Left and right are those of somebody in the picture who looks along it: of a line that goes to the right,
-    what is above it is left.
+    Left and right are seen in the direction of the line: of a line that points to the right, above is left.
 
     Parameters
     ----------
@@ -99,8 +98,8 @@ class Line:
     left_to_right, right_to_left
         names of the two directions.
     size
-        `(width, height)` px of the picture: a line that reaches its edge goes on beyond, where feet are that
-        the edge cuts off. Without it, both ends are ends.
+        `(width, height)` px of the image: a line that reaches its edge continues beyond, for feet below the
+        edge. `None`: it does not.
     """
 
     name: str
@@ -115,13 +114,13 @@ class Line:
             raise ValueError(f"end: got {self.end}, which is the start, expected another place")
 
     def distance(self, place: tuple[float, float]) -> float:
-        """How far a place is to the right of the endless line, px; negative to its left."""
+        """Distance of a position to the right of the infinite line, px; negative to its left."""
         (x, y), (to_x, to_y) = self.start, self.end
         dx, dy = to_x - x, to_y - y
         return (dx * (place[1] - y) - dy * (place[0] - x)) / float(np.hypot(dx, dy))
 
     def is_beside(self, place: tuple[float, float]) -> bool:
-        """Whether a place on the endless line is between its ends, or beyond one at the picture's edge."""
+        """Whether a position on the infinite line is between its ends, or beyond one at the image edge."""
         (x, y), (to_x, to_y) = self.start, self.end
         dx, dy = to_x - x, to_y - y
         share = (dx * (place[0] - x) + dy * (place[1] - y)) / (dx * dx + dy * dy)
@@ -141,16 +140,16 @@ class Line:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Zones:
-    """All zones and lines of a picture, and when somebody stands still or is gone.
+    """All zones and lines of an image, and the time limits of standing and leaving.
 
     Parameters
     ----------
     zones, lines
-        with names of which none is there twice.
+        with unique names.
     still_after
-        s after which somebody stands still.
+        s without motion after which a person stands still.
     max_coast_time
-        s for which somebody may be out of sight and still be there.
+        s for which a person may be hidden without leaving.
     """
 
     zones: tuple[Zone, ...] = ()
@@ -159,7 +158,7 @@ class Zones:
     max_coast_time: NotNegative = 3.0
 
     def plain(self) -> dict[str, Any]:
-        """Names and corners (px) as a page takes them, by the words of a file of zones."""
+        """Return names and corners (px) for a page, with the keys of a file of zones."""
         return {
             "zones": [{"name": zone.name, "polygon": zone.polygon.tolist()} for zone in self.zones],
             "lines": [{"name": line.name, "from": line.start, "to": line.end} for line in self.lines],
@@ -197,12 +196,12 @@ def read_zones(path: str | Path, size: tuple[int, int]) -> Zones:
         "relative", from 0 to 1), `still_after` and `max_coast_time` (s). Or `.json` as LabelMe writes it, of
         which polygons and lines are taken.
     size
-        `(width, height)` px of the picture that they are in.
+        `(width, height)` px of the image.
 
     Raises
     ------
     ValueError
-        in one line with file and entry, if it is no such file, or a zone or line is none in this picture.
+        in one line with file and entry, if it is not such a file, or a zone or line does not fit this image.
     OSError
         if the file cannot be read.
     """

@@ -62,21 +62,22 @@ F = TypeVar("F", bound=FilmJob)
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """What is said of a frame: its row of the log, and what is written of it and shown.
+    """Results of a frame: its row of the log, arrays for files, and data for the page.
 
     Parameters
     ----------
     frame
-        a number, or an array of the same shape in every frame, by the name of its column. `number`, `time`,
-        `missing` and `seconds` of every frame are there already.
+        a number, or an array of the same shape in every frame, by the name of its column. Columns `number`,
+        `time`, `missing` and `seconds` are added.
     objects
-        arrays `(n, ...)` by the name of their column, an entry an object in the frame.
+        arrays `(n, ...)` by the name of their column, with one entry per object.
     pictures
-        `(height, width[, 3])` uint8 by their names, which are no rows: masks.
+        `(height, width[, 3])` uint8 by name, which are not part of the log: masks.
     view_row
-        makes what is drawn on the frame, on the page and by `Application.drawing`; called in a thread.
+        function that returns the data of the drawing on the page and by `Application.drawing`; called in a
+        thread.
     live, events
-        facts for the live page, and events in this frame.
+        data for the live page, and events in this frame.
     """
 
     frame: Values = field(default_factory=dict)
@@ -96,9 +97,9 @@ class File(AbstractContextManager[Any], Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Sink:
-    """Takes in what is said of every frame: `write` is called with the frame and its columns.
+    """Output that is written for every frame: `write` is called with the frame and its columns.
 
-    `file` is what grows by it, if any.
+    `file` is the file that it writes, if any.
     """
 
     write: Callable[[Frame, Columns], None]
@@ -107,9 +108,9 @@ class Sink:
 
 @dataclass(frozen=True, eq=False)
 class Output:
-    """Where sinks write: a folder, at so many frames per second.
+    """Output of sinks: a folder, and the frame rate.
 
-    A run that goes on does so after frame `resume_after` (0: a new one), until which `log` has the rows.
+    A resumed run continues after frame `resume_after` (0 for a new run); `log` has the rows until then.
     """
 
     folder: Path
@@ -119,65 +120,65 @@ class Output:
 
 
 class Engine(Protocol):
-    """What answers for frames: at once, or when later ones are known.
+    """Engine of a run: returns results of a frame at once, or when later frames are known.
 
     Attributes
     ----------
     model
         whose chains' states are saved.
     state
-        after the last frame that is answered. Frames behind it are taken in again by a run that is resumed.
+        after the last frame with a result. A resumed run processes later frames again.
     """
 
     model: MultiChain
     state: RunState
 
     def step(self, frame: Frame) -> Sequence[Belief]:
-        """Take in a frame; beliefs of the frames that are answered by now, each once and in order."""
+        """Process a frame; return the beliefs of frames that have a result now, each once and in order."""
 
     def rest(self) -> Sequence[Belief]:
-        """Those of all others, after the last frame."""
+        """Return the beliefs of all other frames, after the last one."""
 
 
 class Filter:
-    """Recursive belief propagation from a state on, which answers for every frame at once."""
+    """Recursive belief propagation from a state on, with a result for every frame at once."""
 
     def __init__(self, engine: RecursiveBP, state: RunState) -> None:
         self.model, self.state, self._engine = engine.model, state, engine
 
     def step(self, frame: Frame) -> Sequence[Belief]:
-        """Take in a frame, and answer for it."""
+        """Process a frame, and return its belief."""
         belief = self._engine.step(self.state, frame)
         self.state = belief.state
         return (belief,)
 
     def rest(self) -> Sequence[Belief]:
-        """Nothing is held back."""
+        """Return nothing: all frames have a result."""
         return ()
 
 
 class Start:
-    """From where a run begins: its job and opened source.
+    """Start of a run: its job and opened source.
 
     Parameters
     ----------
     job, source, session
-        what is wanted, the opened source, and the run in its folder.
+        options, opened source, and the run in its folder.
     saved, learned
-        the run that is resumed, and the one from which this one learns; `None` where there is none.
+        the run that is resumed, and the one of `--from`; otherwise `None`.
     blank_is_missing
-        whether a picture without any contrast counts as missing.
+        whether an image without contrast counts as missing.
 
     Attributes
     ----------
     source, interruption, notes
-        the source, the signal that may have come, and what the summary tells the reader; to be added to.
+        the source, a received signal, and warnings for the summary, to which an application may add.
     seen
-        the frames that were taken from the source, with what was wrong with them.
+        the frames that were read from the source, with their errors.
     frames
-        that will be answered, up to a signal; of those that `build` looks at, it puts back what is to be.
+        frames to process, up to a signal; `build` puts back those that it has read.
     before
-        numbers of the frames before the one in which the track starts; to be added to.
+        numbers of the frames before the start of the track, to which an application may add.
     """
 
     def __init__(
@@ -202,24 +203,24 @@ class Start:
 
     @property
     def blank(self) -> list[int]:
-        """Numbers of the frames so far in which nothing is to be seen."""
+        """Numbers of the blank frames so far."""
         return self.seen.blank
 
     @property
     def resumed(self) -> bool:
-        """Whether the run goes on with another one."""
+        """Whether the run continues another one."""
         return self._saved is not None
 
     def memory(self, schema: Mapping[str, Any]) -> dict[str, Any] | None:
-        """What `Application.state_dict` gave when the run was saved that is resumed, or learned from.
+        """`Application.state_dict` of the run that is resumed, or of the one of `--from`.
 
-        `None` in a run that begins by itself.
+        `None` in a new run.
         """
         saved = self._saved or self._learned
         return None if saved is None else saved.memory(schema)
 
     def state(self, model: MultiChain) -> RunState:
-        """That of a model before the first frame."""
+        """Return the state of a model before the first frame."""
         if self._saved is not None:
             _log.info("goes on after frame %d", self._saved.number)
             return self._saved.state(model.chains)
@@ -234,11 +235,11 @@ class Start:
         return self._moved(state, self._learned, first)
 
     def filter(self, model: MultiChain) -> Filter:
-        """The usual engine."""
+        """Return the default engine."""
         return Filter(RecursiveBP(model), self.state(model))
 
     def no_frame(self, reason: str) -> Exception | Interrupted:
-        """Why there is no frame to begin with: the source's own error, a signal, or `reason`."""
+        """Return the error if there is no first frame: that of the source, a signal, or `reason`."""
         if self.seen.error is not None:
             return self.seen.error
         if self.interruption.signal is not None:
@@ -268,18 +269,18 @@ class Start:
 
 
 class Application(ABC, Generic[F]):
-    """What is particular to an application, whose runs are asked for by a job.
+    """Base class of applications: model, columns, files and page of a run.
 
     Attributes
     ----------
     name
         of the application.
     schema
-        of what `state_dict` gives, for `rsmcm.inference.engine.checkpoint`.
+        schema of `state_dict`, for `rsmcm.inference.engine.checkpoint`.
     blank_is_missing
-        whether frames that show nothing (black, saturated) count as missing.
+        whether blank frames (black, saturated) count as missing.
     settings
-        what the results depend on, beside the source; recorded with them.
+        settings that the results depend on, apart from the source; recorded with them.
     """
 
     name: ClassVar[str]
@@ -292,40 +293,40 @@ class Application(ABC, Generic[F]):
 
     @property
     def files(self) -> Sequence[str]:
-        """Names of the files that it writes, patterns of `glob` among them."""
+        """Names of the files that it writes, or glob patterns."""
         return ()
 
     @abstractmethod
     def build(self, start: Start) -> Engine:
-        """The model, with its state before the first frame."""
+        """Build the model, with its state before the first frame."""
 
     @abstractmethod
     def columns(self, belief: Belief) -> Columns:
-        """What is said of a frame; where all frames so far are missing, there are no states."""
+        """Return the columns of a frame; there are no states if all frames so far are missing."""
 
     def sinks(self, output: Output) -> Sequence[Sink]:
-        """What else is written of every frame."""
+        """Return further outputs that are written for every frame."""
         return ()
 
     def finish(self, log: RowLog) -> Mapping[str, Any]:
-        """Write what is written once; what `summary.json` says beside what it says of every run."""
+        """Write files at the end of the run; return further entries of `summary.json`."""
         return {}
 
     def page(self, log: RowLog, film: Film | None, summary: Mapping[str, Any]) -> Page:
-        """What is on the page, with the film if there was any image: curves of all numbers."""
+        """Return the page, with the video if there was an image; by default plots of all columns."""
         plots = [Plot(name, "", [Line(log[name])]) for name in log.numbers]
         return FrameRecord(log).page(self.title(summary["source"]), summary, film, plots=plots)
 
     def drawing(self) -> Draw:
-        """What draws `Columns.view_row` on frames, for `--video` and `--live`."""
+        """Return a function that draws `Columns.view_row` on frames, for `--video` and `--live`."""
         return lambda image, *_, **__: image
 
     def state_dict(self) -> dict[str, Any]:
-        """What is saved beside the states of the chains."""
+        """State of the application that is saved with the states of the chains."""
         return {}
 
     def bytes_needed(self, source: Source) -> tuple[float, float]:
-        """Of working memory: per pixel, and beside that; see `check_memory`."""
+        """Bytes of working memory: per pixel, and constant; see `check_memory`."""
         return 0.0, 0.0
 
     def title(self, source: str) -> str:
@@ -342,7 +343,7 @@ class _EndedEarlyError(Exception):
 
 
 def run_film(application: Application[Any]) -> Outcome:
-    """Run an application over its job's film; all results are in the job's folder afterwards.
+    """Run an application; all results are in the folder of the job afterwards.
 
     SIGINT (Ctrl-C) and SIGTERM end the run after the current frame, with complete results; a second one ends
     it at once, with results up to the last saved state.
@@ -350,8 +351,8 @@ def run_film(application: Application[Any]) -> Outcome:
     Raises
     ------
     ValueError, OSError
-        in one line, whatever is wrong with the job, its files, its source or its output. A film that breaks
-        in the middle leaves the results of the frames before.
+        in one line, for any error of the job, its files, its source or its output. If a video cannot be read
+        on, the results of the earlier frames remain.
     Interrupted
         if a signal came before there was any result, or a second one.
     """

@@ -67,7 +67,7 @@ class Session:
     fingerprint
         by which its source is known again.
     notes
-        what is out of the ordinary, a sentence each.
+        warnings, one sentence each.
     saved
         whether a state is saved with which the run can go on; how, `resume_hint` says.
     earlier_seconds

@@ -1,4 +1,4 @@
-"""Generated scenes with exact ground truth: a street for background and tracks, cylinder, face, signer."""
+"""Generated scenes with exact ground truth: a street, a cylinder, a face, a signer."""
 
 import lazy_loader
 

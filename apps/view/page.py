@@ -55,19 +55,19 @@ class Line:
     Parameters
     ----------
     values
-        `(n,)`; NaN where nothing is known, which leaves a gap.
+        `(n,)`; NaN gives a gap.
     label
-        what the legend calls it; empty where there is but one.
+        name in the legend; empty for a single line.
     colour
-        as CSS has it.
+        CSS colour.
     band
-        `(n,)` lower and upper bounds about it.
+        `(n,)` lower and upper bounds.
     x
-        `(n,)`; `None` for one value a frame of the run.
+        `(n,)`; `None` for one value per frame of the run.
     style
-        joined by lines or by steps, or dots that are not joined.
+        line, steps, or dots.
     colours
-        of each dot, as CSS has them.
+        CSS colour of each dot.
     """
 
     values: Array
@@ -86,7 +86,7 @@ class Plot:
     Parameters
     ----------
     name
-        what is shown, above it, beside the page's title.
+        title of the plot.
     unit
         of the vertical axis.
     lines
@@ -94,13 +94,14 @@ class Plot:
     caption
         below it.
     axis
-        name of the horizontal axis with its unit; `None` for that of the run, where the film is marked.
+        name of the horizontal axis with its unit; `None` for that of the run, with a cursor at the current
+        frame.
     shaded
-        stretches of the horizontal axis that are marked: beginning and end.
+        intervals of the horizontal axis that are marked: beginning and end.
     dotted
-        places on it that are marked.
+        positions on it that are marked.
     is_map
-        whether both axes have one scale and the vertical one points down, as in pictures.
+        whether both axes have the same scale and the vertical one points down, as in images.
     """
 
     name: str
@@ -154,33 +155,33 @@ def spans_of(seen: NDArray[np.bool_], frames: NDArray[np.int64] | None = None) -
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """What is on a page, in the order in which it is there.
+    """Content of a page, in order.
 
     Parameters
     ----------
     title
         heading.
     cards
-        figures of the summary by their names, in large letters.
+        key numbers by name, in large letters.
     notes
-        what is out of the ordinary, a sentence each.
+        warnings, one sentence each.
     film
-        to be played; `None` for a page without one.
+        video to play; `None` for a page without one.
     layers
-        what is drawn over the film: by the names of their scripts in `templates/layers`, in the order of
-        drawing, the data of each, which is anything that JSON takes, and arrays.
+        drawings over the video, in order: for each script in `templates/layers` its data, which may be JSON
+        and arrays.
     timeline
-        what is followed over the film's frames.
+        rows of the timeline below the video.
     plots
         over the frames of the run.
     sections
         tables, pictures and further plots, under headings.
     parameters
-        every setting of the run; mappings inside become dotted names.
+        all settings of the run; nested mappings become dotted names.
     numbers, times
         of all frames of the run: 1-based, and s.
     over
-        what the horizontal axis of the run is: its times, or the numbers of its frames.
+        horizontal axis of plots: times or frame numbers.
     """
 
     title: str
@@ -241,7 +242,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], caption: str 
 
 
 def coloured(colour: str, text: object) -> Markup:
-    """A cell of a table: a text behind a dot of a colour, as CSS has it."""
+    """A cell of a table: a text behind a dot of a colour, CSS colour."""
     return Markup('<i style="background:{}"></i>{}').format(colour, text)
 
 

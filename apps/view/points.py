@@ -110,7 +110,7 @@ def most_over_film(n_frames: int) -> int:
 
 
 def ink_of(point: int) -> str:
-    """The colour of a point, as CSS has it."""
+    """The colour of a point, CSS colour."""
     return css_colour(identity_colour(point))
 
 

@@ -35,17 +35,16 @@ SHOWN_GAPS = 5  # in words; the summary has all
 class Source:
     """Frames of a video file, images, a camera or a stream; an iterator and a context manager.
 
-    A thread opens the source and decodes a few frames ahead, so that decoding (libraries that release the
-    interpreter lock) overlaps with processing, and Ctrl-C is heard while a server is silent. A live source
-    never waits for a slow consumer: its oldest waiting frame is dropped, and the gap shows in `Frame.number`
-    and `Frame.time`.
+    A thread opens the source and decodes a few frames ahead, so that decoding overlaps with processing, and
+    Ctrl-C works while a server is silent. A live source does not wait for a slow consumer: the oldest waiting
+    frame is dropped, with a gap in `Frame.number` and `Frame.time`.
 
     Parameters
     ----------
     open_reader
-        opens what decodes the frames.
+        opens the reader of the frames.
     selection
-        which of them are wanted.
+        selected frames.
 
     Attributes
     ----------
@@ -56,22 +55,22 @@ class Source:
     live
         whether frames arrive in real time; such a source cannot be read again, so a run cannot be resumed.
     n_frames
-        number of frames expected for start, stop and step, those up to `after` included (for video: as its
-        header states); `None` when unknown.
+        number of frames expected for start, stop and step, including those up to `after` (for video: from its
+        header); `None` if unknown.
     counted
-        whether `n_frames` comes from a count, not from a duration, behind which there may be more.
+        whether `n_frames` comes from a count, not from a duration, which may be too short.
     rate
         frames per second of the source, before `step`.
     size
         `(width, height)` px.
     pictures
-        names of the images' files in order, where it consists of such.
+        names of the image files in order, for a folder or glob.
     skipped
-        numbers of the frames so far that could not be read and came as `Frame(None, ...)`.
+        numbers of unreadable frames so far, which are `Frame(None, ...)`.
     truncated
-        whether the source ended before the end that it announces (known once it has ended).
+        whether the source ended before its announced end (known when it has ended).
     lost
-        why a camera or stream was lost permanently, once it has ended in that way; otherwise `None`.
+        why a camera or stream was lost permanently; otherwise `None`.
     """
 
     def __init__(self, open_reader: Callable[[], Reader], selection: Selection) -> None:
@@ -152,10 +151,10 @@ class Source:
 
     @property
     def stream(self) -> dict[str, Any] | None:
-        """What became of a camera or stream so far, as JSON; `None` for what lies on a disk.
+        """Gaps and losses of a camera or stream so far, as JSON; `None` for files.
 
-        `lost`; `gaps`, in which it was lost and came back, with the fields of `Gap`; `dropped_frames`, that
-        arrived and were not fetched in time.
+        `lost`; `gaps`, with the fields of `Gap`; `dropped_frames`: number of frames that were not processed
+        in time.
         """
         if self.kind not in ("camera", "stream"):
             return None
@@ -164,7 +163,7 @@ class Source:
 
     @property
     def notes(self) -> list[str]:
-        """What was out of the ordinary so far, a sentence each."""
+        """Warnings so far, one sentence each."""
         notes = [*self._reader.notes]
         gaps = self._reader.gaps
         if gaps:
@@ -177,14 +176,14 @@ class Source:
         return notes
 
     def close(self) -> None:
-        """Stop decoding; the thread releases the file or device, at once unless it is stuck there."""
+        """Stop decoding; the thread releases the file or device."""
         self._ended = True
         self._stopping.set()
         self._queue.close()
         self._thread.join(CLOSING_SECONDS)
 
     def fingerprint(self) -> dict[str, Any]:
-        """Return what identifies this source, as JSON: two equal ones are taken to hold the same frames."""
+        """Return an identifier of this source as JSON: equal ones are assumed to have the same frames."""
         return self._reader.fingerprint()
 
     def _end(self) -> None:
@@ -245,24 +244,24 @@ def open_source(
         a video file, a folder or glob of images (sorted naturally: `frame2` before `frame10`), the number of
         a camera, or an rtsp or http(s) address.
     start, stop, step
-        which frames: 1-based, both ends included. Frames before `start` are decoded and discarded, so that
-        the selected ones are exactly those that reading from the beginning gives. Images, which have no time
-        stamps, come at `frameRate` of a MOT `seqinfo.ini` in or above the folder, or 25 a second.
+        frames to read: 1-based, both ends included. Frames before `start` are decoded and discarded, so that
+        the selection is exact. Images have no time stamps; their rate is `frameRate` of a MOT `seqinfo.ini`
+        in or above the folder, or 25 a second.
     after
-        number of the last frame that an earlier run has processed; frames up to it are left out.
+        number of the last frame that an earlier run has processed; frames up to it are omitted.
     reconnect
-        seconds for which a camera or address is tried again when it is lost; default: not at all. A gap in a
-        live source is missing frames. Of a file behind an address, nothing is missing.
+        seconds for which a lost camera or address is reconnected; default: not at all. A gap in a live source
+        consists of missing frames; a file at an address loses nothing.
 
     Raises
     ------
     ValueError
-        if the selection is empty or lies beyond the end, the file is not a video or image that can be read,
-        or `reconnect` is given for something else than a camera or address.
+        if the selection is empty or beyond the end, the file is not a readable video or image, or `reconnect`
+        is given for a file.
     FileNotFoundError
         if there is no such file, or no image in the folder or under the glob.
     OSError
-        if a camera or address cannot be opened or sends no picture (after 10 s of silence).
+        if a camera or address cannot be opened or sends no image for 10 s.
     """
     selection, name = Selection(start, stop, step, after), str(source)
     if reconnect is not None and not 0 < reconnect < math.inf:

@@ -80,7 +80,7 @@ class Reader(ABC):
     gaps
         in which the connection was lost, so far.
     notes
-        what is out of the ordinary, a sentence each.
+        warnings, one sentence each.
     """
 
     name: str
