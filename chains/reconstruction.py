@@ -315,7 +315,7 @@ def _before_affine_cameras(solution: Solution, n_tracks: int | None) -> Reconstr
     if len(fit.shape) < FEWEST_POINTS:
         reason = f"the tracks determine {len(fit.shape)} points, and {FEWEST_POINTS} are needed"
     elif not depth(observations, None, fit).determined:
-        reason = "a flat shape explains the tracks as well as one in depth does"
+        reason = "a flat shape explains the tracks as well as one with depth"
     cameras, shape, shape_covariances = fit.cameras, fit.shape, fit.shape_covariance
     if not reason:
         metric = euclidean(cameras, shape, fit.camera_covariance)
@@ -401,13 +401,13 @@ def _without_false_depth(result: Reconstruction, from_images: bool) -> Reconstru
     uncertain = result.geometry == "affine" or (lens is not None and lens.curvature_deviation > 0)
     reason = ""
     if lens is None and ratio * AS_WELL <= 1:
-        reason = "homographies, which know no depth, explain the tracks better than a shape does"
+        reason = "homographies, which have no depth, explain the tracks better than a shape does"
     elif lens is not None and ratio <= AS_WELL:
         known = lens.curvature_deviation == 0  # the focal length is given
         if not (known and motion_of(places).kind == "plane"):
-            reason = "homographies, which know no depth, explain the tracks as well as a shape does"
+            reason = "homographies, which have no depth, explain the tracks as well as a shape does"
     if not reason and from_images and uncertain and motion_of(places, most).parallax < LASTING:
-        reason = "points move against each other by less than a tracker errs"
+        reason = "the relative motion of points is smaller than tracking errors"
     if not reason:
         return result
     return replace(result, geometry="none", reason=reason, perspective=None, affine_reason="")

@@ -84,8 +84,8 @@ class PredictionErrors:
         return first, second
 
     @property
-    def bearable(self) -> Numbers:
-        """`(...)`: by what factor K could grow before combining stops paying; perhaps infinite."""
+    def critical_factor(self) -> Numbers:
+        """`(...)`: factor of K above which the product is worse than the better chain; may be infinite."""
         with np.errstate(divide="ignore"):
             factors = [np.where(loss > 0, share / loss, np.inf) for share, loss in self._shares_and_losses()]
         return np.minimum(*factors)
@@ -316,16 +316,17 @@ class Comparison(Judged):
     errors
         the same as a model, with the mean observation noise.
     rms_first, rms_second
-        root mean squared error of either prediction, per coordinate, without the observation's noise.
-    correlation, bearable_correlation
-        of the errors, and that at which combining stops paying (infinite if it always pays).
+        root mean squared error of each prediction, per coordinate, without the observation noise.
+    correlation, critical_correlation
+        of the errors, and the correlation above which the product is worse than the better chain; may be
+        infinite.
     gain_first, gain_second, gain
-        C(q_1) - C(q*) and C(q_2) - C(q*), nats, with Lemma 1's noises, and the smaller one: positive if it
-        pays.
+        C(q_1) - C(q*) and C(q_2) - C(q*), nats, with Lemma 1's noises, and the smaller one: positive if the
+        product is better than both.
     theorem_holds
         whether Theorem 2's sufficient condition is met by the estimates.
     stated
-        what the chains do as they state their covariances; `None` if these were not recorded.
+        comparison with the stated covariances; `None` if these were not recorded.
     """
 
     count: int
@@ -337,7 +338,7 @@ class Comparison(Judged):
     rms_first: Interval[float]
     rms_second: Interval[float]
     correlation: Interval[float]
-    bearable_correlation: float
+    critical_correlation: float
     gain_first: Interval[float]
     gain_second: Interval[float]
     gain: Interval[float]
@@ -347,20 +348,22 @@ class Comparison(Judged):
     @property
     def reason(self) -> str:
         """Why, in a sentence."""
-        bearable, gain = self.bearable_correlation, f"{self.gain:.2g} nats"
+        critical, gain = self.critical_correlation, f"{self.gain:.2g} nats"
         errors = (
             f"Errors of {self.rms_first.estimate:.3g} and {self.rms_second.estimate:.3g} "
             f"correlate {self.correlation.estimate:.2f}"
         )
         limit = (
-            f"combining pays below {bearable:.2f}" if np.isfinite(bearable) else "combining pays at any rate"
+            f"combining helps below {critical:.2f}"
+            if np.isfinite(critical)
+            else "combining helps at any correlation"
         )
         if self.groups < FEWEST_GROUPS:
             return f"{errors}, gain {gain}, but only from {self.groups} independent groups"
         if self.verdict == "helps":
             return f"{errors} and {limit}: gain over the better chain {gain}"
         if self.verdict == "does not help":
-            return f"{errors} and {limit}: the product is surer of common mistakes, gain {gain}"
+            return f"{errors} and {limit}: the product is overconfident about common errors, gain {gain}"
         return f"{errors}, {limit}, and the gain may be positive or negative: {gain}"
 
 
@@ -371,7 +374,7 @@ def compare_predictions(
     random: np.random.Generator | None = None,
     resamples: Count = 1000,
 ) -> Comparison:
-    """Judge from two chains' recorded predictions whether combining them pays.
+    """Compare the product of two chains with the better one, from recorded predictions.
 
     Parameters
     ----------
@@ -403,9 +406,9 @@ def compare_predictions(
     moments, noise, as_stated = np.split(sums.resampled(random, resamples), [4 * d**2, 5 * d**2], axis=1)
     errors = _without_noise(moments.reshape(-1, 2 * d, 2 * d), noise.reshape(-1, d, d))
     gain_first, gain_second = errors.gains
-    correlation, factor = errors.correlation, float(errors.bearable[0])
+    correlation, factor = errors.correlation, float(errors.critical_factor[0])
     estimate = float(correlation[0])
-    bearable = estimate * factor if estimate > 0 and math.isfinite(factor) else math.inf
+    critical = estimate * factor if estimate > 0 and math.isfinite(factor) else math.inf
     return Comparison(
         count=count,
         groups=sums.count,
@@ -416,7 +419,7 @@ def compare_predictions(
         rms_first=interval_of(_rms(errors.first)),
         rms_second=interval_of(_rms(errors.second)),
         correlation=interval_of(correlation),
-        bearable_correlation=bearable,
+        critical_correlation=critical,
         gain_first=interval_of(gain_first),
         gain_second=interval_of(gain_second),
         gain=interval_of(np.minimum(gain_first, gain_second)),
@@ -576,7 +579,7 @@ def compare_scores(
     groups: Annotated[ArrayLike, Shape("n")],
     resamples: Count = 1000,
 ) -> ScoreComparison:
-    """Judge from log densities whether combining two chains pays; arguments as of `compare_predictions`.
+    """Compare the product of two chains with the better one, from log densities; see `compare_predictions`.
 
     `scores` are `(n, 3)` nats: of what was observed under the first chain's prediction, the second's, their
     product.

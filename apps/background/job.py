@@ -79,11 +79,11 @@ class BackgroundJob(FilmJob):
         ("--detections", "--camera moving"),
         ("--detections", "--engine stand-alone"),
         ("--zones", "--engine stand-alone"),
-        ("--warm-up", WHOLE, "the second finds the empty scene from the whole film"),
+        ("--warm-up", WHOLE, "the second estimates the background from the whole video"),
         ("--warm-up", "--camera moving"),
-        ("--warm-up", "--from", "--from knows the empty scene"),
+        ("--warm-up", "--from", "--from contains the background"),
         (WHOLE, "--camera moving"),
-        (WHOLE, "--from", "--from knows the empty scene"),
+        (WHOLE, "--from", "--from contains the background"),
     )
 
     def __post_init__(self) -> None:

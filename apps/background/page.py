@@ -137,7 +137,7 @@ def background_page(
         sections.append(("Against the ground truth", [table(("measure", "value"), flat(summary["metrics"]))]))
     tracks: list[Any] = [_track_table(record)]
     if background is not None:
-        text = "Where the feet went, on the background at the end: from the ring to the dot with the number."
+        text = "Paths of the feet on the last background image: from the ring to the dot with the identity."
         tracks.insert(0, picture(draw_paths(background, record.tracks, zones), text))
     sections.append(("Tracks", tracks))
     if zone_events is not None:

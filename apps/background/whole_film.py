@@ -41,7 +41,7 @@ def read_whole(
     if source.live:
         raise ValueError(
             f"--engine {job.engine}: {source.name} is live and cannot be read more than once, expected a "
-            "file or images (--warm-up SECONDS finds the empty scene of a stream)"
+            "file or images (--warm-up SECONDS estimates the background of a stream)"
         )
     names = iter(PASSES)
 

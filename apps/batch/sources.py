@@ -82,7 +82,7 @@ def find_films(sources: Iterable[str], *, tracks: bool = False) -> list[FilmSour
             elif each.name is not None:  # one camera with two settings is most likely one that was copied
                 raise ValueError(f"{each.where}: got {each.source} twice, expected another source")
     if not found:
-        raise ValueError("SOURCES is needed: films, folders of them, or a TOML file that lists cameras")
+        raise ValueError("SOURCES is needed: videos, folders of them, or a TOML file that lists cameras")
     return list(found.values())
 
 

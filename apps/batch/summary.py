@@ -141,7 +141,7 @@ def write_index(out: Path, lines: Sequence[Line]) -> None:
     frames = sum(line.status.frames or 0 for line in lines)
     parts: list[Part] = []
     if len(lines) > MOST_PICTURES:
-        parts.append(paragraph(f"Pictures are shown of the first {MOST_PICTURES} films."))
+        parts.append(paragraph(f"Only the first {MOST_PICTURES} videos have images."))
     entries = [_entry(out, line, number < MOST_PICTURES) for number, line in enumerate(lines)]
     parts.append(Markup(_page.render(entries=entries)))
     cards = {"films": str(len(lines)), **counted, "frames": f"{frames:,}"}

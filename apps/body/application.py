@@ -280,8 +280,8 @@ class Body(Application[BodyJob]):
         notes = [*start.notes, *record.notes]
         if self.job.video and record.relabelled:
             notes.append(
-                "overlay.mp4 shows the names of the hands as they were before; rsmcm export --to video has "
-                "the new ones."
+                "overlay.mp4 has the labels of the hands before relabelling; rsmcm export --to video has the "
+                "new ones."
             )
         return {
             "seen": record.shares_seen,

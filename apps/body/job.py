@@ -56,8 +56,8 @@ class BodyJob(FilmJob):
         "lag": (lambda frames: 0 <= frames <= MOST_LAG, f"0 to {MOST_LAG} frames"),
     }
     EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = (
-        ("--head", "--from", "--from says what the person is like"),
-        ("--joints", "--from", "--from says what the person is like"),
+        ("--head", "--from", "--from contains the person"),
+        ("--joints", "--from", "--from contains the person"),
     )
 
     def settings(self) -> dict[str, Any]:

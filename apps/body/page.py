@@ -172,17 +172,17 @@ class BodyRecord(FrameRecord):
         notes = [*notes_on_missing(self.missing), *describe_doubts(self.doubts)]
         if self.relabelled:
             notes.append(
-                "By the whole film, left and right hand have changed their names in "
+                "Given the whole video, left and right hand were relabelled in "
                 f"{listed_periods(self.relabelled)}."
             )
         if self.stationary:
             notes.append(
-                f"Nothing of the body was seen, and it was only predicted, in "
+                f"Nothing of the body was detected, and it was only predicted, in "
                 f"{listed_periods(self.stationary_periods)}."
             )
         for name, share in self.shares_seen.items():
             if share < RARELY_SEEN:
-                hidden = "seen" if name == "head" else "seen, or not told from the face,"
+                hidden = "seen" if name == "head" else "seen, or not separable from the face,"
                 notes.append(
                     f"The {name.replace('_', ' ')} was not {hidden} in {100 * (1 - share):.0f} % of the "
                     "frames: its position there is a guess from its motion and the rest of the body."
@@ -355,9 +355,9 @@ def _plots(record: BodyRecord) -> list[Plot]:
         Line(100 * record.exchanged, "hands exchanged", GREEN),
     ]
     caption = (
-        "Poses drawn from the posterior, gathered by where their hands are: the probability of the second "
-        "best answer, of answers with a hand elsewhere than in the best one, and, by the whole film, that "
-        "hands have each other's name."
+        "Poses grouped by the positions of their hands: the probability of the second best group, of groups "
+        "with a hand at another position than in the best one, and, given the whole video, that left and "
+        "right are exchanged."
     )
     return [
         *plots,
@@ -385,7 +385,9 @@ def _sections(record: BodyRecord, summary: Mapping[str, Any]) -> list[Section]:
         for each in stretches
     ]
     lengths = [(name.replace("_", " "), value) for name, value in body["lengths"].items()]
-    caption = "A hand before face or neck does not count, since their skin may be all that was seen."
+    caption = (
+        "Hands in front of face or neck are not counted, since the detected skin may be that of the face."
+    )
     sections: list[Section] = [
         (
             "Head and hands",

@@ -29,7 +29,7 @@ HONEST = (0.8, 1.25)
 SCORE_HEADER = ("chains", "feature", "frames", "score 1", "score 2", "product", "gain, nats", "verdict")
 
 HEADER = (
-    "chains", "feature", "predictions", "error 1", "error 2", "correlation", "bearable", "gain, nats",
+    "chains", "feature", "predictions", "error 1", "error 2", "correlation", "critical", "gain, nats",
     "verdict",
 )  # fmt: skip
 
@@ -58,7 +58,7 @@ def report_validity(folder: str | Path) -> str:
         raise ValueError(f"{folder}: holds no {FILE}; it is written by: {WRITTEN_BY}")
     records = read_predictions(folder)
     if not records:
-        return "No two chains of this run predicted the same feature."
+        return "No two chains of this run predict the same feature."
     pairs: list[tuple[PairRecord, Comparison]] = []
     scores: list[tuple[ScoreRecord, ScoreComparison]] = []
     too_few: list[TooFewError] = []
@@ -137,7 +137,7 @@ def _row(record: PairRecord, comparison: Comparison) -> tuple[object, ...]:
         f"{comparison.rms_first.estimate:.3g} {record.unit}",
         f"{comparison.rms_second.estimate:.3g} {record.unit}",
         f"{comparison.correlation:.2f}",
-        f"{comparison.bearable_correlation:.2f}" if np.isfinite(comparison.bearable_correlation) else "any",
+        f"{comparison.critical_correlation:.2f}" if np.isfinite(comparison.critical_correlation) else "any",
         f"{comparison.gain:.2g}",
         comparison.verdict if noise_ratio(record) >= 1 else "not sure",
     )
@@ -157,7 +157,7 @@ def _score_row(record: ScoreRecord, comparison: ScoreComparison) -> tuple[object
 def _scores_in_words(record: ScoreRecord, comparison: ScoreComparison) -> str:
     return (
         f"{record.first} + {record.second} on {record.feature}: {comparison.verdict}. {comparison.reason}.\n"
-        f"Scores are log densities of what was then seen, nats {record.unit}."
+        f"Scores are log densities of the observations, nats {record.unit}."
     )
 
 
@@ -187,12 +187,12 @@ def _in_words(record: PairRecord, comparison: Comparison) -> str:
 def _honesty(name: str, excess: Interval[float]) -> str:
     least, most = HONEST
     if excess.low > most:
-        word = "is too sure of itself"
+        word = "is overconfident"
     elif excess.high < least:
-        word = "is less sure of itself than it could be"
+        word = "is underconfident"
     else:
-        word = "states honest covariances"
-    return f"{name} {word}: its squared errors are {excess:.2f} times what it states."
+        word = "has calibrated covariances"
+    return f"{name} {word}: its squared errors are {excess:.2f} times its stated variances."
 
 
 def _better(gain: Interval[float]) -> str:

@@ -179,7 +179,7 @@ class Face(Application[FaceJob]):
             start.before.append(first.number)
         else:
             if self._given is not None or len(start.before) == len(start.blank):
-                raise start.no_frame("holds no frame in which anything is to be seen")
+                raise start.no_frame("holds only blank frames")
             raise start.no_frame("no face is found in it, expected one, or --landmarks")
         found = "landmarks" if self._given else str(self.job.detector or "OpenCV's cascade of faces")
         _log.info("start in frame %d, by %s", first.number, found)
@@ -306,9 +306,7 @@ class Face(Application[FaceJob]):
         landmarks = self._given.of_frame(frame.number)
         if landmarks is None:
             landmarks = self._given.rows[-1]
-            start.notes.append(
-                f"There are no landmarks of frame {frame.number}; those of a frame before are taken for it."
-            )
+            start.notes.append(f"Frame {frame.number} has no landmarks; those of an earlier frame are used.")
         try:
             _check_inside(landmarks, frame.image)
             return start_from_landmarks(self._model, landmarks, self._given.pairs)

@@ -49,8 +49,7 @@ class FaceJob(FilmJob):
     )  # fmt: skip
     BOUNDS: ClassVar[Bounds] = {"experts": (lambda experts: experts >= 1, "1 or more")}
     EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = tuple(
-        (option, "--from", "--from says what the face is like")
-        for option in ("--model", "--landmarks", "--detector")
+        (option, "--from", "--from contains the face") for option in ("--model", "--landmarks", "--detector")
     )
 
     def __post_init__(self) -> None:

@@ -95,7 +95,7 @@ class FaceRecord(FrameRecord):
         if self.start_fit < START_FIT - 1e-6:
             notes.append(
                 f"The start may be poor: its texture explains {self.start_fit:.3f} of the face in the first "
-                f"second, usual is {START_FIT} or more. Start where the face looks at the camera with its "
+                f"second, typical is {START_FIT} or more. Start where the face looks at the camera with its "
                 "mouth closed (--start), or give --landmarks."
             )
         if self.lost:
@@ -288,10 +288,10 @@ def _plots(record: FaceRecord, names: Sequence[str], film: Film | None) -> list[
     if film is not None:
         points = film.columns["points"].reshape(len(film.numbers), -1, 5)
         unsure = np.sqrt(points[:, :, [2, 4]].sum(axis=2).mean(axis=1))
-        caption = "How the experts differ, root mean square over the points on the film."
+        caption = "Root mean square difference between the experts, over the points on the video."
         plots.append(plot("points ±", "px", [Line(unsure, x=film.times)], caption))
     if np.isfinite(record.errors).any():
-        caption = "Mean distance of the carried landmarks from the given ones."
+        caption = "Mean distance of the tracked landmarks from the given ones."
         plots.append(plot("error", "px", [Line(np.array(record.errors))], caption))
     if morphs.shape[1] > 1:
         shares = morphs[:, 1:] / morphs[:, :1]

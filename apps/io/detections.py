@@ -99,7 +99,7 @@ class Detections:
     def of_classes(self, names: Sequence[str]) -> "Detections":
         """Only the boxes of some classes; a ValueError that lists all classes if a name does not exist."""
         if self.class_index is None:
-            raise ValueError(f"--classes: got {','.join(names)!r}, but {self.path} tells no classes")
+            raise ValueError(f"--classes: got {','.join(names)!r}, but {self.path} has no classes")
         known = self.class_names.tolist()
         for name in names:
             if name not in known:

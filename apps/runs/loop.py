@@ -231,7 +231,7 @@ class Start:
         if first is None:
             raise self.no_frame("holds no frame")
         self.frames = chain([first], self.frames)
-        _log.info("begins with what %s has learned", self._learned.path)
+        _log.info("starts with the state of %s", self._learned.path)
         return self._moved(state, self._learned, first)
 
     def filter(self, model: MultiChain) -> Filter:
@@ -254,7 +254,7 @@ class Start:
         """
         source = self.source
         if not state.states or state.shape is None:
-            raise ValueError(f"--from: {learned.path} has learned nothing yet")
+            raise ValueError(f"--from: {learned.path} has no state yet")
         width, height = source.size
         shape = (height, width, *state.shape[2:]) if first.image is None else first.image.shape
         if shape != state.shape:
@@ -390,7 +390,7 @@ class _FilmRun:
             if job.resume and source.live:
                 raise ValueError(f"--resume: {source.name} is live and cannot be read again")
             if source.live:
-                session.resume_hint = f"--from {job.out / STATE} begins with what was learned"
+                session.resume_hint = f"--from {job.out / STATE} starts with its state"
             if saved is not None:
                 check_source(saved.about, session.fingerprint)
                 if saved.about["finished"]:

@@ -138,7 +138,7 @@ def output_folder(
                 f"{application}"
             )
         if resume and folder.existing(_listed(path)) and not (path / STATE).exists():
-            raise ValueError(f"--resume: {path / STATE} is not there, so start anew with --overwrite")
+            raise ValueError(f"--resume: {path / STATE} does not exist, start again with --overwrite")
         write_json(
             path / HOLDER,
             {"process": os.getpid(), "machine": platform.node(), "since": time.strftime("%Y-%m-%d %H:%M:%S")},

@@ -152,7 +152,9 @@ def _cluster(address: str) -> Iterator[Executor]:
         try:
             client.wait_for_workers(1, timeout=PATIENCE)
         except TimeoutError:
-            raise ValueError(f"--dask: nobody works at {address}: start dask worker {address}") from None
+            raise ValueError(
+                f"--dask: there is no worker at {address}: start dask worker {address}"
+            ) from None
         yield client.get_executor(pure=False)
 
 

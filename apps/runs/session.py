@@ -82,7 +82,7 @@ class Session:
         self.fingerprint: dict[str, Any] = {}
         self.notes: list[str] = []
         self.saved = self.ended_early = False
-        self.resume_hint = f"--resume goes on with {job.out}"
+        self.resume_hint = f"--resume continues {job.out}"
         self.earlier_seconds = 0.0
         self._started = time.perf_counter()
         self._folder: OutputFolder

@@ -272,7 +272,7 @@ def _tracks(job: StructureJob) -> Film:
     notes = []
     if n_half := int(np.count_nonzero(seen & ~whole)):
         notes.append(
-            f"Positions of which one coordinate is known: {n_half}. Affine cameras and the shape are found "
+            f"Positions with one known coordinate: {n_half}. Affine cameras and the shape are found "
             "from them, too; errors, counts and perspective cameras are of the others."
         )
     empty = [number for number, some in zip(numbers, seen, strict=True) if not some.any()]

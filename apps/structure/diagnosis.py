@@ -55,7 +55,7 @@ def too_little(frames: Sequence[Frame], n_tracks: int | None) -> Diagnosis | Non
         what = "frame" if present == 1 else "frames"
         return Diagnosis(
             f"No structure: {present} {what} to look at, and {FEWEST_FRAMES} are needed.",
-            "Depth shows only where a thing is seen from several sides.",
+            "Depth is only visible from several sides.",
             "Give a film, or a folder or glob of its pictures; --start, --stop and --step leave frames out.",
             {"frames": present},
         )
@@ -90,16 +90,16 @@ def no_points(frames: Sequence[Frame], tracks: Numbers, reason: str) -> Diagnosi
     missing = f"No structure: none of {motion.tracks} tracks became a point of a shape."
     if contrast < CONTRAST and motion.tracks < FEWEST_POINTS:
         return Diagnosis(
-            f"No structure: {motion.tracks} points can be followed, and {FEWEST_POINTS} are needed.",
-            f"The pictures are all but uniform: their grey levels deviate by {contrast:.2g} of 255.",
-            "Give pictures with texture, in focus and lit well enough.",
+            f"No structure: {motion.tracks} points can be tracked, and {FEWEST_POINTS} are needed.",
+            f"The images are nearly uniform: the standard deviation of grey levels is {contrast:.2g} of 255.",
+            "Use images with texture, in focus, with enough light.",
             figures,
         )
     if motion.tracks < FEWEST_POINTS:
         return Diagnosis(
-            f"No structure: {motion.tracks} points can be followed, and {FEWEST_POINTS} are needed.",
-            "Only corners can be followed, and what they show must stay in view for some frames.",
-            "Give pictures of a thing with more texture, or a closer view of it.",
+            f"No structure: {motion.tracks} points can be tracked, and {FEWEST_POINTS} are needed.",
+            "Only corners can be tracked, and they must stay in view for some frames.",
+            "Use images of an object with more texture, or a closer view.",
             figures,
         )
     if motion.life <= SHORT:
@@ -107,7 +107,7 @@ def no_points(frames: Sequence[Frame], tracks: Numbers, reason: str) -> Diagnosi
         fast = f"; the pictures move by {speed:.3g} px a frame" if math.isfinite(speed) else ""
         advice = "Give more frames of the same motion, or a slower one, or leave fewer frames out (--step)."
         if not speed > FAST:
-            advice = "Give a film in which the same things stay in view, in focus and lit alike."
+            advice = "Use a video in which the same objects stay in view, in focus, under constant light."
         return Diagnosis(
             missing,
             f"Half of the tracks live {motion.life:.3g} frame{'s' * (motion.life != 1)} or fewer{fast}.",
@@ -117,26 +117,26 @@ def no_points(frames: Sequence[Frame], tracks: Numbers, reason: str) -> Diagnosi
     why = f"Half of them live {motion.life:.3g} frames or more, and move by {motion.per_frame:.3g} px a frame"
     return Diagnosis(
         missing,
-        f"{why}, but they are not of one rigid thing{f': {reason}' if reason else ''}.",
-        "Give a film of one rigid thing that turns, or of a scene in which nothing else moves.",
+        f"{why}, but they do not belong to one rigid object{f': {reason}' if reason else ''}.",
+        "Use a video of one rigid rotating object, or of a scene in which nothing else moves.",
         figures,
     )
 
 
 WHY: dict[Kind, str] = {
-    "still": "nothing moves, neither the camera nor a thing before it",
-    "similarity": "shifts, turns and zooms of the whole picture explain all motion: the camera "
+    "still": "nothing moves, neither the camera nor an object",
+    "similarity": "translations, rotations and zooms of the image explain all motion: the camera "
     "only zooms, or turns a little, or looks straight at one plane",
-    "rotation": "a camera that turns and zooms where it stands, and sees no depth, explains all motion",
+    "rotation": "a camera that rotates and zooms in place, without depth, explains all motion",
     "plane": "one plane explains all motion",
-    "unknown": "tracks are too short to compare pictures that are far apart",
+    "unknown": "tracks are too short to compare distant frames",
 }
 ADVICE: dict[Kind, str] = {
-    "still": "Move the camera sideways, or turn the thing.",
-    "similarity": "Move the camera sideways, by a tenth of the distance or more, or turn the thing.",
+    "still": "Move the camera sideways, or rotate the object.",
+    "similarity": "Move the camera sideways, by a tenth of the distance or more, or rotate the object.",
     "rotation": "Move the camera sideways while it films; a tripod, or a pan from one place, shows no depth.",
     "plane": "Film something that is not flat, or more than the wall, and move the camera sideways.",
-    "unknown": "Give more frames of the same motion, or leave fewer out (--step).",
+    "unknown": "Use more frames of the same motion, or a smaller --step.",
 }
 
 
@@ -146,7 +146,7 @@ def no_depth(reason: str, tracks: Numbers) -> Diagnosis:
     parallax = ""
     if math.isfinite(motion.parallax):
         parallax = f" Homographies between pictures far apart leave {motion.parallax:.2g} px per point over"
-        parallax += ", no more than noise does: no parallax."
+        parallax += ", no more than noise: no parallax."
     return Diagnosis(
         f"The shape is undetermined, and none is given: {reason}.",
         f"Points move by {motion.per_frame:.3g} px a frame, and {WHY[motion.kind]}.{parallax}",

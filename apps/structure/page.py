@@ -216,9 +216,9 @@ def three_sides(result: Reconstruction, colours: NDArray[np.uint8]) -> list[Plot
     inks = [css_colour(colour) for colour in colours[shown].tolist()]
     left_out = result.n_points - np.count_nonzero(shown)
     caption = (
-        "In px of the picture, up to scale and to reflection in depth."
+        "In px of the image, up to scale and a reflection in depth."
         if result.geometry == "euclidean"
-        else "Up to an affine map: lengths and angles mean nothing."
+        else "Up to an affine map: lengths and angles are not determined."
     )
     caption += f" {left_out} of {result.n_points} points lie outside." if left_out else ""
     return [

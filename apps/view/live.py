@@ -202,7 +202,7 @@ def live_page(address: Address, running: Running) -> Iterator[str]:
     thread = threading.Thread(target=server.serve_forever, args=(0.1,), name="live", daemon=True)
     thread.start()
     try:
-        yield server.url + (" (anybody who reaches this machine can look)" if server.open_to_all else "")
+        yield server.url + (" (everyone who can reach this machine can watch)" if server.open_to_all else "")
     finally:
         running.end(None)  # unless it has said how
         server.shutdown()

@@ -97,7 +97,7 @@ class FollowedPoints:
         squares = np.where(observed, np.square(self.residuals).sum(axis=-1), 0.0).sum(axis=1)
         counts = np.count_nonzero(observed, axis=1)
         errors = np.sqrt(np.where(counts > 0, squares, np.nan) / np.maximum(counts, 1))
-        caption = "Root mean square distance (per point, not per coordinate) over those seen."
+        caption = "Root mean square distance (per point, not per coordinate) over visible points."
         return [
             Plot("error per point", "px", [Line(errors)], caption),
             Plot("points seen", "", [Line(counts)]),

@@ -58,7 +58,7 @@ class BodyStart:
         """Warnings, a sentence each."""
         if self.parts.skin is None:
             return [
-                "The video is grey: there is no skin colour. Hands are followed by edges only, and in "
+                "The video is grey: there is no skin colour. Hands are tracked by edges only, and in "
                 "frames without a detected face everything is only predicted."
             ]
         return []
@@ -127,7 +127,7 @@ def start_from_faces(
             f"{name}: no face is found in the {len(images)} frames looked at, expected a person who faces "
             "the camera: mark the head in the first frame with --head"
         ) from None
-    origin = "Usual proportions of a person whose head is as high as the detected faces say."
+    origin = "Average proportions of a person with the height of the detected faces."
     return _start(parts, origin, clicked)
 
 
@@ -156,7 +156,7 @@ def start_from_head(
     still = None if skin is None else static_skin(skin, images)
     parts = BodyParts(height, skin, MarkedFace(box, first.number), still)
     parts = parts.dressed([image], box[None])
-    return _start(parts, "Usual proportions of a person whose head is as high as the given one.", clicked)
+    return _start(parts, "Average proportions of a person with a head of the given height.", clicked)
 
 
 def _face_of(head: BoundingBox) -> BoundingBox:
@@ -177,9 +177,9 @@ def _start(parts: BodyParts, origin: str, clicked: ClickedJoints | None) -> Body
         raise ValueError(f"{clicked.path}: {error}") from None
     if body == usual:
         raise ValueError(
-            f"{clicked.path}: tells of no length, expected both ends of an arm's segment in one frame"
+            f"{clicked.path}: has no length, expected both ends of an arm's segment in one frame"
         )
-    origin = f"Fitted to joints that were clicked in {n_frames} frames; what they leave open is as usual."
+    origin = f"Fitted to annotated joints in {n_frames} frames; unknown lengths have average proportions."
     return BodyStart(parts, body, origin)
 
 
@@ -238,7 +238,7 @@ def fit_lengths(start: BodyStart, joints: Array) -> BodyStart:
     except ValueError:
         return start
     n_frames = len(joints)
-    origin = f"Fitted to keypoints in {n_frames} frames; what they leave open is as usual."
+    origin = f"Fitted to keypoints in {n_frames} frames; unknown lengths have average proportions."
     return replace(start, body=body, origin=origin)
 
 

@@ -158,13 +158,13 @@ class SceneFilter:
         return self._background()[1].empty_scene(images, times, covered)
 
     def _background(self) -> tuple[str, SceneModel]:
-        """Name of the chain that finds the empty scene, and the chain."""
+        """Name of the chain that estimates the background image, and the chain."""
         for name, chain in self.model.chains.items():
             if isinstance(chain, SceneModel):
                 return name, chain
         raise ValueError(
-            f"scene filter: got chains {', '.join(self.model.chains)}, expected one that finds the empty "
-            "scene (a SceneModel; background with model gaussian)"
+            f"scene filter: got chains {', '.join(self.model.chains)}, expected one that estimates a "
+            "background image (a SceneModel; background with model gaussian)"
         )
 
     @overload

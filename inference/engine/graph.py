@@ -294,7 +294,7 @@ class MultiChain:
             kinds = " or ".join(port.kind.__name__ for port in declared) or "none at all"
             raise TypeError(
                 f"connect: got {feature.name!r} ({type(feature).__name__}) for {chain.name!r}, "
-                f"expected a feature that this {type(chain).__name__} meets: {kinds}"
+                f"expected a feature of the ports of this {type(chain).__name__} meets: {kinds}"
             )
         for other in self.features_of.get(chain.name, ()):
             if self._port(chain.name, other) == ports[0] and not ports[0].many:

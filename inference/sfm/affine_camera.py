@@ -23,8 +23,8 @@ OPEN = 1e-12  # share of the information on stretches that is rounding
 MOST_STEPS = 100
 DAMPING = Damping(1e-3, most=1e13)
 SHORT = 1e-12  # step, a change of the logarithm of a stretch, that is the last
-FLATTISH = "no depth shows: the camera does not turn out of the picture plane, or the scene is flat"
-HARDLY = "the camera hardly turns out of the picture plane"
+FLATTISH = "no depth is visible: the camera does not rotate out of the image plane, or the scene is flat"
+HARDLY = "the camera hardly rotates out of the image plane"
 
 _BASIS = np.array(
     [

@@ -244,7 +244,7 @@ def _cascade(name: str) -> Any:
             raise ImportError(f"no file {path}", name="cv2")
         return _read_cascade(path)
     except (AttributeError, ImportError) as error:
-        raise ValueError(f"OpenCV {cv2.__version__} brings no face detector along") from error
+        raise ValueError(f"OpenCV {cv2.__version__} has no face detector") from error
 
 
 def _given_cascade(path: Path) -> Any:

@@ -321,7 +321,7 @@ def test_broken_state_files(
         assert "expected a state that was saved here" in message
     (out / "state.npz").unlink()
     message = complaint(capfd, "background", scene / "input", "--out", out, "--resume")
-    assert "start anew with --overwrite" in message
+    assert "start again with --overwrite" in message
 
 
 def test_a_full_disk(scene: Path, tmp_path: Path) -> None:

@@ -186,7 +186,7 @@ def test_interrupted_and_resumed(
     with signals_after(after, [signal.SIGTERM] * signals, monkeypatch):
         assert application.run(out) == 128 + signal.SIGTERM
     *_, line = capfd.readouterr().err.splitlines() or [""]
-    assert (line == f"rsmcm: interrupted: --resume goes on with {out}") == (signals == 2)
+    assert (line == f"rsmcm: interrupted: --resume continues {out}") == (signals == 2)
     if signals == 1:
         assert json.loads((out / "summary.json").read_text())["ended_early"]
     assert application.run(out, "--resume") == 0

@@ -169,10 +169,12 @@ class Source:
         if gaps:
             times = "once" if len(gaps) == 1 else f"{len(gaps)} times"
             listed = "; ".join(map(str, gaps[:SHOWN_GAPS])) + (" …" if len(gaps) > SHOWN_GAPS else "")
-            notes.append(f"{self.name} was lost {times} and came back: {listed}.")
+            notes.append(f"{self.name} was lost {times} and reconnected: {listed}.")
         dropped = self._queue.dropped
         if dropped:
-            notes.append(f"{dropped} frames were dropped, which came faster than they were processed.")
+            notes.append(
+                f"{dropped} frames were dropped, since they arrived faster than they were processed."
+            )
         return notes
 
     def close(self) -> None:

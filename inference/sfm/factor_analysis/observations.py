@@ -209,7 +209,7 @@ def determined(observations: Observations, *, apart: bool = False) -> tuple[Mask
     if not apart and (lost := frames & ~_joined(part)).any():
         raise ValueError(
             f"positions: got frames {ranges(np.flatnonzero(lost))} that share fewer than {LEAST_POINTS} "
-            "points with the other frames, expected frames that hang together (take the sets one by one)"
+            "points with the other frames, expected connected frames (use the sets one by one)"
         )
     return frames, points
 

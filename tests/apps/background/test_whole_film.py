@@ -151,7 +151,7 @@ def test_another_model_of_the_background_is_refused(
     config.write_text('[background]\nmodel = "mixture"\n')
     arguments = [scene / "input", "--out", tmp_path / "out", "--config", config, *options]
     complaint = Command("background").complaint(capfd, *arguments)
-    assert "expected one that finds the empty scene" in complaint
+    assert "expected one that estimates a background image" in complaint
 
 
 def test_a_live_source_is_refused_with_a_way_out(tmp_path: Path) -> None:

@@ -205,7 +205,7 @@ def test_hands_change_their_names_at_the_end(
     assert summary["doubts"]["exchanged"] == [[6, 8, 0.2]]
     notes = summary["notes"]
     assert "The hands may be exchanged in frames 6 to 8 (20 %)." in notes
-    assert "By the whole film, left and right hand have changed their names in frames 6 to 8." in notes
+    assert "Given the whole video, left and right hand were relabelled in frames 6 to 8." in notes
 
 
 # --- who is tracked -----------------------------------------------------------------------------------------
@@ -299,7 +299,7 @@ def test_nothing_to_see(tmp_path: Path, head: tuple[str, str], capfd: pytest.Cap
     folder = write_pictures(tmp_path / "film", [np.zeros((180, 320), np.uint8)] * 3)
     for arguments in (head, ()):
         message = complaint(capfd, folder, "--out", tmp_path / "out", *arguments)
-        assert "holds no frame in which anything is to be seen" in message
+        assert "holds only blank frames" in message
     assert not (tmp_path / "out").exists()
 
 
@@ -361,7 +361,7 @@ def test_wrong_arguments(
         ((film, *out, *head, "--joints", tmp_path / "nowhere.csv"), "nowhere.csv: No such file"),
         ((film, *out, *head, "--joints", nonsense), "nonsense.csv, line 2: got the joint 'nose'"),
         ((film, *out, *head, "--joints", giant), "giant.csv: "),
-        ((film, *out, *head, "--joints", lonely), "lonely.csv: tells of no length"),
+        ((film, *out, *head, "--joints", lonely), "lonely.csv: has no length"),
         ((film, *out, *head, "--samples", 9), "--samples: got 9, expected 10 or more"),
         ((film, *out, *head, "--samples", "many"), "--samples"),
         ((film, *out, *head, "--lag", -1), "--lag: got -1, expected 0 to 250 frames"),
@@ -417,7 +417,7 @@ def test_a_record_of_any_length() -> None:
     assert notes[1] == "The left hand may be elsewhere in frames 40 to 59 (30 %)."
     assert record.doubts == {"exchanged": [], "left_hand": [(40, 59, 0.3)], "right_hand": []}
     assert notes[3].startswith(
-        "The right hand was not seen, or not told from the face, in 75 % of the frames: "
+        "The right hand was not seen, or not separable from the face, in 75 % of the frames: "
     )
     assert len(notes) == 4
     assert np.flatnonzero(np.isnan(record.log_evidence)).tolist() == [4, 5, 6, 8, 19]

@@ -144,7 +144,7 @@ def test_identical_chains_never_help_and_independent_ones_always_do(seed: int, d
     assert not alike.theorem_holds
     independent = replace(errors, cross=-errors.process)
     assert min(independent.gains) > 0
-    assert independent.bearable == np.inf
+    assert independent.critical_factor == np.inf
     without_process = replace(errors, cross=np.zeros((d, d)), process=np.zeros((d, d)))
     assert without_process.theorem_holds
     assert min(without_process.gains) > 0
@@ -180,16 +180,16 @@ def test_invariances(seed: int, d: int) -> None:
         errors.observation,
     )
     assert moved.gains == pytest.approx(errors.gains, **near)
-    assert moved.bearable == pytest.approx(errors.bearable, **near)
+    assert moved.critical_factor == pytest.approx(errors.critical_factor, **near)
     assert moved.correlation == pytest.approx(errors.correlation, **near)
 
 
 @given(SEEDS)
 @settings(max_examples=20)
-def test_bearable_is_where_the_gain_ends(seed: int) -> None:
+def test_critical_correlation_is_where_the_gain_ends(seed: int) -> None:
     errors = random_errors(2, np.random.default_rng(seed))
-    if np.isfinite(errors.bearable):
-        both = errors.bearable * (errors.cross + errors.process)
+    if np.isfinite(errors.critical_factor):
+        both = errors.critical_factor * (errors.cross + errors.process)
         edge = replace(errors, cross=both - errors.process)
         assert min(edge.gains) == pytest.approx(0, abs=1e-8 * (1 + max(abs(g) for g in errors.gains)))
 
@@ -275,7 +275,7 @@ def test_verdicts_and_their_reasons() -> None:
     helping, alike, between, few = judged(0.1), judged(0.999), judged(0.55), judged(0.1, FEWEST_GROUPS - 1)
     assert helping.verdict == "helps"
     assert helping.theorem_holds
-    assert "combining pays below 0.5" in helping.reason
+    assert "combining helps below 0.5" in helping.reason
     assert alike.verdict == "does not help"
     assert alike.stated is not None
     assert alike.stated.score_gain.high < 0
@@ -286,7 +286,7 @@ def test_verdicts_and_their_reasons() -> None:
     assert f"only from {FEWEST_GROUPS - 1} independent groups" in few.reason
     opposed = judged(-0.5)
     assert opposed.verdict == "helps"
-    assert "combining pays at any rate" in opposed.reason
+    assert "combining helps at any correlation" in opposed.reason
 
 
 def test_wrong_arrays() -> None:
@@ -412,7 +412,7 @@ def test_command_prints_verdicts(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert lines[3].endswith("does not help")
     assert "chain-a + chain-b on points: helps. Errors of " in out
     assert "Theorem 2 is met" in out
-    assert "chain-a states honest covariances" in out
+    assert "chain-a has calibrated covariances" in out
     assert "predicts what is observed better" in out
     assert "predicts what is observed worse" in out
 

@@ -68,7 +68,7 @@ def test_nothing_is_left_of_a_run_that_does_not_begin(tmp_path: Path) -> None:
 
 def test_resuming_what_is_something_else(tmp_path: Path) -> None:
     run(tmp_path, "a.txt")
-    with pytest.raises(ValueError, match=r"state\.npz is not there, so start anew with --overwrite"):
+    with pytest.raises(ValueError, match=r"state\.npz does not exist, start again with --overwrite"):
         run(tmp_path, resume=True)
     with (
         pytest.raises(ValueError, match=r"--resume: .* holds results of rsmcm test, expected rsmcm face"),

@@ -121,8 +121,8 @@ def pictures(kind: str) -> list[Image]:
 @pytest.mark.parametrize(
     ("kind", "missing", "why"),
     [
-        ("grey", "0 points can be followed, and 4 are needed", "grey levels deviate by 0 of 255"),
-        ("dot", "points can be followed, and 4 are needed", "Only corners can be followed"),
+        ("grey", "0 points can be tracked, and 4 are needed", "grey levels deviate by 0 of 255"),
+        ("dot", "points can be tracked, and 4 are needed", "Only corners can be tracked"),
     ],
 )
 def test_pictures(
@@ -155,4 +155,4 @@ def test_pictures_that_move_too_fast() -> None:
     assert "--step" in diagnosis.advice
     assert "--step" not in no_points(frames[:1] * 6, tracks, "").advice, "they stand still"
     long = np.random.default_rng(9).uniform(0, 150, (6, 20, 2))
-    assert "not of one rigid thing: too few agree" in no_points(frames, long, "too few agree").why
+    assert "do not belong to one rigid object: too few agree" in no_points(frames, long, "too few agree").why

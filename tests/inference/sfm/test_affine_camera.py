@@ -101,7 +101,7 @@ def test_a_motion_that_tells_nothing_of_depth_is_named(motion: str, noise: float
         given_cameras, given_shape, covariance = found.cameras, found.shape, found.camera_covariance
     metric = euclidean(given_cameras, given_shape, covariance)
     assert not metric.determined
-    assert "no depth shows" in metric.reason
+    assert "no depth is visible" in metric.reason
     assert np.isnan(metric.scales).all()
     np.testing.assert_array_equal(metric.shape, given_shape)
     np.testing.assert_array_equal(metric.cameras, given_cameras)
