@@ -165,9 +165,9 @@ def _in_words(record: PairRecord, comparison: Comparison) -> str:
     pair, ratio = f"{record.first} + {record.second} on {record.feature}", noise_ratio(record)
     if ratio < 1:
         lines = [
-            f"{pair}: not sure. What was observed is nearer to a prediction than its own noise allows "
-            f"(squared distances are {ratio:.2f} times that): the noise is overstated, and errors, "
-            "correlation and gain cannot be told. Scores as stated can."
+            f"{pair}: not sure. Observations are nearer to a prediction than their stated noise allows "
+            f"(squared distances are {ratio:.2f} times the noise): the noise is overstated, so errors, "
+            "correlation and gain are unknown. Scores with the stated covariances are valid."
         ]
     else:
         lines = [f"{pair}: {comparison.verdict}. {comparison.reason}."]
@@ -178,7 +178,7 @@ def _in_words(record: PairRecord, comparison: Comparison) -> str:
         lines += [
             _honesty(record.first, stated.nis_first),
             _honesty(record.second, stated.nis_second),
-            f"As they state their covariances, the product predicts what is observed "
+            f"With the stated covariances, the product predicts the observations "
             f"{_better(stated.score_gain)} than the better chain; its posterior is {_better(stated.gain)}.",
         ]
     return "\n".join(lines)
