@@ -44,11 +44,11 @@ class LinearMotion(NamedTuple):
 
 @checked
 def kinematic(order: Count, dt: NotNegative) -> LinearMotion:
-    """Position and derivatives, the last of which is driven by white noise: (x, x', ...) after `dt` s.
+    """Return the linear model of a position and derivatives (x, x', ...) over `dt` s, driven by white noise.
 
-    Order 1 is a random walk, 2 constant velocity but for white acceleration, 3 constant acceleration but for
-    white jerk. The noise is for a spectral density of 1 unit^2/s of the last derivative (px^2/s^3 at order
-    2): by so much its variance grows in a second. A negative `dt` is a `ValueError`.
+    Order 1 is a random walk, 2 constant velocity with white acceleration, 3 constant acceleration with white
+    jerk. The noise has a spectral density of 1 (px^2/s^3 at order 2): the variance of the last derivative
+    after a second. A negative `dt` is a `ValueError`.
     """
     _check(dt)
     transition, noise = np.zeros((order, order)), np.empty((order, order))

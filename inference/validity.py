@@ -137,8 +137,8 @@ class PredictionErrors:
 def cost(stated: Matrices, error: Matrices, process: Matrices, observation: Matrices) -> Numbers:
     """Return C(q) of eq. (16) and (A.2), with corrected signs, `(...)` nats.
 
-    `stated` is the noise Sigma_i of the prediction, `error` the second moment P_i of what its mean is off
-    by, `process` Sigma_0, `observation` Sigma_v; all `(..., d, d)`.
+    `stated` is the noise Sigma_i of the prediction, `error` the second moment P_i of the error of its mean,
+    `process` Sigma_0, `observation` Sigma_v; all `(..., d, d)`.
     """
     total, seen = process + error, stated + observation
     with np.errstate(divide="ignore"):
@@ -200,17 +200,17 @@ WEIGHTS_AT_ONCE = 1 << 20  # of the bootstrap, to keep memory small
 class RecordedPredictions:
     """Two chains' predictions of the same feature, and what was then observed.
 
-    Predictions must have been made without the observed values that they are held against. If the chains
-    were coupled while they were recorded, their errors are those of coupled chains, more alike than apart.
+    Predictions must have been made without these observations. If the chains exchanged messages while they
+    were recorded, their errors are more alike than without.
 
     Parameters
     ----------
     first, second, observed
-        `(n, d)` means of either chain's predictions, and what was observed.
+        `(n, d)` means of the predictions of both chains, and observations.
     noise
         `(n, d, d)` covariance of the observation's noise (or one `(d, d)` for all).
     first_covariance, second_covariance
-        `(n, d, d)` that the chains stated, both or none.
+        `(n, d, d)` stated covariances of both chains, or `None` for both.
 
     Raises
     ------
@@ -381,8 +381,8 @@ def compare_predictions(
     recorded
         the predictions.
     groups
-        `(n,)` integers: rows of one group (a track, or a stretch of frames) may have related errors,
-        different groups count as independent. Whole groups are resampled.
+        `(n,)` integers: errors in one group (a track, or an interval of frames) may be correlated, different
+        groups are independent. Whole groups are resampled.
     random, resamples
         of the bootstrap; seeded with 0 if not given.
 

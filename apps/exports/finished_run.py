@@ -126,7 +126,7 @@ class FinishedRun:
         return [path.name for path in images_among(Path(self.source).iterdir())]
 
     def frames(self, masks: bool = True) -> Iterator[RunFrame]:
-        """Yield the frames of a background run, with masks if these are wanted.
+        """Yield the frames of a background run, optionally with masks.
 
         Raises
         ------

@@ -92,7 +92,7 @@ class BoxTruth:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class MaskTruth:
-    """CDnet's labelled masks, read when asked for.
+    """CDnet's labelled masks, read on demand.
 
     Parameters
     ----------

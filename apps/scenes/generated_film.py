@@ -16,7 +16,7 @@ class Lazy(Sequence[T]):
     """Sequence whose items are made on request."""
 
     @abstractmethod
-    def made(self, index: int) -> T:
+    def make(self, index: int) -> T:
         """Make item `index`, from 0."""
 
     @overload
@@ -25,11 +25,11 @@ class Lazy(Sequence[T]):
     def __getitem__(self, index: slice) -> Sequence[T]: ...
     def __getitem__(self, index: int | slice) -> T | Sequence[T]:
         if isinstance(index, slice):
-            return [self.made(i) for i in range(*index.indices(len(self)))]
-        return self.made(range(len(self))[index])
+            return [self.make(i) for i in range(*index.indices(len(self)))]
+        return self.make(range(len(self))[index])
 
     def __iter__(self) -> Iterator[T]:
-        return (self.made(index) for index in range(len(self)))
+        return (self.make(index) for index in range(len(self)))
 
 
 class GeneratedFilm(Lazy[Frame]):
@@ -43,7 +43,7 @@ class GeneratedFilm(Lazy[Frame]):
         return self.n_frames
 
     @abstractmethod
-    def made(self, index: int) -> Frame:
+    def make(self, index: int) -> Frame:
         """Make frame `index` with its time."""
 
     def frame(self, index: int) -> Frame:

@@ -21,10 +21,10 @@ TURNING = 0.25  # of the shake's px: how far rotation, zoom and shear move the c
 @checked
 @dataclass(frozen=True, eq=False)
 class ShakenFilm(Lazy[Frame]):
-    """Film of a steady film taken with a camera that shakes.
+    """A steady video as seen by a shaking camera.
 
-    The first frame is as it was. The map from the scene to a frame (see `AffineMap`) is an
-    Ornstein-Uhlenbeck process of 0.15 s: shifts, and a quarter as much of rotation, zoom and shear.
+    The first frame is not shaken. The map from the scene to a frame (see `AffineMap`) is an
+    Ornstein-Uhlenbeck process of 0.15 s: translations, and a quarter as much of rotation, zoom and shear.
 
     Parameters
     ----------
@@ -33,11 +33,11 @@ class ShakenFilm(Lazy[Frame]):
     amount
         px, standard deviation of the shifts along each axis.
     seed
-        decides shake and noise.
+        of shake and noise.
     margin
-        px that its picture is smaller on each side, out of which the camera looks when it shakes.
+        px by which the image is cropped on each side, the range of the shake.
     noise
-        standard deviation of the sensor's noise, grey levels, if the film has none of its own.
+        standard deviation of the sensor's noise, grey levels, to be added.
 
     Raises
     ------
@@ -54,7 +54,7 @@ class ShakenFilm(Lazy[Frame]):
     def __len__(self) -> int:
         return len(self.film)
 
-    def made(self, index: int) -> Frame:
+    def make(self, index: int) -> Frame:
         """Make frame `index` with its time."""
         frame = self.film[index]
         if frame.image is None:
@@ -73,7 +73,7 @@ class ShakenFilm(Lazy[Frame]):
 
     @cached_property
     def views(self) -> list[AffineMap]:
-        """Map by which each frame shows the middle of the steady film's picture."""
+        """Map from the cropped steady image to each frame."""
         random = np.random.default_rng([self.seed, 0])
         shares = self.amount * np.where(np.arange(UNKNOWNS) % 3 == 0, 1.0, TURNING)
         parameters, views, before = np.zeros(UNKNOWNS), [], self.film[0].time

@@ -354,29 +354,29 @@ DRIFT_RANGE = Bound(lambda share: 0 <= share < 1, "0 or more and less than 1")
 @checked
 @dataclass(frozen=True, eq=False)
 class Scene(GeneratedFilm):
-    """A person walks into a street, stands almost still, and walks out; a parked car leaves meanwhile.
+    """A street: a person walks in, stands almost still, and walks out; a parked car leaves meanwhile.
 
-    Parts of the person's clothes have nearly the colour of what is behind them. If the scene is long enough,
-    the person comes back again and again.
+    Parts of the clothes have nearly the colour of the background. In long scenes, the person returns
+    repeatedly.
 
     Parameters
     ----------
     n_frames
         length of the scene, 25 frames a second.
     seed
-        decides textures, noise and the phase of the light.
+        of textures, noise and the phase of the light.
     size
         `(width, height)` px.
     light_jump
-        index of the frame from which on the light is 22 % weaker; `None`: it never jumps.
+        index of the frame from which on the light is 22 % weaker; `None`: never.
     stand
         frames for which the person stands, swaying by a pixel or two.
     enter
-        index of the frame at which the person sets out for the picture.
+        index of the frame at which the person starts to walk towards the image.
     car_leaves
-        index of the first frame in which the car has moved; at least `n_frames`: it stays parked.
+        index of the first frame in which the car has moved; `n_frames` or more: never.
     light_drift
-        slow change of the light, as a share of it: a sine of 14 seconds.
+        relative amplitude of a slow change of the light, a sine of 14 seconds.
     noise
         standard deviation of the sensor's noise, grey levels per channel.
     clouds
@@ -405,7 +405,7 @@ class Scene(GeneratedFilm):
         """Exact foreground, `(height, width)` bool for every frame, made on request."""
         return _Masks(self)
 
-    def made(self, index: int) -> Frame:
+    def make(self, index: int) -> Frame:
         """Make frame `index` with its time; the picture has colours."""
         picture = self._composed(index)
         picture *= np.float32(self._light(index))
@@ -416,8 +416,8 @@ class Scene(GeneratedFilm):
     def foreground(self, index: int) -> Mask:
         """Return `(height, width)` bool: the person, and the car from its first movement on.
 
-        A car parked since the first frame is background until it leaves; the ground that it uncovers is
-        background from the frame in which it can be seen.
+        A car parked since the first frame is background until it leaves; the uncovered ground is background
+        at once.
         """
         return self.person(index) | (self.car(index) if index >= self.car_leaves else False)
 
@@ -542,7 +542,7 @@ class _Masks(Lazy[Mask]):
     def __len__(self) -> int:
         return len(self.scene)
 
-    def made(self, index: int) -> Mask:
+    def make(self, index: int) -> Mask:
         return self.scene.foreground(index)
 
 

@@ -162,34 +162,34 @@ LARGE_ENOUGH = Bound(lambda size: min(size) >= 64, "(width, height) of at least 
 @checked
 @dataclass(frozen=True, eq=False)
 class FaceScene(GeneratedFilm):
-    """A face that turns, talks and moves about in front of a room.
+    """A face that rotates, talks and moves in front of a room.
 
-    It begins at rest, seen from the front, and takes a second to come to its full motion; calm and hurried
-    stretches follow each other. c_1 is 18 % of the picture's height, give or take 8 %. The first frames of a
-    longer scene are those of a shorter one. The room stays as it is: neither camera nor its light changes.
+    It starts at rest, seen from the front, and reaches its full motion within a second; slow and fast
+    intervals alternate. c_1 is 18 % of the height of the image, with a variation of 8 %. The first frames of
+    a longer scene are those of a shorter one. The room and its light are constant.
 
     Parameters
     ----------
     n_frames
         length of the scene, 25 frames a second.
     seed
-        decides motion, textures, light and noise.
+        of motion, textures, light and noise.
     size
         `(width, height)` px.
     motion
-        "natural", or "fast": two or three times as quick, with large expressions.
+        "natural", or "fast": two or three times as fast, with large expressions.
     max_yaw
-        largest turn to a side, degrees, at most 80; from 50 on a large part of the face hides itself.
+        largest yaw, degrees, at most 80; from 50 on a large part of the face is self-occluded.
     shields
-        whether two round shields that stand off from the cheeks hide what is behind them (see `face_model`).
+        whether two round shields in front of the cheeks occlude parts of the face (see `face_model`).
     texture
-        contrast of the skin with all that is on it, as a share of a usual one; 0 is even grey.
+        contrast of the skin, relative to the default; 0 is uniform grey.
     change
-        standard deviation, grey levels, of blotches that come and go on the skin within seconds.
+        standard deviation, grey levels, of patches of the texture that change within seconds.
     light
-        how much light shades and changes: 1, a lamp that moves about and flickers slowly; 0, even light.
+        strength of shading and changes of light: 1, a lamp that moves and flickers slowly; 0, uniform light.
     background
-        contrast of the room; 0 is even grey.
+        contrast of the room; 0 is uniform grey.
     noise
         standard deviation of the sensor's noise, grey levels.
 
@@ -212,7 +212,7 @@ class FaceScene(GeneratedFilm):
     background: NotNegative = 1.0
     noise: NotNegative = 2.0
 
-    def made(self, index: int) -> Frame:
+    def make(self, index: int) -> Frame:
         """Make frame `index` with its time."""
         return self._seen(self._render(index)[0], self.noise, 5, index)
 
@@ -234,7 +234,7 @@ class FaceScene(GeneratedFilm):
 
     @cached_property
     def vertices(self) -> Numbers:
-        """Places of the vertices of `model`, `(n_frames, n_vertices, 2)` px."""
+        """Positions of the vertices of `model`, `(n_frames, n_vertices, 2)` px."""
         return self.model.project(self.poses)
 
     # What it looks like

@@ -18,14 +18,14 @@ DRIFT_FRAMES = 5  # frames that it lasts
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Cylinder:
-    """Points on a turning cylinder with what is seen of them; build it with `cylinder`.
+    """Points on a rotating cylinder, with their observations; build it with `cylinder`.
 
     Lengths are in radii of the cylinder, u points right, v down.
 
     Parameters
     ----------
     shape
-        `(n_points, 3)`: radius 1, height -1..1 along the third axis, about which it turns.
+        `(n_points, 3)`: radius 1, height -1..1 along the third axis, the axis of rotation.
     cameras
         `(n_frames, 2, 4)`: affine cameras, orthographic, their rows orthonormal;
         position = `cameras[t, :, :3] @ shape[i] + cameras[t, :, 3]`.
@@ -36,7 +36,7 @@ class Cylinder:
     observed
         `(n_frames, n_points, 2)` with noise and drift; NaN where invisible.
     drifting
-        `(n_frames, n_points)` bool: where `observed` holds a bias.
+        `(n_frames, n_points)` bool: whether `observed` has a bias.
     seed
         from which all this was drawn.
     """
@@ -50,10 +50,9 @@ class Cylinder:
     seed: int
 
     def tracks(self) -> NDArray[np.float64]:
-        """Return the tracks of a poor tracker, `(n_frames, n_tracks, 2)`, NaN without an observation.
+        """Return partial tracks, `(n_frames, n_tracks, 2)`, NaN without an observation.
 
-        Every stretch of frames through which a point is visible without a gap is a track of its own. Their
-        order is random, so that it tells nothing of which belong together.
+        Every interval in which a point is visible without a gap is a track. The tracks are in random order.
         """
         frames = np.arange(len(self.visible))[:, None]
         inside = (frames >= self._stretches[:, 1]) & (frames < self._stretches[:, 2])
@@ -61,7 +60,7 @@ class Cylinder:
 
     @property
     def point_of_track(self) -> NDArray[np.int64]:
-        """Point of each track, `(n_tracks,)`: the truth about `tracks`."""
+        """True point of each track, `(n_tracks,)`."""
         return self._stretches[:, 0]
 
     @cached_property
@@ -92,9 +91,9 @@ def cylinder(
 ) -> Cylinder:
     """Make the synthetic sequence of the RSMCM paper, section 4.3 (Figs. 9 and 10).
 
-    What the paper leaves open: the cylinder is transparent, so that its far side is seen too; all points are
-    visible in the first frame; a bias ends when its point is lost, and none begins in a point that has one.
-    Sequences of one seed share shape, noise and the chances that probabilities are compared with.
+    The paper does not specify that: the cylinder is transparent, so that its far side is visible too; all
+    points are visible in the first frame; a bias ends when its point is lost, and a point has one bias at a
+    time. Sequences of one seed share shape, noise and uniform random numbers.
 
     Parameters
     ----------

@@ -30,17 +30,17 @@ AMBIENT = 0.35
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Turntable:
-    """Pictures of a turning body; build it with `turntable`.
+    """Images of a rotating object; build it with `turntable`.
 
-    Lengths are in radii of the body; the axes are those of the picture: x right, y down, z away.
+    Lengths are in radii of the object; axes are those of the image: x right, y down, z away.
 
     Parameters
     ----------
     images
         `(n_frames, height, width)` uint8.
     depth
-        `(n_frames, height, width)` float32, along z from the camera, of what a pixel's middle shows;
-        infinite where that is black.
+        `(n_frames, height, width)` float32, depth along z from the camera at the centre of each pixel;
+        infinite in the black background.
     rotations, translation
         `(n_frames, 3, 3)` and `(3,)`: a point X of the body is at `rotations[t] @ X + translation` from the
         camera.
@@ -66,7 +66,7 @@ def turntable(
     degrees_per_frame: float = 10.0,
     seed: CountFrom0 = 0,
 ) -> Turntable:
-    """Make the film: a bumpy, mottled body that turns under a fixed light.
+    """Make images of a bumpy, mottled object that rotates under a fixed light.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def turntable(
     size
         `(height, width)` px of them.
     degrees_per_frame
-        by which the body turns about the upright axis.
+        rotation about the vertical axis.
     seed
         of all random numbers.
     """

@@ -53,7 +53,7 @@ class SceneModel(Protocol):
         covered: Sequence[NDArray[np.bool_]] | None = None,
         /,
     ) -> EmptyScene:
-        """Return the empty scene that images `(height, width[, 3])` show, taken at `times` `(n_images,)` s.
+        """Estimate the background from images `(height, width[, 3])` at `times` `(n_images,)` s.
 
         `covered` `(height, width)` are the pixels of known objects in each image.
         """

@@ -240,7 +240,7 @@ class Round:
 
 
 class Solution:
-    """Trajectories of all chains, and the beliefs over the features that go with them.
+    """Trajectories of all chains, and the beliefs of the features.
 
     `solution[chain]` is a chain's trajectory, `solution[feature]` the list of beliefs over a feature node,
     one for each frame.
@@ -250,9 +250,9 @@ class Solution:
     frames
         the frames.
     rounds
-        report of every round, the best of which this is.
+        reports of all rounds.
     converged
-        whether the objective stopped rising before `most_rounds`.
+        whether the objective converged before `most_rounds`.
     """
 
     def __init__(

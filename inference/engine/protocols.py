@@ -38,9 +38,9 @@ class Message(Protocol):
 class SettlingMessage(Message, Protocol):
     """Optional methods of messages, for models with loops; each may be left out.
 
-    `normalised` is needed where the scale holds what a chain's other features say: it would grow with every
+    `normalised` is needed if the scale contains information of other features: it would grow with every
     sweep. Without powers it is not damped; without `distance` it has settled when the log mass of the belief
-    at its feature changes no more.
+    at its feature does not change.
     """
 
     def normalised(self) -> Self:
@@ -285,8 +285,8 @@ class Smoothed(Generic[TrajectoryType]):
     trajectory
         the best one.
     evidence
-        by feature node, for each frame: what a search of its own found (see `BatchIncoming.search`). It is
-        the evidence for all chains until the chain searches again; evidence of several chains is multiplied.
+        by feature node, for each frame: evidence of the chain's own search (see `BatchIncoming.search`). All
+        chains receive it until the next search; evidence of several chains is multiplied.
     """
 
     trajectory: TrajectoryType

@@ -35,16 +35,16 @@ BELOW_1 = Bound(lambda value: 0 <= value < 1, "0 to less than 1")
 @short_repr
 @dataclass(frozen=True, eq=False)
 class RunState:
-    """State of a run, from which it continues: a value that can be kept, branched from, saved and loaded.
+    """State of a run, from which it can continue: an immutable value that can be kept, saved and loaded.
 
     Parameters
     ----------
     states
-        state of every chain by its name; empty as long as there was nothing to see.
+        state of every chain by its name; empty before the first image.
     number, time
         of the last frame (1-based, seconds).
     shape
-        of the frames' images; `None` as long as there was none.
+        of the images; `None` before the first one.
     """
 
     states: Mapping[str, Any] = field(default_factory=dict)
@@ -175,15 +175,14 @@ class RecursiveBP:
     Parameters
     ----------
     model
-        as it is now: later connections need a new engine.
+        its later connections need a new engine.
     damping
-        share, by powers, of a loop's old message in the new one, 0 to less than 1. More of it settles slower,
-        and where sweeps would go back and forth. Messages without powers are not damped.
+        exponent of the old message of a loop in the new one, 0 to less than 1. More damping settles slower,
+        but in more cases. Messages without powers are not damped.
     most_sweeps
         greatest number of sweeps in a frame.
     tolerance
-        of the messages' distances from those of the sweep before: when no message of the loop is further, it
-        has settled.
+        largest distance of messages from those of the last sweep at which a loop has settled.
 
     Raises
     ------
@@ -216,13 +215,13 @@ class RecursiveBP:
     def step(self, state: RunState, frame: Frame) -> Belief:
         """Filter one frame.
 
-        The first frame with an image or points is met with the chains' initial states, later ones with
+        The first frame with an image or points uses the initial states of the chains, later ones their
         predictions. A missing frame brings no evidence: chains predict and exchange messages.
 
         Parameters
         ----------
         state
-            of the run until now, which is left as it is; `RunState()` at the beginning.
+            of the run until now, which is not changed; `RunState()` at the beginning.
         frame
             the next frame.
 
@@ -232,7 +231,7 @@ class RecursiveBP:
             if the frame is not later than the last one or has another size, or if `state` belongs to other
             chains.
         TypeError
-            if a chain gives something that is no message of the feature, or no state.
+            if a chain returns a wrong message or no state.
         """
         shape = state.shape if frame.image is None else frame.image.shape
         require_later(frame, state.time, state.number)
@@ -270,7 +269,7 @@ class RecursiveBP:
         dt: Positive = 1 / 25,
         state: RunState | None = None,
     ) -> Iterator[Belief]:
-        """Filter frames one after the other, and give the belief after each.
+        """Filter frames one after the other, and yield the belief after each.
 
         Parameters
         ----------
@@ -279,7 +278,7 @@ class RecursiveBP:
         dt
             seconds from one plain image to the next.
         state
-            to continue from; from the beginning where it is left out.
+            to continue from; by default from the beginning.
 
         Raises
         ------
@@ -302,7 +301,7 @@ class RecursiveBP:
 
     @checked
     def save(self, path: str | Path, state: RunState, about: Mapping[str, Any] | None = None) -> None:
-        """Write the state of a run, and `about`, plain JSON, to one `.npz` file: all of it, or none.
+        """Save the state of a run and `about`, plain JSON, to an `.npz` file, completely or not at all.
 
         Raises
         ------
@@ -316,7 +315,7 @@ class RecursiveBP:
 
     @checked
     def load(self, path: str | Path) -> tuple[RunState, dict[str, Any]]:
-        """Read back what `save` wrote: the state of the run, and `about`.
+        """Load what `save` wrote: the state of the run, and `about`.
 
         Raises
         ------

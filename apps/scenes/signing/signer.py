@@ -108,11 +108,11 @@ class Appearance:
 @checked
 @dataclass(frozen=True, eq=False)
 class SignerScene(GeneratedFilm):
-    """A signer who sits in front of a cluttered room, with features that fail for a while.
+    """A signer in front of a cluttered room, with detections that fail for some time.
 
-    Hands go from place to place, across the face, each other and towards the viewer; the head sways and
-    turns. The head's height is 21 to 27 % of the picture's. The first frames of a longer scene are those of a
-    shorter one.
+    Hands move across the face, each other and towards the viewer; the head sways and rotates. The height of
+    the head is 21 to 27 % of that of the image. The first frames of a longer scene are those of a shorter
+    one.
 
     Parameters
     ----------
@@ -121,18 +121,18 @@ class SignerScene(GeneratedFilm):
     seed
         of person, motion, room, light, faults and noise.
     detector_dropout
-        share of frames, 0 to 1, in which the feature of a part is missing, for head and hands each on its
-        own, in bursts of 2 to 12 frames: no face is detected, a hand does not have the colour of skin.
+        share of frames, 0 to 1, in which the feature of a part is missing, independently for head and hands,
+        in bursts of 2 to 12 frames: no face is detected, a hand does not have the colour of skin.
     clutter
-        amount of things in the room, some of which look like skin: 0, a plain wall; 1, shelves, pictures and
-        wooden things, and false hands in 15 % of the frames.
+        amount of objects in the room, some in the colour of skin: 0, a plain wall; 1, shelves, pictures and
+        wooden objects, and false hands in 15 % of the frames.
     size
         `(width, height)` px.
     noise
         standard deviation of the sensor's noise, grey levels.
     sleeves
-        "long", or "short": lower halves of upper arms, and forearms, have the colour of skin. They keep it
-        where a hand's is missing.
+        "long", or "short": forearms and the lower halves of upper arms have the colour of skin, also where
+        that of the hand is missing.
 
     Raises
     ------
@@ -156,7 +156,7 @@ class SignerScene(GeneratedFilm):
                 f"size: got {self.size}, expected (width, height), 120 px high or more and at least as wide"
             )
 
-    def made(self, index: int) -> Frame:
+    def make(self, index: int) -> Frame:
         """Frame `index` with its time; the picture has colours."""
         return self._seen(self._exposed(index) * self._light[index].astype(np.float32), self.noise, 3, index)
 
