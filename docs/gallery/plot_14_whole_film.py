@@ -2,8 +2,8 @@
 A whole video at once
 =====================
 
-A person is there from the first frame on, and leaves later. Frame by frame, the person is taken for a
-part of the background, and leaves a ghost. With the whole video there is no ambiguity: the place is empty
+A person is there from the first frame on, and leaves later. Frame by frame, the person becomes part of
+the background, and leaves a ghost. With the whole video there is no ambiguity: the place is empty
 in the end.
 
 ``CoordinateAscent`` works on sequences: each chain in turn gets its best trajectory, while the others are
