@@ -23,7 +23,7 @@ from .record import HEADER, ROOT, TRACKING, Expectation, Provenance, Record, git
 VERDICTS = {"pass": "met", "missed": "**missed**"}
 SCALE = Path("docs") / "scale.md"
 PICTURE = "![Time over size, log scales, a panel for each kind of size](pictures/curves.png)\n"
-ELSEWHERE = {"curves": "scale.md", "capacity": "scale.md"}  # records that are on another page
+ELSEWHERE = {"curves": "scale.md"}  # records that are on another page
 
 INTRODUCTION = """\
 # Results
@@ -179,21 +179,19 @@ def readme_with(text: str, documents: Documents, changed: str) -> str:
 
 
 def scale_page(text: str, records: Mapping[str, Record], changed: str) -> str:
-    """Return the page on scale with the records of capacity and curves.
+    """Return the page on scale with the record of curves.
 
     Raises
     ------
     ValueError
         if the page lacks the marks.
     """
-    parts = dict.fromkeys(("capacity", "curves"), "*Not recorded yet.*\n")
-    for name in parts.keys() & records.keys():
-        record, made = records[name], f"{measured_when(records[name], changed)}\n"
-        shown = [PICTURE, figures(record), made] if name == "curves" else []
-        parts[name] = "\n".join([*shown, *_tables(record), *([] if shown else [made])])
-    for name, content in parts.items():
-        text = between(text, name, content, SCALE.as_posix())
-    return text
+    content, record = "*Not recorded yet.*\n", records.get("curves")
+    if record is not None:
+        content = "\n".join(
+            [PICTURE, figures(record), f"{measured_when(record, changed)}\n", *_tables(record)]
+        )
+    return between(text, "curves", content, SCALE.as_posix())
 
 
 def between(text: str, name: str, content: str, page: str) -> str:

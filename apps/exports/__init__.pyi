@@ -1,6 +1,6 @@
 from .coco import to_coco, to_cvat
 from .finished_run import FinishedRun, RunFrame, read_tracks_table
-from .for_supervision import to_key_points, to_supervision
+from .for_supervision import to_supervision
 from .movement import movement_dataset, to_movement
 from .video import to_video
 
@@ -11,7 +11,6 @@ __all__ = [
     "read_tracks_table",
     "to_coco",
     "to_cvat",
-    "to_key_points",
     "to_movement",
     "to_supervision",
     "to_video",

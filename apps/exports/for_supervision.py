@@ -1,10 +1,10 @@
-"""Objects and points as `supervision` takes them, to draw, count and filter."""
+"""Objects as `supervision` takes them, to draw, count and filter."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ...models.core.checks import Shape, checked
 from ..io.tracks import TrackedObject
@@ -55,42 +55,3 @@ def to_supervision(
         },
     )
     return detections
-
-
-@checked
-def to_key_points(
-    points: Annotated[ArrayLike, Shape("n", None, finite=False)],
-    covariances: Annotated[ArrayLike, Shape("n", None, None, finite=False)],
-    visible: Annotated[ArrayLike, Shape("n")] | None = None,
-) -> "supervision.KeyPoints":
-    """Return points of one body or face as `supervision.KeyPoints`, for annotators that draw covariances.
-
-    Parameters
-    ----------
-    points
-        `(n, 2)` px, or `(n, 3)` with depth, which is left out; NaN for a point that is not there.
-    covariances
-        `(n, 2, 2)` or `(n, 3, 3)` px^2.
-    visible
-        `(n,)` bool: which points to take; default: all. Others are at 0, 0, which stands for "not there".
-
-    Returns
-    -------
-    supervision.KeyPoints
-        one instance; `data["covariance"]` is `(1, n, 2, 2)`.
-
-    Raises
-    ------
-    ImportError
-        if `supervision` is not installed.
-    """
-    xy = np.asarray(points, np.float64)[None, :, :2]
-    shown = np.isfinite(xy) if visible is None else np.isfinite(xy) & np.asarray(visible, bool)[:, None]
-    key_points: supervision.KeyPoints = needed(
-        "supervision"
-    ).KeyPoints(
-        xy=np.where(shown, xy, 0).astype(np.float32),  # which no annotator draws
-        class_id=np.zeros(1, np.int64),
-        data={"covariance": np.asarray(covariances, np.float64)[None, :, :2, :2]},
-    )
-    return key_points

@@ -12,7 +12,7 @@ from rsmcm.apps.evaluation import (
     report_validity,
 )
 from rsmcm.apps.events import Line, Sighting, Watch, Zone, Zones
-from rsmcm.apps.exports import FinishedRun, read_tracks_table, to_coco, to_key_points, to_supervision
+from rsmcm.apps.exports import FinishedRun, read_tracks_table, to_coco, to_supervision
 from rsmcm.apps.io import open_source, read_points, with_boxes
 from rsmcm.apps.scenes import cylinder, face, shaken, sleeping_man, turntable
 
@@ -45,11 +45,6 @@ NAN = float("nan")
         (lambda: to_supervision(3), "tracks: got 3, expected a sequence"),
         (lambda: to_supervision([3]), "tracks[0]: got 3, expected a TrackedObject"),
         (lambda: to_supervision([], ZEROS((3, 4))), "foreground: got an array of float64"),
-        (lambda: to_key_points(ZEROS((3, 2)), ZEROS((4, 2, 2))), "covariances: got shape (4, 2, 2)"),
-        (
-            lambda: to_key_points(ZEROS(3), ZEROS((3, 2, 2))),
-            "points: got shape (3,), expected shape",
-        ),
         (lambda: sleeping_man("many"), "n_frames: got 'many', expected a whole number"),
         (lambda: sleeping_man(0), "n_frames: got 0, expected 1 or more"),
         (lambda: sleeping_man(size=(20, 20)), "size: got (20, 20), expected (width, height) of at least"),

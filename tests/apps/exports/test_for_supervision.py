@@ -1,11 +1,8 @@
-"""Objects and points as supervision takes and draws them."""
-
-import math
+"""Objects as supervision takes them."""
 
 import numpy as np
-import pytest
 import supervision
-from rsmcm.apps.exports import to_key_points, to_supervision
+from rsmcm.apps.exports import to_supervision
 from rsmcm.apps.exports.coco import object_masks
 from rsmcm.apps.io.tracks import TrackedBox
 from rsmcm.apps.scenes import sleeping_man
@@ -42,18 +39,3 @@ def test_no_object_is_no_detection() -> None:
     assert len(found) == 0
     assert found.is_empty()
     assert to_supervision([TrackedBox(1, (0, 0, 2, 3))]).mask is None
-
-
-def test_ellipses_are_drawn_where_points_are_and_as_wide_as_they_are_unsure() -> None:
-    points = [[40.0, 50.0, 3.0], [math.nan, math.nan, math.nan], [90.0, 20.0, 1.0], [120.0, 60.0, 0.0]]
-    covariances = np.tile(np.diag([100.0, 4.0, 1.0]), (4, 1, 1))
-    key_points = to_key_points(points, covariances, visible=[True, True, True, False])
-    assert isinstance(key_points, supervision.KeyPoints)
-    annotator = supervision.VertexEllipseAreaAnnotator(sigma=2.0, color=supervision.Color.WHITE, opacity=1.0)
-    drawn = annotator.annotate(np.zeros((80, 150, 3), np.uint8), key_points)
-    rows, columns = np.nonzero(drawn[:, :, 0])
-    for x, y in ((40, 50), (90, 20)):
-        near = (abs(columns - x) < 25) & (abs(rows - y) < 10)
-        assert (columns[near].min(), columns[near].max()) == pytest.approx((x - 20, x + 20), abs=1)
-        assert (rows[near].min(), rows[near].max()) == pytest.approx((y - 4, y + 4), abs=1)
-    assert not drawn[:, 115:].any()
