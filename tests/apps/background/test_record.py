@@ -5,7 +5,7 @@ import pytest
 from rsmcm.apps.background.page import MOST_POINTS, RunRecord
 from rsmcm.apps.io.tracks import TrackedBox, columns_of
 
-from ...support.records import log_of, recorded
+from ...support.records import log_of
 
 
 @pytest.mark.parametrize("n_frames", [1, 2, 255, 256, 257, 700])
@@ -28,10 +28,3 @@ def test_tracks_that_come_and_go() -> None:
     lives = {k: (track.first, track.last, track.n_frames, track.width) for k, track in record.tracks.items()}
     assert lives == {1: (1, 4, 3, 1), 2: (2, 5, 3, 2)}
     assert record.n_tracks.tolist() == [1, 2, 0, 2, 1]
-
-
-def test_frames_without_an_image() -> None:
-    record = recorded(40, frozenset({3, 25}))
-    assert record.missing == [3, 25]
-    assert record.numbers == list(range(1, 41))
-    assert not recorded(0).tracks

@@ -2,7 +2,6 @@
 
 import re
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rsmcm.apps.batch.sources import LONGEST, FilmSource, folder_names
@@ -27,11 +26,6 @@ def test_names_that_were_given_stay() -> None:
     listed = [FilmSource("0", "Cam", where="list"), FilmSource("/a/cam.mp4")]
     assert folder_names(listed, {"/a/cam.mp4": "cam"}) == ["Cam", "cam-2"]
     assert folder_names([FilmSource("/summary.csv.mp4")], {}, ["summary.csv"]) == ["summary.csv-2"]
-
-
-def test_one_name_for_two_cameras_is_refused() -> None:
-    with pytest.raises(ValueError, match="list: name: got 'gate' twice"):
-        folder_names([FilmSource("0", "gate", where="list"), FilmSource("1", "Gate", where="other")], {})
 
 
 @given(st.lists(st.text(min_size=1, max_size=120), unique=True, max_size=12))

@@ -5,25 +5,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.body.measures import HANDS, PLACES, BodyTrial, coverage, mis_tracks, pooled, recoveries
-from rsmcm.apps.experiments import body, experiment, run_experiment
-from rsmcm.apps.experiments.bench import people as bench
+from rsmcm.apps.experiments import body, run_experiment
 from rsmcm.apps.experiments.body import BodyTracker, SignerFilm, in_turns
-from rsmcm.apps.view.overlay import TrackedBody
 from rsmcm.chains.body.articulated_pose import ArticulatedPose
 from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.models.numerics.threads import set_threads, thread_count
-
-from ...conftest import names
 
 N_FRAMES = 30
 LATER = body.LATER.format(body.RSMCM.name)
-NAMES = [body.RSMCM.name, LATER, body.SAMPLER, body.CLOUDS[0], body.LATER.format(body.CLOUDS[0])]
-NAMES += [*body.CLOUDS[1:], body.FLESH.name]
 RSMCM = BodyTracker("RSMCM", "rsmcm", 100)
 
 
@@ -143,48 +135,6 @@ def test_samples_of_a_time_lie_on_a_line() -> None:
     assert body.samples_in(0.001, counts, (0.030, 0.070)) == body.FEWEST_SAMPLES
 
 
-def test_every_result_stands_at_its_tracker_and_seed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A run with everything but the trackers themselves."""
-
-    def numbered(label: str, work: list[tuple[Any, tuple[int, int]]]) -> list[dict[str, BodyTrial]]:
-        found = []
-        for measure, (_, seed) in work:
-            trackers, _, shown = measure.args
-            row: dict[str, BodyTrial] = {}
-            for place, tracker in enumerate(trackers):
-                error = 1.0 + place + seed / 10
-                one = trial(np.full(N_FRAMES, error), error, 0.01 + 1e-5 * tracker.samples)
-                pictures = {
-                    index: TrackedBody(np.ones((40, 8, 3)), np.ones((8, 3)), np.ones((8, 1, 1)) * np.eye(3))
-                    for index in shown
-                }
-                row[tracker.name] = replace(one, shown=pictures)
-                if tracker.lag:
-                    later = replace(row[tracker.name], errors=one.errors / 2)
-                    row[body.LATER.format(tracker.name)] = later
-            found.append(row)
-        return found
-
-    monkeypatch.setattr(experiment, "in_parallel", numbered)
-    monkeypatch.setattr(body, "SHOWN", (1, 2))
-    monkeypatch.setattr(body, "SCENE", {"n_frames": 3, "detector_dropout": 0.2})
-    run_experiment("body", tmp_path / "out")
-    assert names(tmp_path / "out") == {"index.html", "fig-6.png", "results.json"}
-    record = json.loads((tmp_path / "out" / "results.json").read_text())
-    errors = {name: (samples, error) for name, samples, error, *_ in record["tables"][0]["rows"]}
-    assert list(errors) == NAMES
-    for place, name in enumerate(name for name in NAMES if "later" not in name):
-        assert errors[name][1] == pytest.approx(np.mean([1.0 + place + seed / 10 for seed in body.SEEDS]))
-    assert errors[LATER][1] == pytest.approx(np.mean([0.5 + seed / 20 for seed in body.SEEDS]))
-    assert errors[body.CLOUDS[0]][0] == 1000
-    assert errors[body.CLOUDS[1]][0] == 5400
-    printed = capsys.readouterr().out
-    assert "likelihood sampler" in printed
-    assert "recovered within 10 frames" in printed
-
-
 @pytest.mark.slow
 def test_short_scenes_in_earnest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -240,24 +190,6 @@ def test_the_sampler_is_what_it_is_without_the_flesh_tracker(film: SignerFilm) -
         RecursiveBP(model).run(film.frames), RecursiveBP(alone).run(film.frames), strict=True
     ):
         np.testing.assert_array_equal(one[name].log_weights, other[name].log_weights)
-
-
-def test_the_benchmark_of_bodies_times_one_thread_beside_two(
-    film: SignerFilm, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    one = bench.BodyFilm("generated", film.frames, film.scene.body, film.parts)
-    for name, value in {"SAMPLES": 50, "WARM_UP": 1, "TURN": 2}.items():
-        monkeypatch.setattr(bench, name, value)
-    monkeypatch.setattr(bench.BodyFilm, "load", lambda: one)
-    before, opencv = thread_count(), cv2.getNumThreads()
-    try:
-        rates = bench.bodies().expectations
-    finally:
-        set_threads(before)
-        cv2.setNumThreads(opencv)
-    assert len(rates) == 3
-    assert all(rate.measured > 0 and rate.seeds == 2 for rate in rates)
-    assert [rate.ratio for rate in rates] == [False, False, True]
 
 
 def test_answers_with_hindsight_are_measured_beside_the_filters(film: SignerFilm) -> None:

@@ -71,17 +71,12 @@ def test_folder_of_boxes(tmp_path: Path, name: str) -> None:
     ("text", "complaint"),
     [
         ("", "holds no boxes"),
-        ("\n  \n", "holds no boxes"),
         ("1,1,1,1,5,5\nhello\n", "line 2: got 'hello'"),
-        ("1,1,1,1,5\n", "line 1: got '1,1,1,1,5'"),
         ("1,1,nan,1,5,5\n", "line 1"),
         ("0,1,1,1,5,5\n", "frame 0"),
-        ("1.5,1,1,1,5,5\n", "frame 1.5"),
         ("1,1,1,1,0,5\n", "positive size"),
         ("1,1,1,1,5,1e300\n", "px up to 1e\\+07"),
         ("1,1,1,1,5,5\n1e300,1,1,1,5,5\n", "line 2: got frame 1e\\+300, .* frames from 1 to 1000000000"),
-        ("1,1e300,1,1,5,5\n", "identity 1e\\+300"),
-        (f"{2**63},1,1,1,5,5\n", "frame 9.22337e\\+18"),
         ("1,1,1,1,5,5\n1,1,2,2,5,5\n", "identity 1 occurs twice in frame 1"),
     ],
 )

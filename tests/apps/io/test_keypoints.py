@@ -124,7 +124,6 @@ HEADER = "frame,joint,x,y,score\n"
     ("text", "complaint"),
     [
         ("", "holds nothing, expected CSV"),
-        ("hello", "line 1: got 'hello', expected CSV"),
         ("frame,x,y\n", "line 1: got columns 'frame, x, y"),
         (HEADER, "holds no point of an upper body"),
         (HEADER + "1,left_knee,1,1,1", "holds no point of an upper body"),
@@ -134,7 +133,6 @@ HEADER = "frame,joint,x,y,score\n"
         (HEADER + "1,neck,1,1,1\n1,neck,2,1,1", "line 3: got neck of frame 1 a second time"),
         ("[", "line 1: got no JSON, or a part of it"),
         ("{}", "found: got {}, expected keypoints in COCO's form"),
-        ('[{"image_id": 1}]', "result 1: got no keypoints"),
         ('[{"image_id": 1, "keypoints": 3}]', "result 1: got 3, expected x, y and score of 17 points"),
         ('[{"image_id": 1, "keypoints": [1, 2]}]', "result 1: got 2 numbers"),
         (json.dumps([{"image_id": 1, "keypoints": ["a"] * 51}]), "result 1: got .*, expected numbers"),

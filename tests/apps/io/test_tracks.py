@@ -120,8 +120,6 @@ def test_what_was_written_is_read(tmp_path_factory: pytest.TempPathFactory, foun
         (f"{HEADER}\n1,0,1,1,1,-1,1,1,1,1,1\n", "line 2: got a box .*, expected a size that is not negative"),
         (f"{HEADER}\n2,1,1,1,1,1,1,1,,,1\n1,1,1,1,1,1,1,1,,,1\n", "line 3: got frame 1 at 1 s after frame 2"),
         (f"{HEADER}\n1,1,1,1,1,1,1,1,,,1\n2,0.5,1,1,1,1,1,1,,,1\n", "line 3: got frame 2 at 0.5 s after"),
-        (f"{HEADER}\n0,0,1,1,1,1,1,1,1,1,1\n", "line 2: got frame 0, id 1, expected whole numbers"),
-        (f"{HEADER}\n1,0,1,inf,1,1,1,1,1,1,1\n", "line 2: got .*, expected numbers"),
     ],
 )
 def test_what_is_no_such_table_is_named(tmp_path: Path, text: str, wrong: str) -> None:

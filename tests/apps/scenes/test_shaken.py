@@ -35,11 +35,3 @@ def test_shake_is_as_large_as_asked_and_the_same_at_any_rate() -> None:
         assert change == pytest.approx(3.0 * np.sqrt(2 * (1 - np.exp(-0.08 / 0.15))), rel=0.25)
     for amount in amounts:
         assert amount == pytest.approx(3.0 * np.array([1, 0.25, 0.25, 1, 0.25, 0.25]), rel=0.3)
-
-
-def test_masks_follow_the_frames() -> None:
-    scene = sleeping_man(1, size=(96, 72))
-    film = shaken(scene, 0.0, margin=6)
-    mask = np.zeros((72, 96), bool)
-    mask[20:40, 30:50] = True
-    assert (film.mask(mask, 0) == mask[6:-6, 6:-6]).all()

@@ -14,14 +14,6 @@ def quiet(n_frames: int = 400, **settings: int) -> Scene:
     return sleeping_man(n_frames, size=SMALL, noise=0, light_drift=0, **settings)
 
 
-def test_same_seed_same_bytes_in_any_order() -> None:
-    one, other = sleeping_man(seed=3, size=SMALL), sleeping_man(seed=3, size=SMALL)
-    late, early = one[90].image, one[10].image
-    assert np.array_equal(early, other[10].image)
-    assert np.array_equal(late, other[90].image)
-    assert not np.array_equal(early, sleeping_man(seed=4, size=SMALL)[10].image)
-
-
 @pytest.mark.parametrize("index", [60, 150])
 def test_mask_covers_what_differs_from_the_empty_street(index: int) -> None:
     scene = quiet(car_leaves=400)

@@ -77,40 +77,6 @@ def test_the_film_plays_and_stops_at_its_end(shown: ViewPage, page: "playwright.
     page.wait_for_function("document.querySelector('video').currentTime < 1")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [1, 2, 25, 26, 27, 51, 60])
-def test_the_film_shows_the_frame_that_is_drawn(
-    shown: ViewPage, page: "playwright.Page", number: int
-) -> None:
-    """Also behind the places where its segments are joined."""
-    page.locator("#seek").fill(str(number - 1))
-    page.wait_for_function("!document.querySelector('video').seeking")
-    page.wait_for_timeout(100)
-    assert shown.frame == number
-    at = page.evaluate("document.querySelector('video').currentTime")
-    assert (number - 1) / 25 < at < number / 25
-
-
-def test_keys_move_the_film(shown: ViewPage, page: "playwright.Page") -> None:
-    for key, number in (
-        ("End", N_FRAMES),
-        ("ArrowLeft", N_FRAMES - 1),
-        ("Shift+ArrowLeft", N_FRAMES - 11),
-        ("ArrowRight", N_FRAMES - 10),
-        ("Home", 1),
-        ("ArrowLeft", 1),
-        ("Shift+ArrowRight", 11),
-    ):
-        page.keyboard.press(key)
-        assert shown.frame == number, key
-    page.keyboard.press("+")
-    page.wait_for_function("document.querySelector('video').playbackRate === 2")
-    page.keyboard.press("-")
-    page.keyboard.press("-")
-    page.wait_for_function("document.querySelector('video').playbackRate === 0.5")
-    page.wait_for_function("document.getElementById('speed').value === '0.5'")
-
-
 def test_zones_that_are_drawn_become_a_file(shown: ViewPage, page: "playwright.Page") -> None:
     page.get_by_role("button", name="Draw a zone").click()
     corners = [(40, 50), (200, 50), (200, 180), (60, 200)]
@@ -221,34 +187,6 @@ def page_of(film: Film, **more: Any) -> Page:
 def plain_film(count: int) -> Film:
     times = np.arange(count) / 10
     return Film(None, (64, 48), np.arange(1, count + 1), times, times)
-
-
-def test_a_plot_has_axes_units_and_names(browser: Browser, tmp_path: Path) -> None:
-    values = np.linspace(0, 4, 50)
-    lines = [
-        Line(values, "left", "#ff0000", (values - 1, values + 1)),
-        Line(2 * values, "right", style="steps"),
-    ]
-    plot = Plot("where", "px", lines, "What it is.", shaded=[(1.0, 2.0)], dotted=[3.0])
-    write_page(tmp_path / "view.html", page_of(plain_film(50), plots=[plot]))
-    with browser.page(tmp_path / "view.html") as page:
-        head = page.locator(".plot .head").text_content() or ""
-        assert all(word in head for word in ("where", "left", "right", "a film"))
-        assert page.get_by_text("What it is.").is_visible()
-        texts = page.locator(".plot text").all_text_contents()
-        assert {"px", "time in the film, s", "0", "1", "2", "3", "4"} <= set(texts)
-        for mark in ("band", "shaded", "dotted", "cursor"):
-            assert page.locator(f".plot .{mark}").count() == 1, mark
-        assert page.locator(".plot .line").count() == 2
-        script = """[...document.querySelectorAll(".plot text")]
-            .filter((text) => text.getAttribute("text-anchor") === "middle")
-            .map((text) => [text.textContent, text.getBoundingClientRect().x])"""
-        ticks = dict(page.evaluate(script))
-        shaded = page.locator(".plot .shaded").bounding_box()
-        assert shaded is not None
-        assert shaded["width"] == pytest.approx(ticks["2"] - ticks["1"], rel=0.02), "a second"
-        page.keyboard.press("End")
-        assert "left 4 px" in (page.locator(".plot .head").text_content() or "")
 
 
 def test_plots_of_long_runs_are_of_means(browser: Browser, tmp_path: Path) -> None:

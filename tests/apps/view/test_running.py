@@ -42,14 +42,6 @@ def encodings(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return moments
 
 
-def test_nothing_is_encoded_while_nobody_looks(running: Running, encodings: list[float]) -> None:
-    for level in range(200):
-        running.show(grey(level))
-    assert not encodings
-    assert level_of(running.picture()) == pytest.approx(199, abs=2), "the newest one"
-    assert len(encodings) == 1
-
-
 def test_all_who_look_share_an_encoding(running: Running, encodings: list[float]) -> None:
     seen: list[list[Picture]] = [[] for _ in range(4)]
 

@@ -138,19 +138,6 @@ def test_large_pictures_are_refused_before_they_are_decoded(
     assert not (tmp_path / "out").exists()
 
 
-def test_large_regions_and_truths_are_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    frame, large = write(tmp_path / "a.png", picture()), tmp_path / "large.png"
-    large.write_bytes(LARGE[".png"]())
-    given = ["background", frame, "--out", tmp_path / "out"]
-    words = Command("background").complaint(capfd, *given[1:], "--roi", large)
-    assert words.startswith(f"rsmcm: --roi: {large}: has more than")
-    truth = tmp_path / "truth" / "groundtruth"
-    truth.mkdir(parents=True)
-    large.rename(truth / "gt000001.png")
-    words = Command("background").complaint(capfd, *given[1:], "--ground-truth", truth.parent)
-    assert "gt000001.png: has more than" in words
-
-
 # --- damaged pictures ---------------------------------------------------------------------------------------
 
 

@@ -200,23 +200,6 @@ def test_variable_frame_rate_keeps_its_time_stamps(tmp_path: Path) -> None:
     np.testing.assert_allclose([frame.time for frame in frames], times, atol=1e-9)
 
 
-def test_resolution_that_changes_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "a.ts"
-    parts = []
-    for size in ((WIDTH, HEIGHT), (WIDTH * 2, HEIGHT)):
-        with av.open(str(path), "w") as file:
-            stream = file.add_stream("mpeg2video", rate=25)
-            stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
-            for number in range(1, 6):
-                image = picture(number, size[1], size[0])
-                file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
-            file.mux(stream.encode(None))
-        parts.append(path.read_bytes())
-    path.write_bytes(b"".join(parts))
-    with pytest.raises(ValueError, match=r"frame \d+ is 128x48 colour, expected 64x48 colour"):
-        read(path)
-
-
 @pytest.mark.parametrize("content", [b"", b"hello world " * 50, bytes(range(256)) * 20])
 @pytest.mark.parametrize("name", ["a.mp4", "a.txt", "a"])
 def test_no_video(tmp_path: Path, name: str, content: bytes) -> None:
@@ -225,14 +208,6 @@ def test_no_video(tmp_path: Path, name: str, content: bytes) -> None:
     with pytest.raises(ValueError, match=f"{name}: not a video that can be read") as caught:
         open_source(str(path))
     assert "\n" not in str(caught.value)
-
-
-def test_rate_that_is_not_stated(tmp_path: Path) -> None:
-    path = tmp_path / "a.mjpeg"
-    path.write_bytes(b"".join(cv2.imencode(".jpg", picture(number))[1].tobytes() for number in range(1, 6)))
-    source, frames = read(path)
-    assert source.rate == 25
-    np.testing.assert_allclose([frame.time for frame in frames], np.arange(5) / 25, atol=1e-9)
 
 
 def large_avi(path: Path, width: int, height: int, *, in_header: bool) -> Path:
