@@ -30,7 +30,7 @@ extensions = [
     "sphinx.ext.viewcode",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "_templates", "gallery/*.md", "gallery/*.rst"]
+exclude_patterns = ["_build", "_templates", "gallery/*.md", "gallery/*.rst", "results/*.md"]
 templates_path = ["_templates"]
 suppress_warnings = ["config.cache"]  # the order of examples is a function, which the cache cannot hold
 default_role = "py:obj"

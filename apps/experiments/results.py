@@ -41,12 +41,6 @@ once. "Of earlier code" means: measured before the last commit that touched `mod
 Speeds are medians over n rounds in which all methods took turns, with quartiles; ratios are computed in
 each round. "Loaded" figures were measured while other processes kept more than half a core busy.
 """
-BY_HAND = """\
-## Measured by hand, with earlier code
-
-Figures that no command prints, or that are not recorded yet, as noted at the time; missed targets are bold.
-Tables that a record has replaced are only in `docs/results/earlier.toml`.
-"""
 
 
 @dataclass(frozen=True)
@@ -57,13 +51,11 @@ class Documents:
     notes: Mapping[str, str]  # by a record's name, what is to be said of it
     # README's figures: `what` they are called there, `record`, and `row`, their name in it
     chosen: Sequence[Mapping[str, str]]
-    # what was measured by hand: `title`, `state`, `header`, `rows`, `text`, and `until`, names of the records
-    # that take their place
-    earlier: Sequence[Mapping[str, Any]]
+    earlier: str  # what was measured by hand, as Markdown
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """Read records, `notes.toml` and `earlier.toml`.
+        """Read records, `notes.toml` and `earlier.md`.
 
         Raises
         ------
@@ -78,7 +70,7 @@ class Documents:
         if without:
             raise ValueError(f"{folder / 'notes.toml'}: no note of {', '.join(sorted(without))}")
         records = {name: found[name] for name in notes["notes"] if name in found}
-        return cls(records, notes["notes"], notes["readme"], _toml(folder / "earlier.toml")["tables"])
+        return cls(records, notes["notes"], notes["readme"], (folder / "earlier.md").read_text())
 
 
 def _toml(path: Path) -> dict[str, Any]:
@@ -106,14 +98,9 @@ def results_page(documents: Documents, changed: str) -> str:
             parts += [f"## {record.title}\n", f"{measured_when(record, changed)}\n", figures(record)]
             parts += [f"{note}\n"] if note else []
             parts += _tables(record)
-    parts.append(BY_HAND)
-    for each in documents.earlier:
-        until = each.get("until", [])
-        if not (until and documents.records.keys() >= set(until)):
-            parts += [f"### {each['title']}\n", f"{each['state'].strip()}\n"]
-            parts += [table(each["header"], each["rows"])] if "rows" in each else []
-            parts += [f"{each['text'].strip()}\n"] if "text" in each else []
-    return "\n".join([INTRODUCTION, table(("", "command", "met", "missed"), overview), *parts])
+    return "\n".join(
+        [INTRODUCTION, table(("", "command", "met", "missed"), overview), *parts, documents.earlier]
+    )
 
 
 def figures(record: Record) -> str:

@@ -377,7 +377,7 @@ class BodyOverlay:
         room = min(scale * self._reach * (IN_FRONT + BEHIND), float(width))
         panel: Canvas = np.full((height, round(room), 3), PANEL, np.uint8)
         root = panel.shape[1] * IN_FRONT / (IN_FRONT + BEHIND)
-        _draw_axes(panel, root)
+        cv2.line(panel, (round(root), 0), (round(root), height), AXIS, 1, cv2.LINE_AA)
         centre = np.array([root / scale + 0.5 / scale - 0.5, 0.0])
         views = ((large, (0, 1), np.zeros(2)), (panel, (2, 1), centre))
         for canvas, axes, shift in views:
@@ -394,7 +394,7 @@ class BodyOverlay:
             place = _on_canvas(body.joints[joint, :2], scale)
             _draw_region(large, place, scale**2 * body.covariances[joint, :2, :2], colour)
         draw_label(large, f"{caption}: {body.state}" if body.state else caption)
-        draw_label(panel, f"side view of {len(body.samples)} samples")
+        draw_label(panel, f"{len(body.samples)} samples from the side, viewer on the left")
         return np.asarray(np.hstack([large, panel]), np.uint8)
 
 
@@ -447,25 +447,6 @@ def _draw_region(canvas: Canvas, place: Array, covariance: Array, colour: Colour
     (x, y), (minor, major) = (_fixed(each).tolist() for each in (place, axes))
     for ink, thickness in ((INK, 2), (colour, 1)):
         cv2.ellipse(canvas, (x, y), (major, minor), turn, 0, 360, ink, thickness, cv2.LINE_AA, FRACTION_BITS)
-
-
-def _draw_axes(panel: Canvas, root: float) -> None:
-    """Say what the side view's directions are, about the root's depth."""
-    height, width = panel.shape[:2]
-    middle, bottom = round(root), height - 10
-    cv2.line(panel, (middle, 0), (middle, height), AXIS, 1, cv2.LINE_AA)
-    for end, text in ((6, "towards the viewer"), (width - 7, "away, z")):
-        cv2.arrowedLine(panel, (middle, bottom), (end, bottom), AXIS, 1, cv2.LINE_AA, tipLength=0.06)
-        _draw_text(panel, text, ((middle + end) / 2, bottom - 5))
-    cv2.arrowedLine(panel, (width - 12, 60), (width - 12, 110), AXIS, 1, cv2.LINE_AA, tipLength=0.15)
-    _draw_text(panel, "y", (width - 22, 110))
-
-
-def _draw_text(panel: Canvas, text: str, middle: Sequence[float]) -> None:
-    """Write text above a place."""
-    (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.42, 1)
-    corner = (max(round(middle[0] - width / 2), 0), round(middle[1]))
-    cv2.putText(panel, text, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.42, (190, 190, 190), 1, cv2.LINE_AA)
 
 
 # --- the video ---
