@@ -44,7 +44,7 @@ from ..body.measures import (
 )
 from ..scenes import SignerScene, signer
 from ..view.overlay import BodyOverlay, TrackedBody
-from .experiment import Findings, Picture, by_seed, mosaic
+from .experiment import Findings, Plot, by_seed, pictures
 from .record import Expectation, Table, over_seeds
 
 Image = NDArray[np.uint8]
@@ -298,15 +298,11 @@ def body() -> Findings:
     behaviour = [[name, *behaviour_of(trials, found[RSMCM.name])] for name, trials in found.items()]
     scene = signer(**SCENE, seed=SEEDS[0])
     names = (RSMCM.name, LATER.format(RSMCM.name), SAMPLER, CLOUDS[0])
-    sheet = draw_samples(scene, {name: found[name][0] for name in names})
-    poses = f"Fig. 6: {N_SHOWN} poses of the posterior, over the picture and from the side."
     return Findings(
         "Body",
         [Table(ERRORS, errors, FAIR), Table(BEHAVIOUR, behaviour, NOTE)],
         over_seeds(expectations_of, found),
-        [
-            Picture("fig-6.png", sheet, poses),
-        ],
+        [draw_samples(scene, {name: found[name][0] for name in names})],
     )
 
 
@@ -438,15 +434,16 @@ def expectations_of(trials: TrialsByTracker) -> list[Expectation]:
     ]
 
 
-def draw_samples(scene: SignerScene, trials: Mapping[str, BodyTrial]) -> Image:
+def draw_samples(scene: SignerScene, trials: Mapping[str, BodyTrial]) -> Plot:
     """Draw poses of the posteriors, as in the paper: a row for each frame, a column for each tracker."""
     overlay, rows = BodyOverlay(scene.body.upper_arm + scene.body.forearm), []
     for index in SHOWN:
         frame = scene.frame(index)
         assert frame.image is not None
-        pictures = [
+        drawn = [
             overlay.draw(frame.image, trial.shown[index], f"error {trial.errors[index].mean():.0f} px")
             for trial in trials.values()
         ]
-        rows.append((f"frame {frame.number}", pictures))
-    return mosaic(rows, list(trials), 520)
+        rows.append((f"frame {frame.number}", drawn))
+    caption = f"Fig. 6: {N_SHOWN} poses of the posterior, over the picture and from the side."
+    return pictures("fig-6.png", rows, list(trials), caption, 4.7)

@@ -24,7 +24,7 @@ from ..runs.interruption import Interruption, Outcome
 from ..runs.progress import Progress
 from ..runs.region import inside, read_region
 from .baselines import CleanUp, KalmanHungarian, Setting, TrackerParameters, components
-from .experiment import Findings, Picture, Plot, fitting, mosaic, publish
+from .experiment import TALLEST, Findings, Plot, pictures, publish
 from .record import Table
 
 if TYPE_CHECKING:
@@ -182,16 +182,18 @@ class Gallery:
         kept = self.moments
         return [kept[round(place)] for place in np.linspace(0, len(kept) - 1, min(COLUMNS, len(kept)))]
 
-    def picture(self) -> Picture:
+    def plot(self) -> Plot:
         """Return Fig. 11: what was chosen, in columns."""
         moments = self.chosen()
         rows = [(name, [each.pictures[k] for each in moments]) for k, name in enumerate(FIGURE_ROWS)]
-        sheet = mosaic(rows, [f"frame {each.number}" for each in moments], PICTURE_WIDTH)
-        return Picture("compare-pictures.png", sheet, "Over time, as in Fig. 11 of the RSMCM paper")
+        caption = "Over time, as in Fig. 11 of the RSMCM paper"
+        return pictures("compare-pictures.png", rows, [f"frame {each.number}" for each in moments], caption)
 
 
 def _small(image: Image) -> Image:
-    size = fitting(image.shape, PICTURE_WIDTH)
+    height, width = image.shape[:2]
+    scale = PICTURE_WIDTH / max(width, height / TALLEST)
+    size = (max(1, round(scale * width)), max(1, round(scale * height)))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
@@ -264,7 +266,7 @@ def run_compare(job: BackgroundJob) -> Outcome:
         header = list(dict.fromkeys(name for line in lines for name in line))
         table = Table(header, [[line.get(name, "–") for name in header] for line in lines])
         plots = [errors_plot(lines)] if "total" in header else []
-        findings = Findings(f"{Path(source.name).name}: comparison", [table], [], [*plots, gallery.picture()])
+        findings = Findings(f"{Path(source.name).name}: comparison", [table], [], [*plots, gallery.plot()])
         publish("compare", f"rsmcm reproduce compare {job.source}", job.out, lambda: findings)
     return Outcome({"source": source.name, "frames": n_frames, "stream": source.stream}, interruption.signal)
 

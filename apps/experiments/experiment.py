@@ -6,14 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
 from ...models.files import write_atomically
 from ..evaluation.text_tables import in_columns
-from ..io.files import write_image
 from ..runs.parallel import in_parallel
 from ..view.page import Page, Section, picture_file, table, write_page
 from .record import HEADER, Expectation, Record, Stopwatch, Table
@@ -26,6 +24,7 @@ Method = TypeVar("Method", bound=Hashable)
 T = TypeVar("T")
 Image = NDArray[np.uint8]
 
+TALLEST = 4  # times as high as wide: the room for a picture
 INK = dict.fromkeys(
     ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color", "grid.color"), "#0a0b0c"
 )
@@ -94,17 +93,31 @@ class Plot:
             canvas.savefig(unfinished, format="png", dpi=110)
 
 
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """Picture `(height, width[, 3])` uint8 BGR: its file's name and its caption."""
+def pictures(
+    name: str,
+    rows: Sequence[tuple[str, Sequence[Image]]],
+    columns: Sequence[str],
+    caption: str,
+    width: float = 2.2,
+) -> Plot:
+    """Return a plot of pictures `(height, width[, 3])` uint8 BGR, all of one size, in named rows and columns.
 
-    name: str
-    image: Image
-    caption: str
+    Each is so many inches wide.
+    """
+    height = width * min(rows[0][1][0].shape[0] / rows[0][1][0].shape[1], TALLEST)
 
-    def write(self, path: Path) -> None:
-        """Write it as a file."""
-        write_image(path, self.image)
+    def draw(canvas: "Figure") -> None:
+        grid = canvas.subplots(len(rows), len(columns), squeeze=False)
+        for axes, (row, images) in zip(grid, rows, strict=True):
+            for axis, image in zip(axes, images, strict=True):
+                axis.imshow(image[..., ::-1] if image.ndim == 3 else image, cmap="gray", vmin=0, vmax=255)
+                axis.set(xticks=[], yticks=[])
+                axis.grid(visible=False)
+            axes[0].set_ylabel(row, fontsize=8)
+        for axis, column in zip(grid[0], columns, strict=True):
+            axis.set_title(column, fontsize=9)
+
+    return Plot(name, draw, (width * len(columns) + 0.4, (height + 0.1) * len(rows) + 0.3), caption)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +129,7 @@ class Findings:
     # record
     tables: Sequence[Table]
     expectations: Sequence[Expectation]
-    pictures: Sequence[Plot | Picture] = ()  # each is a file, and on the page
+    pictures: Sequence[Plot] = ()  # each is a file, and on the page
 
 
 def publish(name: str, command: str, out: Path, run: Callable[[], Findings]) -> None:
@@ -147,43 +160,3 @@ def publish(name: str, command: str, out: Path, run: Callable[[], Findings]) -> 
     sections: list[Section] = [("", judged), ("Figures", shown), ("Measured", measured)]
     write_page(out / "index.html", Page(found.title, sections=[each for each in sections if each[1]]))
     print(f"\npage: {out / 'index.html'}")
-
-
-GAP = 4  # px
-TEXT = 18  # px, height of a line
-PAPER = 255
-TALLEST = 4  # times as high as wide: the room for a picture
-
-
-def fitting(shape: tuple[int, ...], width: int) -> tuple[int, int]:
-    """Return width and height, px, of a picture `(height, width[, 3])` at a width; less if it is tall."""
-    scale = min(width / shape[1], TALLEST * width / shape[0])
-    return max(1, round(scale * shape[1])), max(1, round(scale * shape[0]))
-
-
-def mosaic(rows: Sequence[tuple[str, Sequence[Image]]], columns: Sequence[str], width: int = 240) -> Image:
-    """Lay out pictures `(height, width[, 3])` uint8, all of one size, in rows with their names above them.
-
-    `columns` are the names above the first row. Each picture is scaled to `width` px, unless it is more
-    than four times as high as wide. The sheet is `(height, width, 3)` BGR.
-    """
-    width, height = fitting(rows[0][1][0].shape, width)
-    across, down = width + GAP, height + TEXT + GAP
-    shape = (TEXT + len(rows) * down + GAP, len(columns) * across + GAP, 3)
-    sheet: Image = np.full(shape, PAPER, np.uint8)
-    for column, name in enumerate(columns):
-        _write(sheet, name, GAP + column * across, TEXT - 5)
-    for row, (name, images) in enumerate(rows):
-        top = TEXT + row * down
-        _write(sheet, name, GAP, top + TEXT - 5)
-        for column, image in enumerate(images):
-            left = GAP + column * across
-            small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-            if small.ndim == 2:
-                small = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
-            sheet[top + TEXT : top + TEXT + height, left : left + width] = small
-    return sheet
-
-
-def _write(sheet: Image, text: str, x: int, y: int) -> None:
-    cv2.putText(sheet, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 0, 0), 1, cv2.LINE_AA)

@@ -20,7 +20,7 @@ from ..scenes import sleeping_man as street
 from .baselines import CleanUp, Setting
 from .compare import CHAINS, SHOWN_PRIOR, BaselineTracker, Model
 from .datasets import data_folder
-from .experiment import Findings, Picture, by_seed, mosaic, noisy
+from .experiment import Findings, Plot, by_seed, noisy, pictures
 from .record import Expectation, Table, over_seeds
 
 Image = NDArray[np.uint8]
@@ -121,14 +121,14 @@ def expectations_of_long(measured: Mapping[str, Mapping[str, Sequence[PixelScore
     return expectations
 
 
-def figures(scene: Scene) -> list[Picture]:
+def figures(scene: Scene) -> list[Plot]:
     """Make Figs. 1 and 7: input every thirtieth frame, background, foreground."""
     alone = Model("alone", "stand-alone", scene.size, {"background": {"prior": SHOWN_PRIOR}})
     systems = {
         "Fig. 1: the background by itself": alone,
         "Fig. 7: background and blobs together": Model("RSMCM", "recursive-bp", scene.size),
     }
-    pictures = []
+    plots = []
     with Progress("figures", 2 * len(scene)) as progress:
         for name, system in systems.items():
             rows: list[tuple[str, list[Image]]] = [
@@ -143,9 +143,9 @@ def figures(scene: Scene) -> list[Picture]:
                     for (_, row), picture in zip(rows, made, strict=True):
                         row.append(picture)
                 progress.update()
-            sheet = mosaic(rows, [f"frame {number}" for number in range(30, len(scene) + 1, 30)], 160)
-            pictures.append(Picture(f"fig-{name[5]}.png", sheet, name))
-    return pictures
+            columns = [f"frame {number}" for number in range(30, len(scene) + 1, 30)]
+            plots.append(pictures(f"fig-{name[5]}.png", rows, columns, name, 1.5))
+    return plots
 
 
 CLEAN_UPS = {"raw": CleanUp(), "5x5 median": CleanUp(median=5)}

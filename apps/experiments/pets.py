@@ -287,7 +287,7 @@ def pets() -> Findings:
         Table(("film", "method", "setting", *TRACKS), track_lines, caption),
         Table(header, [[line.get(name, "") for name in header] for line in lines], in_every_tenth),
     ]
-    return Findings(film.name, tables, expectations, [errors_plot(lines), gallery.picture()])
+    return Findings(film.name, tables, expectations, [errors_plot(lines), gallery.plot()])
 
 
 def count_errors(film: AnnotatedFilm, name: str, seed: int) -> dict[str, ErrorClasses]:

@@ -20,7 +20,7 @@ from ..structure.job import StructureJob
 from ..structure.page import view_row
 from ..view.overlay import PointsOverlay
 from .datasets import data_folder
-from .experiment import Findings, Image, Picture, Plot, by_seed, in_words, noisy
+from .experiment import Findings, Image, Plot, by_seed, in_words, noisy, pictures
 from .record import Expectation, Table, over_seeds
 
 Numbers = NDArray[np.float64]
@@ -294,7 +294,7 @@ def box() -> Findings:
     folders = {name: data_folder(name) for name in SEQUENCES}
     measured = by_seed("turning objects", partial(track_object, folders), SEQUENCES, NOISE_SEEDS)
     lines: list[list[object]] = []
-    pictures: list[Picture] = []
+    plots: list[Plot] = []
     for name, methods in measured.items():
         for method, trials in methods.items():
             first, length = trials[0], float(np.mean([each.length for each in trials]))
@@ -302,13 +302,14 @@ def box() -> Findings:
             lines.append([name, method, *first.counts, length, error, first.geometry])
             if first.picture is not None:
                 caption = f"{name}-{method}: dots are seen, rings predicted"
-                pictures.append(Picture(f"{name}-{method}.png", first.picture, caption))
+                rows = [("", [first.picture])]
+                plots.append(pictures(f"{name}-{method}.png", rows, [""], caption, 6.0))
     caption = f"Mean over {len(NOISE_SEEDS)} seeds of noise; counts and shape are of the first."
     return Findings(
         "Turning objects",
         [Table(LINE, lines, caption)],
         over_seeds(expectations_of_objects, measured),
-        pictures,
+        plots,
     )
 
 
