@@ -32,7 +32,7 @@ help:
 	@echo "make constraints            choose the newest versions to be the tested ones"
 	@echo "make bench                  speed beside peers, and cost as curves: ten minutes on a quiet machine"
 	@echo "make reproduce              all experiments: hours"
-	@echo "make results                docs/results.md, pictures, and figures of README and docs/scale.md, from what was recorded"
+	@echo "make results                docs/results.md, pictures, and figures of README, from what was recorded"
 	@echo "make fuzz                   damaged inputs for every reader: 100,000 in about ten minutes"
 	@echo "make dist                   source distribution and wheel of what is committed, in dist/"
 	@echo "make clean                  remove everything that make made, .venv too"

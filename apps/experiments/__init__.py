@@ -82,7 +82,7 @@ def run_experiment(name: str, out: Path, *, long: bool = False) -> None:
     Raises
     ------
     OSError
-        if data cannot be found or fetched, or the folder cannot be written to.
+        if data cannot be found, or the folder cannot be written to.
     """
     from .experiment import publish
 

@@ -234,7 +234,7 @@ def pets() -> Findings:
     Raises
     ------
     OSError
-        if the sequence cannot be found or fetched.
+        if the sequence cannot be found.
     """
     folder = data_folder("pets2009-s2l1")
     film = AnnotatedFilm.read("PETS2009 S2.L1", folder / "vtest.avi", folder, folder / "det.txt")

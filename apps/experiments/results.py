@@ -1,10 +1,10 @@
-"""Collect records, and make the page of results and the figures of README and docs/scale.md: `make results`.
+"""Collect records, and make the page of results and the figures of README: `make results`.
 
     python -m rsmcm.apps.experiments.results [FOLDER]
 
 takes the records that experiments have left in the folders of FOLDER (`results`), keeps them in
-`docs/results/`, and writes `docs/results.md`, and the parts of `README.md` and `docs/scale.md` between their
-marks. Only in a checkout.
+`docs/results/`, and writes `docs/results.md`, and the part of `README.md` between its marks. Only in a
+checkout.
 """
 
 import math
@@ -21,9 +21,7 @@ from ..evaluation.text_tables import rounded
 from .record import HEADER, ROOT, TRACKING, Expectation, Provenance, Record, git
 
 VERDICTS = {"pass": "met", "missed": "**missed**"}
-SCALE = Path("docs") / "scale.md"
-PICTURE = "![Time over size, log scales, a panel for each kind of size](pictures/curves.png)\n"
-ELSEWHERE = {"curves": "scale.md"}  # records that are on another page
+
 
 INTRODUCTION = """\
 # Results
@@ -91,13 +89,12 @@ def results_page(documents: Documents, changed: str) -> str:
         passed, missed = (
             sum(each.verdict == verdict for each in record.expectations) for verdict in VERDICTS
         )
-        link = f"[{record.title}]({ELSEWHERE.get(name, '')}#{_anchor(record.title)})"
+        link = f"[{record.title}](#{_anchor(record.title)})"
         overview.append([link, f"`{record.command}`", str(passed), str(missed or "")])
-        if name not in ELSEWHERE:
-            note = documents.notes[name].strip()
-            parts += [f"## {record.title}\n", f"{measured_when(record, changed)}\n", figures(record)]
-            parts += [f"{note}\n"] if note else []
-            parts += _tables(record)
+        note = documents.notes[name].strip()
+        parts += [f"## {record.title}\n", f"{measured_when(record, changed)}\n", figures(record)]
+        parts += [f"{note}\n"] if note else []
+        parts += _tables(record)
     return "\n".join(
         [INTRODUCTION, table(("", "command", "met", "missed"), overview), *parts, documents.earlier]
     )
@@ -165,22 +162,6 @@ def readme_with(text: str, documents: Documents, changed: str) -> str:
     return between(text, "figures", content, "README.md")
 
 
-def scale_page(text: str, records: Mapping[str, Record], changed: str) -> str:
-    """Return the page on scale with the record of curves.
-
-    Raises
-    ------
-    ValueError
-        if the page lacks the marks.
-    """
-    content, record = "*Not recorded yet.*\n", records.get("curves")
-    if record is not None:
-        content = "\n".join(
-            [PICTURE, figures(record), f"{measured_when(record, changed)}\n", *_tables(record)]
-        )
-    return between(text, "curves", content, SCALE.as_posix())
-
-
 def between(text: str, name: str, content: str, page: str) -> str:
     """Return a page's text with new lines between the marks of a name, which must be there."""
     begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
@@ -231,11 +212,10 @@ def collect(folder: Path, kept: Path) -> None:
 
 
 def write_pages(root: Path, changed: str) -> None:
-    """Write the page of results, the figures of README, and those of the page on scale, of a checkout."""
-    documents, readme, scale = Documents.read(root / "docs" / "results"), root / "README.md", root / SCALE
+    """Write the page of results and the figures of README of a checkout."""
+    documents, readme = Documents.read(root / "docs" / "results"), root / "README.md"
     write_text(root / "docs" / "results.md", results_page(documents, changed))
     write_text(readme, readme_with(readme.read_text(), documents, changed))
-    write_text(scale, scale_page(scale.read_text(), documents.records, changed))
 
 
 def main(folder: Path) -> int:

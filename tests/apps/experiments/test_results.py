@@ -7,13 +7,11 @@ from pathlib import Path
 import pytest
 from rsmcm.apps.experiments.record import Expectation, Record, Table
 from rsmcm.apps.experiments.results import (
-    SCALE,
     Documents,
     collect,
     main,
     readme_with,
     results_page,
-    scale_page,
 )
 
 from ...support.made_up_records import MADE
@@ -57,7 +55,6 @@ def checkout(tmp_path: Path) -> Path:
     for each in (FIRST, SECOND):
         each.write(kept / f"{each.name}.json")
     (tmp_path / "README.md").write_text(f"before\n{BEGIN}\nthe last ones\n{END}\nafter\n")
-    (tmp_path / SCALE).write_text((ROOT / SCALE).read_text())
     return tmp_path
 
 
@@ -75,8 +72,6 @@ def test_pages_are_what_is_made_of_the_records() -> None:
     assert unmarked((ROOT / "docs" / "results.md").read_text()) == results_page(found, "")
     readme = unmarked((ROOT / "README.md").read_text())
     assert readme == readme_with(readme, found, "")
-    scale = unmarked((ROOT / SCALE).read_text())
-    assert scale == scale_page(scale, found.records, "")
 
 
 def test_page(checkout: Path) -> None:
