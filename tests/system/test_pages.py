@@ -29,14 +29,13 @@ WHOLE_SCENE = ("events", "validity")
 """Pages that show results of the demo's scene, which cannot be a shorter one."""
 
 NOT_RUN_BLOCKS = {
-    "bodies": 1,  # joints that somebody has noted
     "detectors": 1,  # networks of others
     "figures": 1,  # the bench, which takes minutes
     "keypoints": 1,  # the same
     "running": 1,  # a camera
     "scale": 2,  # a cluster
     "start": 1,  # pip install
-    "structure": 2,  # a camera, a film of one's own
+    "structure": 1,  # a camera
     "validity": 1,  # any run
 }
 """How many blocks of a page are not run; every other block is."""
