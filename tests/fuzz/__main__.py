@@ -46,18 +46,12 @@ def main() -> int:
                 write(input_of(seeds, task, chosen.seed), folder)
                 (folder / "outcome.txt").write_text(outcome + "\n")
             progress.update()
-    rows = [
-        (
-            reader,
-            str(found.total()),
-            str(found[RESULT]),
-            str(found[REFUSED]),
-            str(found.total() - found[RESULT] - found[REFUSED]),
-        )
-        for reader, found in counts.items()
-    ]
-    sums = (str(sum(int(row[column]) for row in rows)) for column in range(1, 5))
-    print(in_columns(("reader", "inputs", "results", "refused", "else"), [*rows, ("all", *sums)]))
+    rows = []
+    for reader, found in [*counts.items(), ("all", sum(counts.values(), Counter[str]()))]:
+        total = found.total()
+        each = (total, found[RESULT], found[REFUSED], total - found[RESULT] - found[REFUSED])
+        rows.append((reader, *map(str, each)))
+    print(in_columns(("reader", "inputs", "results", "refused", "else"), rows))
     for reader, found in counts.items():
         kinds = Counter[str]()
         for outcome, count in found.items():
@@ -65,7 +59,7 @@ def main() -> int:
         for kind, count in kinds.most_common():
             if kind not in (RESULT, REFUSED):
                 print(f"{reader}: {count} times {kind}")
-    return int(any(int(row[-1]) for row in rows))
+    return int(rows[-1][-1] != "0")
 
 
 if __name__ == "__main__":

@@ -21,18 +21,8 @@ WORDS = (b"\0", b"\xff\xfe", b"\xef\xbb\xbf", b"\n" * 40, b"#", b"=", b"[" * 300
 WHOLE = (0, 1, 2, 3, 127, 128, 255, 256, 32767, 32768, 65535, 65536, 2**24, 2**31 - 1, 2**31, 2**32 - 1)
 FLOATS = (0.0, -0.0, np.nan, np.inf, -np.inf, 1e-320, 1e-30, 1e7, 1e30, 1e308, -1e308)
 SHAPES = (
-    (),
-    (0,),
-    (1,),
-    (-1,),
-    (2, 2),
-    (10**9,),
-    (10**30, 0),
-    (2**32, 2**32),
-    (1, 1, 2),
-    (3, 4, 2),
-    (1,) * 40,
-)
+    (), (0,), (1,), (-1,), (2, 2), (10**9,), (10**30, 0), (2**32, 2**32), (1, 1, 2), (3, 4, 2), (1,) * 40,
+)  # fmt: skip
 TYPES = (
     "<f8", ">f8", "<f4", "<f2", "<i8", "|i1", "<u8", "|b1", "<c16", "|O", "<U3", "|S5", "<M8[s]",
 )  # fmt: skip
@@ -102,27 +92,11 @@ def _cut(content: bytes, _: bytes, random: Random) -> bytes:
     return content[: _place(content, random)]
 
 
-def _without(content: bytes, _: bytes, random: Random) -> bytes:
-    place = _place(content, random)
-    return content[:place] + content[place + random.geometric(0.05) :]
-
-
-def _twice(content: bytes, _: bytes, random: Random) -> bytes:
-    place = _place(content, random)
-    end = place + random.geometric(0.02)
-    return content[:end] + content[place:end] * int(random.integers(1, 4)) + content[end:]
-
-
 def _spliced(content: bytes, other: bytes, random: Random) -> bytes:
     return content[: _place(content, random)] + other[_place(other, random) :]
 
 
-def _noisy(content: bytes, _: bytes, random: Random) -> bytes:
-    place, length = _place(content, random), random.geometric(0.02)
-    return content[:place] + random.bytes(length) + content[place + length :]
-
-
-BYTES = (_flipped, _flipped, _overwritten, _overwritten, _cut, _without, _twice, _spliced, _noisy)
+BYTES = (_flipped, _flipped, _overwritten, _overwritten, _cut, _spliced)
 
 
 # --- text ---------------------------------------------------------------------------------------------------
@@ -148,15 +122,9 @@ def _other_word(content: bytes, random: Random) -> bytes:
 def _other_lines(content: bytes, random: Random) -> bytes:
     lines = content.splitlines(keepends=True)
     one, two = random.integers(len(lines), size=2)
-    kind = random.integers(4)
-    if kind == 0:
-        del lines[one]
-    elif kind == 1:
-        lines[one], lines[two] = lines[two], lines[one]
-    elif kind == 2:
-        lines.insert(one, lines[two] * int(random.choice([1, 2, 100])))
-    else:
-        lines[one] = lines[one].rstrip(b"\n") + lines[two]
+    lines[one] = (b"", lines[two], lines[two] * 100, lines[one].rstrip(b"\n") + lines[two])[
+        random.integers(4)
+    ]
     return b"".join(lines)
 
 

@@ -1,7 +1,6 @@
 """The background application: whole results, missing frames, regions, runs that are cut off and resumed."""
 
 import itertools
-import json
 import shutil
 import signal
 from collections.abc import Iterator
@@ -26,7 +25,7 @@ from rsmcm.apps.scenes import sleeping_man
 from rsmcm.chains import MixtureBackground
 from rsmcm.models.core.frame import Frame
 
-from ...conftest import modified, names
+from ...conftest import modified, names, summary_of
 
 SIZE = (128, 96)
 N_FRAMES = 60
@@ -49,11 +48,6 @@ def assert_same(one: Path, other: Path) -> None:
         assert (one / name).read_bytes() == (other / name).read_bytes()
     assert masks_of(one) == masks_of(other)
     assert masks_of(one)
-
-
-def summary_of(folder: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((folder / "summary.json").read_text())
-    return content
 
 
 def count_frames(video: Path) -> int:

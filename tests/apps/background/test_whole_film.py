@@ -1,6 +1,5 @@
 """The background application on a whole film at once, and after a warm-up."""
 
-import json
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +19,8 @@ from rsmcm.apps.runs.loop import Columns
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.inference import Belief
 
-from ...conftest import Command
+from ...conftest import Command, summary_of
+from .test_application import masks_of
 
 SIZE = (160, 120)
 FIRST, LAST = 41, 100
@@ -43,15 +43,6 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def job_of(scene: Path, out: Path, **options: Any) -> BackgroundJob:
     return BackgroundJob(str(scene / "input"), out=out, ground_truth=scene, every=10, **options)
-
-
-def masks_of(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted((folder / "foreground").glob("*.png"))}
-
-
-def summary_of(folder: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((folder / "summary.json").read_text())
-    return content
 
 
 def shown_in_first_frame(folder: Path, scene: Path) -> float:

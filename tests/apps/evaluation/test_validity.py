@@ -1,6 +1,7 @@
 """When combining two chains pays: closed forms, against Monte Carlo and brute force, and the estimates."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.apps.command_line import main
 from rsmcm.apps.evaluation.predictions import (
     FILE,
     MOST_ROWS,
@@ -28,6 +28,8 @@ from rsmcm.inference.validity import (
     product_of,
 )
 from rsmcm.models.core.gaussian_message import GaussianMessage
+
+from ...conftest import Command
 
 Numbers = NDArray[np.float64]
 SEEDS = st.integers(0, 2**32 - 1)
@@ -344,8 +346,7 @@ def test_an_overstated_noise_of_the_observed_gives_no_verdict(
     overstated = replace(honest, predictions=replace(honest.predictions, noise=10 * honest.predictions.noise))
     for record, verdict in ((honest, "helps"), (overstated, "not sure")):
         write_predictions(tmp_path, [record])
-        with pytest.raises(SystemExit):
-            main(["validity", str(tmp_path)])
+        Command("validity")(tmp_path)
         said = capsys.readouterr().out
         assert f"chain-a + chain-b on points: {verdict}." in said
         assert ("the noise is overstated" in said) == (verdict == "not sure")
@@ -394,17 +395,10 @@ def test_recorder_keeps_points_that_all_speak_of() -> None:
     assert record.frames[-1] > 390
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    out, err = capsys.readouterr()
-    return int(ended.value.code or 0), out, err
-
-
 def test_command_prints_verdicts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_predictions(tmp_path, [pair(), pair(2, correlation=0.99, names="bc")])
-    code, out, err = run(capsys, "validity", tmp_path)
-    assert (code, err) == (0, "")
+    assert Command("validity")(tmp_path) == 0
+    out = capsys.readouterr().out
     lines = out.splitlines()
     assert lines[0].split()[:3] == ["chains", "feature", "predictions"]
     assert lines[2].startswith("chain-a + chain-b")
@@ -417,11 +411,8 @@ def test_command_prints_verdicts(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "predicts what is observed worse" in out
 
 
-def test_command_on_wrong_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def complaint(folder: Path) -> str:
-        code, out, err = run(capsys, "validity", folder)
-        assert (code, out, err.count("\n")) == (2, "", 1)
-        return err
+def test_command_on_wrong_folders(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    complaint = partial(Command("validity").complaint, capfd)
 
     assert "nowhere: no such folder" in complaint(tmp_path / "nowhere")
     assert "holds no predictions.npz; it is written by: rsmcm structure" in complaint(tmp_path)

@@ -149,27 +149,20 @@ HEADER = "frame,x,y,width,height,score\n"
     ("text", "complaint"),
     [
         ("", "found: holds nothing, expected MOT's"),
-        ("a\0b", "found: got binary data"),
         ("hello\n", r"found, line 1: got 'hello', expected MOT's det\.txt, CSV with a header"),
         (HEADER, "found: holds no detections"),
         ("1,-1,5,5,10,10,1\n1,-1,5,5,0,10,1\n", "found, line 2: got a box of 0 x 10 px"),
         ("1,-1,5,5,10,10,nan\n", "found, line 1: got a score of nan"),
         ("1,-1,5,5,10,10,1\n2,-1,5,5,10,10\n", "found, line 2: got scores or classes for some boxes only"),
-        ("1,-1,5,5,10,10,1\n2,-1,5", "found, line 2: got '2,-1,5', expected"),
         ("frame,x,y\n1,2,3\n", "found, line 1: got columns 'frame,? x, y', expected frame and either"),
         (HEADER + "1,2,3,4,5,1\n1,2,3\n", "found, line 3: got 3 columns, expected width in column 4"),
         (HEADER + "1,2,3,4,high,1\n", "found, line 2: got height 'high', expected a number"),
-        (HEADER + "1,2,3,4,1e300,1\n", "found, line 2: got a box at 2, 3"),
         (HEADER + '1,2,3,4,5,"1\n', "found, line 2: got a quote that does not end"),
         (f"[{GOOD},\n{GOOD}", "found, line 2: got no JSON, or a part of it"),
         (f"[{GOOD}] 1", "found, line 1: got more behind the end"),
         (f"[{GOOD}, 7]", "found, result 2: got 7, expected an object"),
         (f'[{GOOD}, {{"bbox": [1, 2, 3, 4]}}]', "found, result 2: got no image_id"),
         ('[{"image_id": 1, "bbox": [1, 2, 3]}]', "found, result 1: got bbox"),
-        (
-            '[{"image_id": 0, "bbox": [1, 2, 3, 4]}]',
-            "found, result 1: got image '0', expected a frame from 1",
-        ),
         ('{"annotations": []}', "found: got an object without images"),
         (
             '{"images": [], "annotations": [{"image_id": 3, "bbox": [1, 2, 3, 4]}]}',
@@ -215,7 +208,6 @@ def test_boxes_are_those_of_the_frames_number(detections: Detections) -> None:
             5,
             r"line 2: got a box from 90, 40, 110, 60 .* in frame 1, outside of the picture of 90x50",
         ),
-        ((100, 40), 5, r"line 2: got a box from 90, 40, 110, 60"),
         ((100, 50), 4, r"det\.txt, line 4: got frame 5, but film has 4 frames"),
     ],
 )
@@ -256,11 +248,6 @@ def test_a_detector_can_run_on_every_third_frame() -> None:
 @pytest.mark.parametrize(
     ("arguments", "error", "complaint"),
     [
-        (
-            (np.zeros((1, 4)),),
-            TypeError,
-            "detector: got an array of float64 of shape .*, expected a function",
-        ),
         ((lambda _: None, 0), ValueError, "every: got 0"),
         ((lambda _: np.zeros((2, 3)),), ValueError, r"frame 1: boxes: got \(2, 3\), expected \(n, 4\)"),
     ],

@@ -72,7 +72,6 @@ def test_folder_of_boxes(tmp_path: Path, name: str) -> None:
     [
         ("", "holds no boxes"),
         ("1,1,1,1,5,5\nhello\n", "line 2: got 'hello'"),
-        ("1,1,nan,1,5,5\n", "line 1"),
         ("0,1,1,1,5,5\n", "frame 0"),
         ("1,1,1,1,0,5\n", "positive size"),
         ("1,1,1,1,5,1e300\n", "px up to 1e\\+07"),
@@ -158,10 +157,8 @@ def test_a_zip_of_cvat_counts_pixels_from_0_and_has_labels(tmp_path: Path) -> No
     ("members", "wrong"),
     [
         ({"a.txt": ""}, "got members 'a.txt', expected CVAT's MOT 1.1"),
-        ({}, "got members '', expected CVAT's MOT 1.1"),
         ({"gt/gt.txt": ""}, "gt/gt.txt: holds no boxes"),
         ({"gt/gt.txt": "1,1,1,1,0,5\n"}, "gt/gt.txt, line 1: got a box of 0 x 5"),
-        ({"gt/gt.txt": "x\n"}, "gt/gt.txt, line 1: got 'x'"),
         ({"gt/gt.txt": bytes(MOST_TEXT + 1)}, "got gt/gt.txt of more than"),
     ],
 )

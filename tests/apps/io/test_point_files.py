@@ -63,7 +63,6 @@ def test_missing_points_stay_missing(tmp_path: Path) -> None:
             changed((3, 0, 1), np.inf),
             "got [36.0, inf] at point 0 of frame 3 (both from 0), expected finite",
         ),
-        (changed((3, 0), -np.inf), "got [-inf, -inf] at point 0 of frame 3"),
         (changed((3, 0, 1), 1e300), "1e+300] at point 0 of frame 3 (both from 0), expected finite px up to"),
         (changed((0, 5, 0), np.nan), "got [nan, 11.0] at point 5 of frame 0 (both from 0), expected both"),
     ],
@@ -138,19 +137,9 @@ def test_what_no_point_tracker_writes_is_refused(arrays: dict[str, Any], words: 
     assert words in str(raised.value)
 
 
-TRACKS = np.arange(60, dtype=np.float64).reshape(5, 6, 2)
-TRACKS[1, 2] = TRACKS[:, 4] = np.nan
-
-
-def saved(folder: Path, **arrays: Any) -> Path:
-    path = folder / "tracks.npz"
-    np.savez(path, **arrays)
-    return path
-
-
 def test_selected_frames_as_frames(tmp_path: Path) -> None:
-    tracks, numbers = read_track_file(saved(tmp_path, tracks=TRACKS), Selection(2, 5, 3))
-    np.testing.assert_array_equal(tracks, TRACKS[[1, 4]])
+    tracks, numbers = read_track_file(archive(tmp_path, tracks=POINTS), Selection(2, 5, 3))
+    np.testing.assert_array_equal(tracks, POINTS[[1, 4]])
     first, last = frames_of_tracks(tracks, numbers)
     assert (first.number, last.number) == (2, 5)
     assert (first.time, last.time) == (1 / 25, 4 / 25)
@@ -158,9 +147,9 @@ def test_selected_frames_as_frames(tmp_path: Path) -> None:
     assert last.points is not None
     assert first.points.identities.tolist() == [0, 1, 3, 5]
     assert last.points.identities.tolist() == [0, 1, 2, 3, 5]
-    np.testing.assert_array_equal(first.points.positions, TRACKS[1, [0, 1, 3, 5]])
+    np.testing.assert_array_equal(first.points.positions, POINTS[1, [0, 1, 3, 5]])
 
 
 def test_a_selection_beyond_the_end(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"start: got 6, but .*tracks\.npz has only 5 frames"):
-        read_track_file(saved(tmp_path, tracks=TRACKS), Selection(6))
+    with pytest.raises(ValueError, match=r"start: got 6, but .*points\.npz has only 5 frames"):
+        read_track_file(archive(tmp_path, tracks=POINTS), Selection(6))

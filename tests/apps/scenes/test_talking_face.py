@@ -142,6 +142,3 @@ def test_it_turns_as_far_as_wanted(max_yaw: float) -> None:
     most = np.abs(turned).max(axis=1)
     assert (most <= max_yaw + 3).all(), "nodding adds a little"
     assert most.max() > 0.8 * max_yaw
-
-
-# Frames

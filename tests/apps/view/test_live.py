@@ -168,9 +168,3 @@ def test_port_that_is_taken(page: str, tmp_path: Path) -> None:
         live_page(Address("127.0.0.1", port), Running(tmp_path)),
     ):
         pass
-
-
-# --- those who are slow, many or rude --------------------------------------------------
-
-
-# --- the end --------------------------------------------------

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -180,15 +180,6 @@ def test_masks_are_kept_exactly() -> None:
 # --- plots --------------------------------------------------------------------------------------------------
 
 
-def page_of(film: Film, **more: Any) -> Page:
-    return Page("a film", film=film, numbers=film.numbers, times=film.times, **more)
-
-
-def plain_film(count: int) -> Film:
-    times = np.arange(count) / 10
-    return Film(None, (64, 48), np.arange(1, count + 1), times, times)
-
-
 def test_plots_of_long_runs_are_of_means(browser: Browser, tmp_path: Path) -> None:
     count = 2 * MOST_FRAMES + 2
     values = np.where(np.arange(count) % 3 == 0, np.nan, 7.0)
@@ -200,6 +191,3 @@ def test_plots_of_long_runs_are_of_means(browser: Browser, tmp_path: Path) -> No
         assert shown.get_by_text("Means over 3 frames each.").is_visible()
     with pytest.raises(ValueError, match=f"got 5, expected one for each of {count}"):
         write_page(tmp_path / "view.html", replace(long, plots=[Plot("few", "", [Line(values[:5])])]))
-
-
-# --- paper --------------------------------------------------------------------------------------------------

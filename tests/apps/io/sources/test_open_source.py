@@ -326,6 +326,3 @@ def test_address_or_camera_that_is_not_there() -> None:
         open_source("97")
     with pytest.raises(ValueError, match="ftp://a/b: expected an address of one of"):
         open_source("ftp://a/b")
-
-
-# --- real data ----------------------------------------------------------------------------------------------
