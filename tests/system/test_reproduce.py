@@ -14,11 +14,11 @@ SIZE = (96, 72)
 
 def test_claims_say_whether_they_hold() -> None:
     assert Expectation("x", 0.3, "<=", 0.35).verdict == "pass"
-    assert Expectation("x", 0.4, "<=", 0.35).verdict == "short"
+    assert Expectation("x", 0.4, "<=", 0.35).verdict == "missed"
     assert Expectation("x", 1.3, ">=", 1.25).cells == ("x", ">= 1.25", "1.3", "", "pass")
     assert Expectation("x", 1291.4, standard_error=214.2).cells == ("x", "", "1291", "214", "")
     assert Expectation("x", 12345.6).cells == ("x", "", "12346", "", "")
-    assert Expectation("x", float("nan"), "<=", 1).verdict == "short"
+    assert Expectation("x", float("nan"), "<=", 1).verdict == "missed"
 
 
 def test_scores_of_a_scene_name_all_methods() -> None:
