@@ -72,7 +72,7 @@ class Euclidean:
 
 
 def euclidean(cameras: ArrayLike, shape: ArrayLike, camera_covariance: ArrayLike | None = None) -> Euclidean:
-    """Find the metric in which rows of affine cameras are orthogonal and of equal length.
+    """Find the Euclidean upgrade, in which rows of affine cameras are orthogonal and of equal length.
 
     Scaled orthography: each camera may have its own scale. The symmetric matrix Q = G G^T with u Q v = 0 and
     u Q u = v Q v for the rows u, v of all frames is found by linear least squares, made positive definite,
@@ -83,8 +83,8 @@ def euclidean(cameras: ArrayLike, shape: ArrayLike, camera_covariance: ArrayLike
     cameras, shape
         `(n_frames, 2, 4)` and `(n_points, 3)`.
     camera_covariance
-        `(n_frames, 4, 4)` of the rows of u and of v. Where left out, errors are taken to be as large as the
-        rows' deviations, and in all frames alike.
+        `(n_frames, 4, 4)` of the rows of u and of v. Default: the variance of the rows' deviations, equal in
+        all frames.
 
     Raises
     ------

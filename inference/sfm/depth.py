@@ -1,8 +1,8 @@
-"""What the motion of tracks shows of depth: more than a flat shape, parallax, a plane, a turning camera.
+"""Tests whether the motion of tracks shows depth: a flat shape, parallax, a plane, a rotating camera.
 
-Pictures of a plane, and pictures that a camera takes which turns and zooms where it stands, are related by
-homographies (Hartley and Zisserman, Multiple View Geometry, 2nd edition, 13.1 and 8.4): each explains all
-tracks between two pictures, whatever their depth. Only what a homography leaves over, parallax, shows depth.
+Images of a plane, and images of a camera that rotates and zooms in place, are related by homographies
+(Hartley and Zisserman, Multiple View Geometry, 2nd edition, 13.1 and 8.4). Only the residual of a homography,
+parallax, shows depth.
 """
 
 import math
@@ -72,9 +72,9 @@ class Motion:
 
 
 def motion_of(tracks: Array, most: float = MOST) -> Motion:
-    """Say what tracks `(n_frames, n_tracks, 2)` px show, NaN where they are not seen.
+    """Return the kind of motion of tracks `(n_frames, n_tracks, 2)` px, NaN where they are not seen.
 
-    `most` is the share of those of a pair of pictures that counts, those that are explained best.
+    `most` is the share of the tracks of a pair of images that is used, those with the smallest residuals.
     """
     seen = ~np.isnan(tracks[..., 0])
     lives = seen.sum(axis=0)

@@ -309,8 +309,8 @@ class Factorisation:
         `(n_frames, 2, 4)`: position in px = cameras[..., :3] @ shape + cameras[..., 3]; and `(n_frames, 4,
         4)`, of the row of u and of that of v alike.
     shape, shape_covariance
-        `(n_points, 3)`, about white (mean 0, covariance I), the third axis the one that moves points least;
-        and `(n_points, 3, 3)`.
+        `(n_points, 3)`, whitened (mean 0, covariance I), the third axis the one with the smallest image
+        motion; and `(n_points, 3, 3)`.
     noise_variance, rmse
         px^2, of a position of weight 1; px, weighted, over the coordinates of all observations, at the
         means.
@@ -320,9 +320,9 @@ class Factorisation:
         themselves.
     frame_determined
         `(n_frames,)` bool: the frame shows four points or more that other frames show too. Other cameras are
-        what the prior makes of what there is.
+        predicted by the prior.
     history
-        bound of the log likelihood at each iteration of EM; empty where least squares needed none.
+        bound of the log likelihood at each iteration of EM; empty for least squares.
     """
 
     cameras: Array
@@ -351,25 +351,24 @@ def factorise(
     iterations: int = 500,
     tolerance: float = 0.003,
 ) -> Factorisation:
-    """Find cameras and shape.
+    """Estimate affine cameras and shape from positions of points.
 
     Parameters
     ----------
     positions
-        `(n_frames, n_points, 2)` px; NaN for a coordinate that is not known while the other one is; anything
-        where the weight is 0.
+        `(n_frames, n_points, 2)` px; NaN for an unknown single coordinate; any value where the weight is 0.
     weights
-        `(n_frames, n_points)`, 1 / relative variance, 0 where nothing was seen; where left out, 1 wherever
-        there is a coordinate.
+        `(n_frames, n_points)`, 1 / relative variance, 0 without an observation; default: 1 wherever there is
+        a coordinate.
     coherence
-        whether cameras move by eq. (19) or each frame is on its own.
+        whether cameras move by eq. (19), or are independent.
     start
         `"grow"` from the window that shows a rigid motion best; `"svd"` of the mean-filled matrix (the
         published start); an earlier result for the same frames and points; or cameras `(n_frames, 2, 4)`,
         in px.
     polish
-        go on to the optimum: without coherence weighted least squares, with it the bound of the likelihood,
-        with acceleration. If not, plain EM is all.
+        continue to the optimum: of weighted least squares without coherence, of the likelihood bound with it,
+        by accelerated EM. If not, only plain EM.
     iterations, tolerance
         of EM: at most so many, and until it gains less than so many nats in each.
 
@@ -610,13 +609,13 @@ class RobustFactorisation:
 def factorise_robustly(
     positions: ArrayLike, weights: ArrayLike | None = None, *, coherence: bool = False
 ) -> RobustFactorisation:
-    """Find cameras and shape where some positions are wrong; arguments and errors as of `factorise`.
+    """Estimate cameras and shape with outliers among the positions; arguments and errors as of `factorise`.
 
-    A position is right with a probability that is learned, and then off by noise of its weight; or else it
-    is an outlier, off by noise of a larger variance that is learned as well: a contaminated normal (Tukey,
-    "A survey of sampling from contaminated distributions", 1960), by EM. Probabilities come from what
-    `factorise` leaves, in parts of what a point's other positions leave open, and make the weights of the
-    next `factorise`. Where nothing is wrong all of them are near 1, and the result is that of `factorise`.
+    A position is an inlier with noise of its weight, or an outlier with a larger variance: a contaminated
+    normal (Tukey, "A survey of sampling from contaminated distributions", 1960), fitted by EM with learned
+    probability and variance. Probabilities follow from the residuals of `factorise`, relative to the
+    uncertainty given the other positions of the point, and weight the next `factorise`. Without outliers they
+    are near 1, and the result is that of `factorise`.
     """
     where, given = as_arrays(positions, weights)
     fit = _roughly(where, given, coherence, "grow")

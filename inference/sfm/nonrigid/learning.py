@@ -382,28 +382,27 @@ def learn_shape(
 ) -> NonrigidShape:
     """Learn a deformable shape by EM for probabilistic PCA (Torresani, Hertzmann and Bregler 2008).
 
-    See `em` for the model and the steps, `search` for modes beyond those that are asked for. Without
-    `smooth` the frames' order matters only where a flat object's turns are doubtful. Equal tracks give equal
-    bytes.
+    See `em` for the model and the steps, `search` for additional modes. Without `smooth` the order of frames
+    matters only for ambiguous rotations of a flat object. Equal tracks give equal bytes.
 
     Parameters
     ----------
     tracks
         `(n_frames, n_points, 2)` px, NaN where a point was not seen.
     bases
-        number of morph bases with the mean shape, 2 or more: one less than modes of deformation.
+        number of morph bases including the mean shape, 2 or more.
     iterations, tolerance
-        of the last climb: at most so many, until one gains less than so many nats a coordinate.
+        of the last ascent: maximum number, and gain in nats per coordinate below which it stops.
     smooth
-        frames are successive: weights and turns are smoothed at the end, by as much as the tracks allow.
-        Covariances, history and log likelihood are of frames by themselves.
+        frames are successive: weights and rotations are smoothed at the end, with a learned process noise.
+        Covariances, history and log likelihood are those without smoothing.
     on_iteration
         is called after every iteration.
 
     Raises
     ------
     ValueError
-        if tracks have another shape, infinities, or half positions; there are fewer than 3 frames with 4
+        if tracks have another shape, infinities, or single coordinates; there are fewer than 3 frames with 4
         points (5 for `smooth`), or points seen in fewer than 3 of them; or bases are fewer than 2, or more
         than the tracks determine, min(2 n_frames, n_points - 1) / 3.
     """
@@ -559,7 +558,7 @@ def choose_bases(
     *,
     on_iteration: Callable[[], None] = lambda: None,
 ) -> BasesChoice:
-    """Number of bases by cross-validation: the fewest that are no worse than the best by one standard error.
+    """Choose the number of bases by cross-validation: the smallest within one standard error of the best.
 
     A tenth of all positions, drawn at random once for all candidates, is withheld and predicted by shapes
     learned from the rest (the one-standard-error rule of Hastie, Tibshirani and Friedman 2009, section 7.10,

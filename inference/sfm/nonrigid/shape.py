@@ -107,12 +107,12 @@ class Rival:
 class NonrigidShape:
     """Mean shape and modes of deformation, and in each frame the pose and the weights of modes.
 
-    Point j of frame t is seen at scale_t * (rotation_t @ (bases[0, j] + sum_k weights[t, k - 1] bases[k,
-    j])) + translation_t, of which x and y are seen, z points away from the viewer. Finer modes, `details`,
-    are added in the same way. The first basis has root mean square distance 1 from its centroid, the origin,
-    over x and y; weights are standard normal; the mean of all rotations is the identity. Which of the two
-    mirror images in depth it is, is open in orthography: it is the one that is convex towards the viewer,
-    as a face is.
+    Point j of frame t is seen at scale_t * (rotation_t @ (bases[0, j] + sum_k weights[t, k - 1] bases[k, j]))
+    + translation_t, of which x and y are seen, z points away from the viewer. Finer modes, `details`, are
+    added in the same way. The first basis has root mean square distance 1 from its centroid, the origin, over
+    x and y; weights are standard normal; the mean of all rotations is the identity. Of the two mirror images
+    in depth, which orthography cannot distinguish, it is the one that is convex towards the viewer, like a
+    face.
 
     Parameters
     ----------
@@ -124,21 +124,20 @@ class NonrigidShape:
     rotations, scales, translations
         `(n_frames, 3, 3)`, `(n_frames,)` px, `(n_frames, 2)` px.
     noise, rmse
-        px: standard deviation of a coordinate, and root mean square, over all that was seen, of what
-        `shapes()` leaves.
+        px: standard deviation of a coordinate, and root mean square residual of `shapes()`.
     log_likelihood, history
-        nats, of the tracks in px, weights integrated out; and with the prior of the bases, before each
-        iteration of the last climb; it never falls.
+        nats: of the tracks in px with weights integrated out; and with the prior of the bases, before each
+        iteration of the last ascent, never decreasing.
     frame_determined
         `(n_frames,)` bool: the frame shows four points or more. Poses and weights of others are NaN.
     frame_covariances
-        `(n_frames, 6 + n_modes, 6 + n_modes)`: of a frame's turn (rad, about the camera's axes), the
+        `(n_frames, 6 + n_modes, 6 + n_modes)`: of the rotation of a frame (rad, about the camera's axes), the
         logarithm of its scale, its translation (px), its weights and those of details, given the bases.
     basis_covariances
-        `(n_points, 3 (1 + n_modes), 3 (1 + n_modes))`: of a point's places in all bases and details, x, y, z
-        of the first in front, given poses and weights.
+        `(n_points, 3 (1 + n_modes), 3 (1 + n_modes))`: of the positions of a point in all bases and details,
+        x, y, z of the first basis first, given poses and weights.
     rivals
-        other optima of nearly equal likelihood, the likeliest first.
+        other optima of nearly equal likelihood, the most likely first.
     """
 
     bases: Array

@@ -395,7 +395,7 @@ def _round(listed: SparseObservations, start: Start, focal_known: bool, most_ste
 
 @dataclass(frozen=True)
 class Lens:
-    """The camera of a film: `(height, width)` px of the picture, and focal length in px if known."""
+    """Camera of a video: `(height, width)` px of the image, and focal length in px if known."""
 
     size: tuple[int, int]
     focal: float | None = None
@@ -416,7 +416,7 @@ class PerspectiveStructure:
     size
         `(height, width)` px of the picture.
     cameras
-        of all frames; of those that are not determined, between those before and after.
+        of all frames; those that are not determined are interpolated.
     shape, shape_covariance
         `(n_points, 3)`, axes as in the first view (x right, y down, z away), in px at the mean scale of the
         cameras, and `(n_points, 3, 3)`.
@@ -428,9 +428,9 @@ class PerspectiveStructure:
     noise, log_likelihood
         of observations of weight 1; of all observations, nats.
     parameters, observations
-        how many numbers are fitted, and numbers observed.
+        number of fitted parameters, and of observed coordinates.
     curvature_deviation
-        1/px, standard deviation of 1 / focal length; 0 where that was given.
+        1/px, standard deviation of 1 / focal length; 0 for a given one.
     """
 
     size: tuple[int, int]
@@ -486,10 +486,10 @@ class PerspectiveStructure:
 def perspective_structure(
     positions: Array, weights: Array, affine: AffineFit, lens: Lens
 ) -> PerspectiveStructure | None:
-    """Find cameras, focal length and shape; `None` if no start is found.
+    """Estimate perspective cameras, focal length and shape; `None` if no start is found.
 
-    Positions and weights are those of `factorise`, each point is seen somewhere; `affine` is the same with
-    affine cameras, to begin with, and those frames and points count that it determines.
+    Positions and weights are those of `factorise`, with an observation of each point; `affine` is the affine
+    solution, used as a start; only frames and points that it determines are used.
     """
     known, n_points = affine.frames, positions.shape[1]
     frames, points = np.nonzero(weights[known] > 0)
