@@ -54,7 +54,7 @@ def run_demo(out: Path) -> Outcome:
     outcome = run_background(job)
     if outcome.signal is None:
         outcome = run_compare(replace(job, out=out / "comparison"))
-    print(f"\nfilm:       {out / VIEW}")
+    print(f"\npage:       {out / VIEW}")
     print(f"comparison: {out / 'comparison' / 'index.html'}")
     return outcome
 

@@ -66,7 +66,7 @@ class BatchResult:
         counts = Counter({"complete": 0})
         counts.update(line.status.state for line in self.lines)
         listed = ", ".join(f"{count} {state}" for state, count in counts.items())
-        print(f"{len(self.lines)} films: {listed}", f"results: {out / INDEX}", sep="\n")
+        print(f"{len(self.lines)} videos: {listed}", f"results: {out / INDEX}", sep="\n")
         return FAILED * bool(failed) if self.signal is None else SIGNALLED + self.signal
 
 

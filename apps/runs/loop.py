@@ -222,7 +222,7 @@ class Start:
     def state(self, model: MultiChain) -> RunState:
         """Return the state of a model before the first frame."""
         if self._saved is not None:
-            _log.info("goes on after frame %d", self._saved.number)
+            _log.info("continues after frame %d", self._saved.number)
             return self._saved.state(model.chains)
         if self._learned is None:
             return RunState()

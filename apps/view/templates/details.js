@@ -19,7 +19,7 @@ function beginDetails() {
   const show = () => {
     const row = view.selected === null ? null : rowOf(view.selected);
     if (row === null) {
-      panel.replaceChildren(element("p", { className: "quiet", textContent: "Click on something in the film or in its row below." }));
+      panel.replaceChildren(element("p", { className: "quiet", textContent: "Click on an object in the video, or on its row below." }));
       return;
     }
     const [first, last] = lifeOf(row);

@@ -13,7 +13,7 @@ function tell(text) {
 if (bytes) {
   clock = filmClock(video);
   video.addEventListener("error", () => {
-    tell("This browser cannot show the film, which is H.264; what was found is drawn all the same.");
+    tell("This browser cannot show the video, which is H.264; the results are drawn nevertheless.");
   });
   video.src = URL.createObjectURL(new Blob([bytesOf(bytes)], { type: "video/mp4" }));
   byId("film-bytes").remove();
@@ -22,7 +22,7 @@ if (bytes) {
   video.remove();
 }
 if (data.run.frames > view.count) {
-  tell(`The film has frames ${view.numbers[0]} to ${view.numbers[view.count - 1]}, ${view.count} of ${data.run.frames}: the others are not on this page.`);
+  tell(`The video has frames ${view.numbers[0]} to ${view.numbers[view.count - 1]}, ${view.count} of ${data.run.frames}: the others are not on this page.`);
 }
 beginPlayer(clock);
 for (const row of data.rows) addRow(row);

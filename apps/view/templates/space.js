@@ -42,10 +42,10 @@ function inkOf(name) {
 class Space {
   constructor(parent, { label, centre = [0, 0, 0], reach, draw, pick }) {
     Object.assign(this, { centre, reach, drawing: draw, pick, held: new Map(), due: false, inSight: false });
-    const keys = "Arrow keys turn it, plus and minus change its size, 0 resets.";
+    const keys = "Arrow keys rotate it, plus and minus change its size, 0 resets.";
     this.canvas = element("canvas", { className: "space", tabIndex: 0, role: "application", "aria-label": `${label}. ${keys}` });
     this.pen = this.canvas.getContext("2d");
-    const hint = element("p", { className: "quiet hint", textContent: "Drag to turn; + and − for the size; 0 or double click resets." });
+    const hint = element("p", { className: "quiet hint", textContent: "Drag to rotate; + and − for the size; 0 or double click resets." });
     const large = element("button", { textContent: "Full screen", hidden: !document.fullscreenEnabled });
     large.addEventListener("click", () => this.canvas.requestFullscreen());
     parent.append(this.canvas, element("div", { className: "choices" }, hint, large));

@@ -26,7 +26,7 @@ function lifeOf(row) {
 
 function beginTimeline() {
   if (!view.rows.length) return;
-  const list = element("div", { className: "rows", tabIndex: 0, role: "listbox", "aria-label": "Everything that is followed" });
+  const list = element("div", { className: "rows", tabIndex: 0, role: "listbox", "aria-label": "Timeline" });
   const lanes = element("div", { className: "lanes", role: "none" });
   const options = new Map();
   let unlisted = null; // the selected one, if it is none of them

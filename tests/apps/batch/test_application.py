@@ -73,7 +73,7 @@ def test_what_is_complete_is_left_as_it_is(
     before = {path: each for path, each in stamps(done).items() if path.parent != done}
     assert code_of(films, "--out", done, "--seed", "3") == 0
     assert {path: each for path, each in stamps(done).items() if path.parent != done} == before
-    assert capfd.readouterr().out == f"3 films: 3 complete\nresults: {done / 'index.html'}\n"
+    assert capfd.readouterr().out == f"3 videos: 3 complete\nresults: {done / 'index.html'}\n"
     assert (done / "index.html").read_text().count("data:image/jpeg;base64,") == 3
 
 
@@ -97,7 +97,7 @@ def test_a_failure_stops_nobody(films: Path, tmp_path: Path, capfd: pytest.Captu
     (broken / "broken.mp4").write_bytes(b"no film")
     assert code_of(broken, "--out", tmp_path / "out", "--jobs", 2) == 1
     out, err = capfd.readouterr()
-    assert out.splitlines()[0] == "4 films: 3 complete, 1 failed"
+    assert out.splitlines()[0] == "4 videos: 3 complete, 1 failed"
     source = broken / "broken.mp4"
     assert err.splitlines()[-1].startswith(f"rsmcm: {source}: not a video that can be read")
     assert rows(tmp_path / "out")["broken"]["state"] == "failed"
@@ -193,7 +193,7 @@ def test_killed_in_the_middle(count: int, tmp_path: Path) -> None:
     again = start(*arguments)
     printed, complaints = again.communicate(timeout=300)
     assert again.returncode == 0, complaints
-    assert printed.splitlines()[0] == f"{count} films: {count} complete"
+    assert printed.splitlines()[0] == f"{count} videos: {count} complete"
     assert before.items() <= stamps(out).items()
     whole = tmp_path / "whole"
     assert code_of(films / "film005", "--out", whole, "--quiet", "--every", 2) == 0
@@ -210,7 +210,7 @@ def test_control_c(tmp_path: Path) -> None:
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does it
     printed, complaints = process.communicate(timeout=60)
     assert process.returncode == 130, complaints
-    assert printed.splitlines()[0] == "4 films: 0 complete, 2 interrupted, 2 waiting"
+    assert printed.splitlines()[0] == "4 videos: 0 complete, 2 interrupted, 2 waiting"
     for folder in sorted(out.glob("film*")):
         assert (folder / "view.html").read_text().endswith("</html>\n")
         assert (folder / "film.mp4").stat().st_size > 0

@@ -25,7 +25,7 @@ def test_cameras_run_at_once(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
             main(["batch", "background", str(listed), "--out", str(tmp_path / "out")])
     out, err = capfd.readouterr()
     assert ended.value.code == 1
-    assert out.splitlines()[0] == "2 films: 1 complete, 1 lost"
+    assert out.splitlines()[0] == "2 videos: 1 complete, 1 lost"
     assert err.splitlines()[-1].startswith(f"rsmcm: {other}: lost permanently: ")
     with (tmp_path / "out" / "summary.csv").open(newline="") as file:
         rows = {row["folder"]: row for row in csv.DictReader(file)}

@@ -43,7 +43,7 @@ def test_one_worker_is_killed(tmp_path: Path) -> None:
         victim.kill()
         printed, complaints = batch.communicate(timeout=300)
     assert batch.returncode == 0, complaints
-    assert printed.splitlines()[0] == f"{COUNT} films: {COUNT} complete"
+    assert printed.splitlines()[0] == f"{COUNT} videos: {COUNT} complete"
     assert before
     assert before.items() <= stamps(out).items()
     for film in sorted(films.iterdir()):

@@ -134,7 +134,7 @@ def test_a_shape_that_is_affine_or_undetermined(
     truth: Cylinder, found: Reconstruction, tmp_path: Path
 ) -> None:
     affine = replace(found, geometry="affine", reason="two views")
-    assert "lengths and angles mean nothing" in written(truth, affine, tmp_path)[1]
+    assert "lengths and angles are not determined" in written(truth, affine, tmp_path)[1]
     page, text = written(truth, replace(found, geometry="none", reason="static"), tmp_path)
     assert headings(page) == ["Rounds"]
     assert "undetermined" in text

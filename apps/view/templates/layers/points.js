@@ -94,7 +94,7 @@ addLayers(({ corner, tracked, inks, positions, residuals, spreads, counts, frame
   });
 
   if (n < counts.length) {
-    const few = `Over the film: ${n} of ${counts.length} points, evenly chosen.`;
+    const few = `Over the video: ${n} of ${counts.length} points, evenly chosen.`;
     byId("switches").append(element("p", { className: "quiet hint", textContent: few }));
   }
 

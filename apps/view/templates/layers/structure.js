@@ -6,7 +6,7 @@ addLayers(({ geometry, reason, count, space: inSpace, surface }) => {
   const panel = addPanel("In space");
   const say = (textContent) => panel.append(element("p", { className: "quiet hint", textContent }));
   if (inSpace === null) say(`The shape is undetermined: ${reason}.`); else addSpace(panel, inSpace);
-  if (geometry === "affine") say(`Up to an affine map, since ${reason}: lengths and angles mean nothing.`);
+  if (geometry === "affine") say(`Up to an affine map, since ${reason}: lengths and angles are not determined.`);
   const some = inSpace?.points.length ?? count;
   if (some < count) say(`In space: ${some} of ${count} points, evenly chosen.`);
 

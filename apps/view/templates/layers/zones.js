@@ -149,8 +149,8 @@ addLayers(({ zones, lines }) => {
     });
     document.addEventListener("keydown", key, true);
     hint.textContent = kind === "zone"
-      ? "Click the corners; a double click or Enter closes the zone, Escape gives it up. Enter at once makes one to be typed."
-      : "Click both ends: crossings are from the left of it to its right, or back. Enter at once makes one to be typed.";
+      ? "Click the corners; a double click or Enter closes the zone, Escape cancels. Enter at once adds one to be typed."
+      : "Click both ends: crossings are from its left to its right, or back. Enter at once adds one to be typed.";
   };
   const usual = (kind) => {
     const [x, y] = [width / 4, height / 4];
