@@ -140,7 +140,7 @@ class _Run:
         started = time.perf_counter()
         answers = self._hindsight.add(frame, found, belief.evidence(self._film.parts).image)
         if index == len(self._film.frames) - 1:
-            answers += self._hindsight.rest()
+            answers += self._hindsight.flush()
         self._later.seconds.append(seconds + time.perf_counter() - started)
         for answer in answers:
             self._later.add(answer.samples)

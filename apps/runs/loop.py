@@ -136,7 +136,7 @@ class Engine(Protocol):
     def step(self, frame: Frame) -> Sequence[Belief]:
         """Process a frame; return the beliefs of frames that have a result now, each once and in order."""
 
-    def rest(self) -> Sequence[Belief]:
+    def flush(self) -> Sequence[Belief]:
         """Return the beliefs of all other frames, after the last one."""
 
 
@@ -152,7 +152,7 @@ class Filter:
         self.state = belief.state
         return (belief,)
 
-    def rest(self) -> Sequence[Belief]:
+    def flush(self) -> Sequence[Belief]:
         """Return nothing: all frames have a result."""
         return ()
 
@@ -478,7 +478,7 @@ class _FilmRun:
             resumable = session.ended_early and not source.live
             if resumable:
                 checkpoint()
-            for belief in engine.rest():
+            for belief in engine.flush():
                 write(belief, spent)
                 spent = 0.0
             if resumable:

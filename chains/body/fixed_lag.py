@@ -287,7 +287,7 @@ class FixedLag:
             return []
         return self._smooth(BLOCK)
 
-    def rest(self) -> list[TimedSamples]:
+    def flush(self) -> list[TimedSamples]:
         """Smooth all remaining frames after the last one."""
         return self._smooth(len(self.waiting.frames))
 
@@ -434,7 +434,7 @@ def smoothed_poses(
             before_start += 1
         else:
             frames += smoother.add(frame, state, image)
-    frames += smoother.rest()
+    frames += smoother.flush()
     total = 0.0
     for index, each in enumerate(frames):
         labelling.add(each.number, each.time, each.evidence)
@@ -509,10 +509,10 @@ class Smoother:
         image = belief.evidence(self._parts).image
         return self._beliefs(self.smoothing.add(belief.frame, belief[self._pose], image))
 
-    def rest(self) -> list[Belief]:
+    def flush(self) -> list[Belief]:
         """Return the beliefs of the last frames, after which there are fewer."""
         self._begin_draws(0)
-        return self._beliefs(self.smoothing.rest())
+        return self._beliefs(self.smoothing.flush())
 
     def _beliefs(self, poses: Sequence[TimedSamples]) -> list[Belief]:
         beliefs: list[Belief] = []

@@ -60,7 +60,7 @@ def run(hindsight, clouds, after=None):
         if index == after:
             return answers
         answers += hindsight.add(Frame(None, index * DT, index + 1), cloud)
-    return [*answers, *hindsight.rest()]
+    return [*answers, *hindsight.flush()]
 
 
 def test_of_a_random_walk_it_is_the_kalman_smoother():
@@ -86,7 +86,7 @@ def test_every_frame_is_answered_once_and_in_order():
             new = hindsight.add(Frame(None, index * DT, index + 1), cloud)
             late += [index + 1 - answer.number for answer in new]
             answers += new
-        answers += hindsight.rest()
+        answers += hindsight.flush()
         assert [answer.number for answer in answers] == list(range(1, 12))
         assert all(lag <= each <= lag + 5 for each in late)
         assert not hindsight.waiting.frames
@@ -118,12 +118,12 @@ def test_a_run_over_pictures_that_is_taken_up_again_gives_the_same(tmp_path):
         for index, frame in enumerate(scene)
     ]
     whole, first, second = (FixedLag(dynamics, 2) for _ in range(3))
-    answers = [answer for each in shown for answer in whole.add(*each)] + whole.rest()
+    answers = [answer for each in shown for answer in whole.add(*each)] + whole.flush()
     again = [answer for each in shown[:9] for answer in first.add(*each)]
     assert len(again) == 6
     checkpoint.save(tmp_path / "state.npz", {"waiting": first.waiting}, {"waiting": WaitingFrames})
     second.waiting = checkpoint.load(tmp_path / "state.npz", {"waiting": WaitingFrames})["waiting"]
-    again += second.add(*shown[9]) + second.rest()
+    again += second.add(*shown[9]) + second.flush()
     for one, other in zip(answers, again, strict=True):
         np.testing.assert_array_equal(one.samples.poses.arms, other.samples.poses.arms)
         assert one.evidence == other.evidence
