@@ -185,7 +185,7 @@ class BodyRecord(FrameRecord):
                 hidden = "seen" if name == "head" else "seen, or not separable from the face,"
                 notes.append(
                     f"The {name.replace('_', ' ')} was not {hidden} in {100 * (1 - share):.0f} % of the "
-                    "frames: its position there is a guess from its motion and the rest of the body."
+                    "frames: its position there is predicted from its motion and the rest of the body."
                 )
         return notes
 
