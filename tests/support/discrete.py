@@ -1,55 +1,16 @@
-"""Toy chains over small discrete states, exact in every message, and the sum over all states as an oracle."""
+"""Random models of discrete chains, exact in every message, and the sum over all states as an oracle."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from rsmcm.inference import Cavity, Incoming, MultiChain, Port
-from rsmcm.models.core.categorical import Categorical, CategoricalMessage
+from rsmcm.chains import DiscreteChain
+from rsmcm.inference import Cavity, MultiChain, Port
+from rsmcm.models.core.categorical import Categorical
 from rsmcm.models.core.frame import Frame
 
 Table = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class DiscreteState:
-    probabilities: Table
-
-
-class DiscreteChain:
-    """A hidden Markov chain with tables p(F | X) of `(n_states, size)` for its features."""
-
-    ports: tuple[Port, ...] = (Port(Categorical, many=True),)
-
-    def __init__(self, name: str, prior: Table, transition: Table, tables: Mapping[str, Table]) -> None:
-        self.name = name
-        self.prior = prior
-        self.transition = transition
-        self.tables = tables
-
-    def initial(self, frame: Frame) -> DiscreteState:
-        return DiscreteState(self.prior)
-
-    def predict(self, state: DiscreteState, dt: float) -> DiscreteState:
-        return DiscreteState(state.probabilities @ self.transition)
-
-    def message(self, state: DiscreteState, feature: Categorical, incoming: Incoming) -> CategoricalMessage:
-        weights = self._weighted(state, incoming, without=feature.name)
-        with np.errstate(divide="ignore"):
-            return CategoricalMessage(np.log(weights @ self.tables[feature.name]))
-
-    def update(self, state: DiscreteState, incoming: Incoming) -> DiscreteState:
-        weights = self._weighted(state, incoming)
-        return DiscreteState(weights / weights.sum())
-
-    def _weighted(self, state: DiscreteState, incoming: Incoming, without: str = "") -> Table:
-        weights = state.probabilities
-        for name, message in incoming.by_name(Categorical).items():
-            if name != without:
-                weights = weights * (self.tables[name] @ np.exp(message.log_weights))
-        return weights
 
 
 class CavityChain(DiscreteChain):
@@ -95,7 +56,7 @@ def random_model(
         }
         kind = (kinds or {}).get(name, DiscreteChain)
         prior, transition = random_table(random, n_states), random_table(random, n_states, n_states)
-        chains[name] = kind(name, prior, transition, tables)
+        chains[name] = kind(transition, initial_probabilities=prior, emission=tables, many=True, name=name)
     model = MultiChain()
     for chain, feature in links:
         model.connect(chains[chain], features[feature])
@@ -121,7 +82,7 @@ def enumerate_slice(
         for name, chain in chains.items():
             weight *= predictions[name][at[name]]
             for feature in model.features_of[name]:
-                weight *= chain.tables[feature][at[name], at[feature]]
+                weight *= chain.emission[feature][at[name], at[feature]]
         before += weight
         for name, likelihood in likelihoods.items():
             weight *= likelihood[at[name]]

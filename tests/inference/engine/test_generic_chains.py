@@ -11,9 +11,6 @@ from rsmcm.chains import DiscreteChain, LinearGaussianChain, ParticleChain
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import Categorical, Frame, GaussianFeature, GaussianMessage, PointTracks
 
-from ...support.discrete import DiscreteChain as Plain
-from ...support.discrete import image, random_model
-
 Numbers = NDArray[np.float64]
 DT = 0.04
 TIMES = np.array([0.0, 0.04, 0.08, 0.2, 0.24, 0.28, 0.4])
@@ -164,25 +161,6 @@ def test_discrete_chain_is_the_forward_pass(seed: int) -> None:
         np.testing.assert_allclose(belief["discrete"].probabilities, weights / weights.sum(), rtol=1e-12)
         assert belief.log_evidence == pytest.approx(np.log(weights.sum() / total_before), abs=1e-12)
         total_before = weights.sum()
-
-
-def test_discrete_chain_meets_several_features() -> None:
-    """The beliefs and the evidence of a plain chain that sums over its states."""
-
-    def make(name: str, prior: Numbers, transition: Numbers, tables: dict[str, Numbers]) -> DiscreteChain:
-        return DiscreteChain(transition, initial_probabilities=prior, emission=tables, many=True, name=name)
-
-    links = [("a", "f"), ("a", "g"), ("b", "g"), ("b", "h")]
-    plain, ours = (
-        random_model(np.random.default_rng(0), links, dict.fromkeys("ab", kind)) for kind in (Plain, make)
-    )
-    pictures = [image(0, 3, 1), None, image(4, 1, 2), image(2, 2, 2)]
-    for one, other in zip(RecursiveBP(plain).run(pictures), RecursiveBP(ours).run(pictures), strict=True):
-        for name in "ab":
-            np.testing.assert_allclose(other[name].probabilities, one[name].probabilities, rtol=1e-12)
-        for name in "fgh":
-            np.testing.assert_allclose(other[name].probabilities(), one[name].probabilities(), rtol=1e-12)
-        assert other.log_evidence == pytest.approx(one.log_evidence, abs=1e-12)
 
 
 def test_discrete_chain_of_functions_speaks_to_any_feature() -> None:

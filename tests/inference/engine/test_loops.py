@@ -40,7 +40,7 @@ def random_links(random: np.random.Generator, n_loops: int) -> list[Step]:
 
 def factor_of(model: MultiChain, chain: str, prediction: Table) -> Table:
     """Sum over the chain's states: a table with an axis for each of its features."""
-    tables = [model.chains[chain].tables[name] for name in model.features_of[chain]]
+    tables = [model.chains[chain].emission[name] for name in model.features_of[chain]]
     total = 0.0
     for state, weight in enumerate(prediction):
         part = np.array(weight)
@@ -128,7 +128,7 @@ class PlainBP:
 def posterior(plain: PlainBP, model: MultiChain, chain: str, prediction: Table) -> Table:
     weights = prediction
     for name in model.features_of[chain]:
-        weights = weights * (model.chains[chain].tables[name] @ plain.towards(name, chain))
+        weights = weights * (model.chains[chain].emission[name] @ plain.towards(name, chain))
     return weights / weights.sum()
 
 
@@ -138,7 +138,7 @@ def random_slice(seed: int, n_loops: int, cavity: str = "") -> tuple[MultiChain,
     links = random_links(random, n_loops)
     kinds = dict.fromkeys(cavity.split(), CavityChain)
     model = random_model(random, links, kinds, power=1 + 3 * (seed % 2))
-    predictions = {name: chain.prior for name, chain in model.chains.items()}
+    predictions = {name: chain.initial_probabilities for name, chain in model.chains.items()}
     return model, predictions, Frame(image(*random.integers(0, 5, 4)), 0.0, 1)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rsmcm.chains import DiscreteChain
 from rsmcm.inference import Belief, Cavity, Incoming, MultiChain, Port, RecursiveBP, RunState
 from rsmcm.models import (
     GaussianMessage,
@@ -25,14 +26,7 @@ from rsmcm.models.core.categorical import Categorical, CategoricalMessage
 from rsmcm.models.core.frame import Frame
 from scipy.special import logsumexp
 
-from ...support.discrete import (
-    CavityChain,
-    DiscreteChain,
-    DiscreteState,
-    enumerate_slice,
-    image,
-    random_model,
-)
+from ...support.discrete import CavityChain, enumerate_slice, image, random_model
 
 GRAPHS = {
     "one chain": [("a", "f")],
@@ -59,7 +53,7 @@ def log_evidences(beliefs: Sequence[Belief]) -> list[float]:
 def test_every_frame_equals_enumeration(links: list[tuple[str, str]], cavity: str) -> None:
     for seed in range(3):
         model = random_model(rng(seed), links, dict.fromkeys(cavity, CavityChain))
-        predictions = {name: chain.prior for name, chain in model.chains.items()}
+        predictions = {name: chain.initial_probabilities for name, chain in model.chains.items()}
         for belief in RecursiveBP(model).run(FRAMES):
             posteriors, features, log_evidence = enumerate_slice(model, predictions, belief.frame)
             for name, expected in posteriors.items():
@@ -172,9 +166,10 @@ def test_evidence_behind_a_cut_edge_is_counted_once() -> None:
     belief = RecursiveBP(model).step(RunState(), frame)
 
     low = RecursiveBP(MultiChain().connect(chains["a"], features["f"])).step(RunState(), frame)
-    read = chains["b"].tables["f"] @ np.exp(low["f"].log_weights) * chains["b"].prior
-    tables = {"g": chains["b"].tables["g"]}
-    given_f = DiscreteChain("b", read / read.sum(), np.eye(len(read)), tables)
+    read = chains["b"].emission["f"] @ np.exp(low["f"].log_weights) * chains["b"].initial_probabilities
+    given_f = DiscreteChain(
+        np.eye(len(read)), initial_probabilities=read / read.sum(), emission=chains["b"].emission, name="b"
+    )
     high = MultiChain().connect(given_f, features["g"]).connect(chains["c"], features["g"])
     expected = low.log_evidence + RecursiveBP(high).step(RunState(), frame).log_evidence
     assert belief.log_evidence == pytest.approx(expected, rel=0, abs=EXACT)
@@ -185,24 +180,6 @@ def test_a_feature_that_is_only_read_has_no_evidence() -> None:
     assert log_evidences(list(RecursiveBP(model).run(FRAMES))) == [0.0] * len(FRAMES)
 
 
-class Listener(DiscreteChain):
-    """Keeps what it was given."""
-
-    ports = (Port(Categorical, Cavity.OTHERS, many=True),)
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.heard: list[tuple[str, CategoricalMessage]] = []
-
-    def message(self, state: DiscreteState, feature: Categorical, incoming: Incoming) -> CategoricalMessage:
-        self.heard.append(("message", incoming[feature]))
-        return super().message(state, feature, incoming)
-
-    def update(self, state: DiscreteState, incoming: Incoming) -> DiscreteState:
-        self.heard.append(("update", incoming[Categorical]))
-        return super().update(state, incoming)
-
-
 @pytest.mark.parametrize("cavity", Cavity)
 @pytest.mark.parametrize("missing", [False, True])
 def test_parts_of_a_message_are_the_image_and_the_other_chains(cavity: Cavity, missing: bool) -> None:
@@ -211,13 +188,11 @@ def test_parts_of_a_message_are_the_image_and_the_other_chains(cavity: Cavity, m
     class Parted(DiscreteChain):
         ports = (Port(Categorical, cavity, many=True),)
 
-        def message(
-            self, state: DiscreteState, feature: Categorical, incoming: Incoming
-        ) -> CategoricalMessage:
+        def message(self, state: Any, feature: Categorical, incoming: Incoming) -> CategoricalMessage:
             self.note("message", feature, incoming)
             return super().message(state, feature, incoming)
 
-        def update(self, state: DiscreteState, incoming: Incoming) -> DiscreteState:
+        def update(self, state: Any, incoming: Incoming) -> Any:
             self.note("update", f, incoming)
             return super().update(state, incoming)
 
@@ -238,14 +213,8 @@ def test_parts_of_a_message_are_the_image_and_the_other_chains(cavity: Cavity, m
         np.testing.assert_array_equal(seen, evidence if wanted >= Cavity.IMAGE else 0)
         np.testing.assert_array_equal(others, sum(said) if wanted == Cavity.OTHERS else 0)
         np.testing.assert_allclose(together, seen + others, rtol=0, atol=EXACT)
-
-
-def test_a_chain_gets_the_same_product_object_for_message_and_update() -> None:
-    model = random_model(rng(), [("a", "f"), ("b", "f")], {"b": Listener})
-    RecursiveBP(model).step(RunState(), Frame(image(1), 0.0, 1))
-    (first, asked), (second, updated) = model.chains["b"].heard
-    assert (first, second) == ("message", "update")
-    assert asked is updated
+    same_product = parts["message"][-1][2] is parts["update"][-1][2]
+    assert same_product or cavity < Cavity.OTHERS
 
 
 @dataclass(frozen=True)
@@ -272,14 +241,17 @@ def test_evidence_is_asked_once_a_frame_with_what_all_chains_predict() -> None:
     list(RecursiveBP(model).run(FRAMES[:3]))
     assert looking.asked is not None
     assert len(looking.asked) == 2  # the third frame is missing
-    expected = [np.log(tables.chains[name].prior @ tables.chains[name].tables["f"]) for name in "acb"]
-    np.testing.assert_array_equal(looking.asked[0].log_weights, sum(expected))
+    expected = [
+        np.log(tables.chains[name].initial_probabilities @ tables.chains[name].emission["f"])
+        for name in "acb"
+    ]
+    np.testing.assert_allclose(looking.asked[0].log_weights, sum(expected), rtol=0, atol=EXACT)
 
 
 @pytest.mark.parametrize("message", [None, 3.0])
 def test_a_message_that_is_none_of_its_feature_is_refused(message: object) -> None:
     class Mute(DiscreteChain):
-        def message(self, state: DiscreteState, feature: Categorical, incoming: Incoming) -> Any:
+        def message(self, state: Any, feature: Categorical, incoming: Incoming) -> Any:
             return message
 
     model = random_model(rng(), [("a", "f"), ("b", "f")], {"b": Mute})
@@ -308,12 +280,12 @@ def points_at(mean: float, variance: float) -> PointMessage:
 def test_numbers_that_are_not_finite_are_refused_with_the_chain_and_the_feature(
     feature: Any, say: Any, expected: str
 ) -> None:
-    chain = DiscreteChain("door", np.ones(1), np.eye(1), {})
-    chain.ports = (Port(type(feature)),)
-    chain.message = lambda *_: say()  # type: ignore[method-assign]
-    reader = DiscreteChain("reader", np.ones(1), np.eye(1), {})
-    reader.ports = chain.ports
-    model = MultiChain().connect(chain, feature).connect(reader, feature, feedback=False)
+    class Door(DiscreteChain):
+        def message(self, *_: Any) -> Any:
+            return say()
+
+    door, reader = (Door(np.eye(1), features=type(feature), name=name) for name in ("door", "reader"))
+    model = MultiChain().connect(door, feature).connect(reader, feature, feedback=False)
     with pytest.raises(ValueError, match=f"^message from 'door' {expected}"):
         RecursiveBP(model).step(RunState(), Frame(image(1), 0.0, 1))
 
@@ -412,6 +384,6 @@ def test_a_forgotten_return_is_said_in_words(
     monkeypatch: pytest.MonkeyPatch, method: str, steps: int
 ) -> None:
     model = random_model(rng(), GRAPHS["one chain"])
-    monkeypatch.setattr(model.chains["a"], method, lambda *_: None)
+    monkeypatch.setattr(DiscreteChain, method, lambda *_: None)
     with pytest.raises(TypeError, match=f"chain 'a': {method} gave None, expected a state"):
         list(RecursiveBP(model).run(FRAMES[:steps]))
