@@ -9,118 +9,44 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from rsmcm.apps import command_line
 from rsmcm.apps.io.tracks import read_tracks
 from rsmcm.apps.runs.interruption import Interruption
-from rsmcm.apps.scenes import cylinder, face, signer, sleeping_man
-from rsmcm.apps.scenes.signing.signer import SignerScene
-from rsmcm.models.body.upper_body import JOINTS
 
 from ..support.films import results, stamps
-
-T = TypeVar("T")
-N_FRAMES = 24
-SIZE = (200, 160)
-HEAD = JOINTS.index("head")
+from ..support.small_runs import N_FRAMES, SmallRun, small_run
 
 TIMES = {"seconds", "frames_per_second", "frames_per_second_of_engine"}
-
 
 OTHERS = [pytest.param(name, marks=pytest.mark.slow) for name in ("structure", "face", "body")]
 
 
-@dataclass(frozen=True)
-class Application:
-    """A command on a small film, with its options."""
-
-    name: str
-    source: Path
-    options: tuple[str, ...]
-
-    def arguments(self, out: Path, *more: str) -> list[str]:
-        return [self.name, str(self.source), "--out", str(out), *self.options, *more]
-
-    def run(self, out: Path, *more: str) -> int:
-        with pytest.raises(SystemExit) as ended:
-            command_line.main(self.arguments(out, *more))
-        return int(ended.value.code or 0)
-
-
-def write_film(folder: Path, images: Iterator[NDArray[np.uint8]]) -> Path:
-    folder.mkdir()
-    for number, image in enumerate(images, start=1):
-        cv2.imwrite(str(folder / f"frame{number:03d}.png"), image)
-    return folder
-
-
-def signing() -> SignerScene:
-    return signer(N_FRAMES, 3, 0.0, 0.3, (320, 180))
-
-
-def head_of(scene: SignerScene) -> str:
-    body, (x, y) = scene.body, scene.joints[0, HEAD, :2]
-    width, height = body.head_width, body.head_height
-    return f"{x - width / 2:.0f},{y - height / 2:.0f},{width:.0f},{height:.0f}"
-
-
-EVERY = ("--every", "4")
-
-
-def make(name: str, folder: Path) -> Application:
-    """Write the source of an application."""
-    if name == "background":
-        images = (frame.image for frame in sleeping_man(N_FRAMES, size=SIZE) if frame.image is not None)
-        return Application(name, write_film(folder / "street", images), EVERY)
-    if name == "structure":
-        np.savez(
-            folder / "tracks.npz", tracks=100 * cylinder(p_loose=0.1, p_drift=0.1, seed=1).tracks() + 200
-        )
-        return Application(name, folder / "tracks.npz", ())
-    if name == "face":
-        talking = face(N_FRAMES, 3, SIZE)
-        np.save(folder / "landmarks.npy", talking.vertices)
-        options = ("--landmarks", str(folder / "landmarks.npy"), "--experts", "4", *EVERY)
-        return Application(name, write_film(folder / "face", talking.images()), options)
-    scene = signing()
-    options = ("--head", head_of(scene), "--samples", "100", *EVERY)
-    return Application(name, write_film(folder / "body", scene.images()), options)
-
-
-class OnDemand(dict[str, T]):
-    """A dictionary whose values are made when they are first used."""
-
-    def __init__(self, make: Callable[[str], T]) -> None:
-        self._make = make
-
-    def __missing__(self, name: str) -> T:
-        self[name] = self._make(name)
-        return self[name]
-
-
 @pytest.fixture(scope="module")
-def applications(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Application]:
+def small(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], SmallRun]:
+    """A command by its name."""
     folder = tmp_path_factory.mktemp("films")
-    return OnDemand(lambda name: make(name, folder))
+    return cache(lambda name: small_run(name, folder))
 
 
 @pytest.fixture(scope="module")
-def whole(applications: dict[str, Application], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Results of uninterrupted runs."""
+def whole(
+    small: Callable[[str], SmallRun], tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[str], Path]:
+    """Results of an uninterrupted run."""
     folder = tmp_path_factory.mktemp("whole")
 
+    @cache
     def run(name: str) -> Path:
-        assert applications[name].run(folder / name) == 0
+        assert small(name).run(folder / name) == 0
         return folder / name
 
-    return OnDemand(run)
+    return run
 
 
 def data_of(out: Path) -> dict[str, Any]:
@@ -172,8 +98,8 @@ def test_interrupted_and_resumed(
     name: str,
     after: int,
     signals: int,
-    applications: dict[str, Application],
-    whole: dict[str, Path],
+    small: Callable[[str], SmallRun],
+    whole: Callable[[str], Path],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
@@ -182,7 +108,7 @@ def test_interrupted_and_resumed(
 
     It comes after so many frames or rounds; of the body's, 25 frames are looked at before.
     """
-    application, out = applications[name], tmp_path / "out"
+    application, out = small(name), tmp_path / "out"
     with signals_after(after, [signal.SIGTERM] * signals, monkeypatch):
         assert application.run(out) == 128 + signal.SIGTERM
     *_, line = capfd.readouterr().err.splitlines() or [""]
@@ -190,17 +116,17 @@ def test_interrupted_and_resumed(
     if signals == 1:
         assert json.loads((out / "summary.json").read_text())["ended_early"]
     assert application.run(out, "--resume") == 0
-    assert_same(out, whole[name])
+    assert_same(out, whole(name))
 
 
 @pytest.mark.parametrize("name", ["background", *OTHERS])
 def test_a_finished_run_is_resumed_by_doing_nothing(
-    name: str, applications: dict[str, Application], whole: dict[str, Path], tmp_path: Path
+    name: str, small: Callable[[str], SmallRun], whole: Callable[[str], Path], tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    shutil.copytree(whole[name], out)
+    shutil.copytree(whole(name), out)
     before = {name: path for name, path in stamps(out).items() if name.name != "manifest.json"}
-    assert applications[name].run(out, "--resume") == 0
+    assert small(name).run(out, "--resume") == 0
     after = stamps(out)
     assert {path: after[path] for path in before} == before
 
@@ -210,13 +136,13 @@ def test_a_finished_run_is_resumed_by_doing_nothing(
     ("name", "kills"), [("background", 13), ("structure", 13), ("face", 12), ("body", 12)]
 )
 def test_kills_at_random_moments(
-    name: str, kills: int, applications: dict[str, Application], whole: dict[str, Path], tmp_path: Path
+    name: str, kills: int, small: Callable[[str], SmallRun], whole: Callable[[str], Path], tmp_path: Path
 ) -> None:
     """50 over all: whenever a process ends by itself, its results are those of a run in one go.
 
     Every other kill comes at any moment of a process, the others when it has begun to save.
     """
-    application, random = applications[name], np.random.default_rng(kills)
+    application, random = small(name), np.random.default_rng(kills)
     command = [sys.executable, "-m", "rsmcm.apps.command_line"]
     finished, killed = 0, 0
     started = time.monotonic()
@@ -243,11 +169,11 @@ def test_kills_at_random_moments(
             killed += 1
             continue
         assert process.returncode == 0, complaint
-        assert_same(out, whole[name])
+        assert_same(out, whole(name))
         finished += 1
     out = tmp_path / str(finished)
     assert application.run(out, "--resume") == 0
-    assert_same(out, whole[name])
+    assert_same(out, whole(name))
 
 
 def saved_at(out: Path) -> int:
@@ -259,36 +185,24 @@ def saved_at(out: Path) -> int:
 # --- learned from another film ------------------------------------------------------------------------------
 
 
-def parts_of(application: Application, folder: Path) -> tuple[Path, Path]:
-    """The film in two halves."""
-    files = sorted(application.source.iterdir())
-    halves = folder / "first", folder / "second"
-    for half, some in zip(halves, (files[: N_FRAMES // 2], files[N_FRAMES // 2 :]), strict=True):
-        half.mkdir()
-        for file in some:
-            shutil.copy(file, half)
-    return halves
-
-
-def learned(application: Application, folder: Path, *kept: str) -> tuple[Path, Path]:
-    """Results of the first half, and of the second one begun with what was learned from the first."""
-    one, two = parts_of(application, folder)
-    first, second = folder / "out1", folder / "out2"
-    assert Application(application.name, one, application.options).run(first) == 0
-    after = Application(application.name, two, kept)
-    assert after.run(second, "--from", str(first / "state.npz")) == 0
-    return first, second
-
-
 def test_background_and_identities_from_another_film(
-    applications: dict[str, Application], whole: dict[str, Path], tmp_path: Path
+    small: Callable[[str], SmallRun], whole: Callable[[str], Path], tmp_path: Path
 ) -> None:
     """Halves that follow each other without a gap are as one film."""
-    _, second = learned(applications["background"], tmp_path)
+    run = small("background")
+    files = sorted(run.source.iterdir())
+    for name, half in (("one", files[: N_FRAMES // 2]), ("two", files[N_FRAMES // 2 :])):
+        (tmp_path / name).mkdir()
+        for file in half:
+            shutil.copy(file, tmp_path / name)
+    first, second = tmp_path / "out1", tmp_path / "out2"
+    assert replace(run, source=tmp_path / "one").run(first) == 0
+    state = str(first / "state.npz")
+    assert replace(run, source=tmp_path / "two", options=()).run(second, "--from", state) == 0
     for number in range(1, N_FRAMES // 2 + 1):
         mask = (second / "foreground" / f"bin{number:06d}.png").read_bytes()
-        assert mask == (whole["background"] / "foreground" / f"bin{number + 12:06d}.png").read_bytes()
-    rows, expected = (read_tracks(out / "tracks.txt") for out in (second, whole["background"]))
+        assert mask == (whole("background") / "foreground" / f"bin{number + 12:06d}.png").read_bytes()
+    rows, expected = (read_tracks(out / "tracks.txt") for out in (second, whole("background")))
     expected = expected[expected["frame"] > N_FRAMES // 2]
     np.testing.assert_array_equal(rows["id"], expected["id"])
     np.testing.assert_array_equal(rows["box"], expected["box"])
