@@ -48,7 +48,7 @@ class PartMessage:
     The evidence of the image is stored separately: likelihoods of whole bodies use more of it than its
     mixtures.
 
-    Raises `ValueError` if there are not three mixtures for each hypothesis.
+    Raises `ValueError` if there are not three mixtures for each hypothesis, or for NaN or infinity in one.
     """
 
     # product of the chains' messages: the mixtures of all hypotheses, one after the other, H times 3
@@ -63,6 +63,14 @@ class PartMessage:
                 f"part message: got {self.stacked.n_parts} mixtures, expected {N_PARTS} for each of "
                 f"{len(self.log_hypotheses)} hypotheses"
             )
+        mixtures = self.stacked
+        used = ~mixtures.flat & (mixtures.log_weights > -np.inf)
+        places = mixtures.means[used], mixtures.covariances[used]
+        weights = mixtures.log_weights, self.log_hypotheses
+        if not (
+            all(np.isfinite(each).all() for each in places) and all((each < np.inf).all() for each in weights)
+        ):
+            raise ValueError("part message: got NaN or infinity, expected finite numbers")
 
     @property
     def predicted(self) -> GaussianMixtures:

@@ -14,9 +14,12 @@ from hypothesis import strategies as st
 from rsmcm.chains import DiscreteChain
 from rsmcm.inference import Belief, Cavity, Incoming, MultiChain, Port, RecursiveBP, RunState
 from rsmcm.models import (
+    BodyParts,
     GaussianMessage,
+    GaussianMixtures,
     Layer,
     LayerStack,
+    PartMessage,
     PixelLabels,
     PixelMessage,
     PointMessage,
@@ -268,6 +271,11 @@ def points_at(mean: float, variance: float) -> PointMessage:
     return PointMessage(GaussianMessage.from_moments([1], [[mean, 0.0]], variance * np.eye(2)[None]))
 
 
+def parts_at(mean: float, log_weight: float) -> PartMessage:
+    means, covariances = np.full((3, 1, 2), mean), np.tile(np.eye(2), (3, 1, 1, 1))
+    return PartMessage(GaussianMixtures.of_parts(np.full((3, 1), log_weight), means, covariances))
+
+
 @pytest.mark.parametrize(
     ("feature", "say", "expected"),
     [
@@ -275,6 +283,8 @@ def points_at(mean: float, variance: float) -> PointMessage:
         (PointTracks(), lambda: points_at(np.nan, 1.0), "to 'points': vector: got NaN or infinity, "),
         (PointTracks(), lambda: points_at(np.inf, 1.0), "to 'points': vector: got NaN or infinity, "),
         (PointTracks(), lambda: points_at(0.0, np.nan), "to 'points': .*: got .*, expected "),
+        (BodyParts(40.0), lambda: parts_at(np.nan, 0.0), "to 'parts': part message: got NaN or infinity, "),
+        (BodyParts(40.0), lambda: parts_at(9.0, np.nan), "to 'parts': part message: got NaN or infinity, "),
     ],
 )  # fmt: skip
 def test_numbers_that_are_not_finite_are_refused_with_the_chain_and_the_feature(
