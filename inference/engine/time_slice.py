@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
+from math import inf, isnan
 from typing import Any
 
 from ...models.core.frame import Frame
@@ -222,6 +222,9 @@ class TimeSlice:
             return 0.0
         predicted = tuple(self._given(name, feature, seen) for name in self.model.senders[feature])
         log_mass = self._multiply(feature, (self._sent[IMAGE, feature], *predicted)).log_mass
+        if isnan(log_mass):
+            senders = ", ".join(self.model.senders[feature])
+            raise ValueError(f"log evidence at {feature!r}: got NaN from {senders}, expected a number")
         return float(log_mass - self._multiply(feature, predicted).log_mass) if log_mass > -inf else -inf
 
     def _given(self, chain: str, feature: str, seen: Sequence[str]) -> Sent:

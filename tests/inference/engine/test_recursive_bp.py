@@ -5,6 +5,7 @@ import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -298,6 +299,20 @@ def test_numbers_that_are_not_finite_are_refused_with_the_chain_and_the_feature(
     model = MultiChain().connect(door, feature).connect(reader, feature, feedback=False)
     with pytest.raises(ValueError, match=f"^message from 'door' {expected}"):
         RecursiveBP(model).step(RunState(), Frame(image(1), 0.0, 1))
+
+
+def test_evidence_that_is_no_number_is_refused_with_the_chain_and_the_feature() -> None:
+    class Door(DiscreteChain):
+        def message(self, *_: Any) -> PixelMessage:
+            scene: Any = SimpleNamespace(size=(1, 1), prior=0.5, log_likelihood=lambda *_: np.nan)
+            return PixelMessage(scene)
+
+        def update(self, state: Any, incoming: Incoming) -> Any:
+            return state
+
+    model = MultiChain().connect(Door(np.eye(1), features=PixelLabels, name="door"), PixelLabels())
+    with pytest.raises(ValueError, match="log evidence at 'pixels': got NaN from door, expected a number"):
+        _ = RecursiveBP(model).step(RunState(), Frame(image(1), 0.0, 1)).log_evidence
 
 
 def test_a_time_slice_is_gone_when_nobody_needs_it() -> None:
