@@ -198,75 +198,59 @@ def guided_values(hands, chosen, walks, completions, sides, means, precisions, h
 
 
 @helper
-def _spread(points, order, first, end, variances):
-    """Write into `variances` `(d,)` those of the points `order[first]` to before `order[end]`."""
-    count = end - first
+def _spread(points, numbers, piece, variances):
+    """Write into `variances` `(d,)` those of the points whose number is that of a piece."""
     for axis in range(points.shape[1]):
-        mean = 0.0
-        for k in range(first, end):
-            mean += points[order[k], axis]
-        mean /= count
-        total = 0.0
-        for k in range(first, end):
-            step = points[order[k], axis] - mean
-            total += step * step
-        variances[axis] = total / count
+        count, mean, total = 0, 0.0, 0.0
+        for i in range(len(points)):
+            if numbers[i] == piece:
+                count += 1
+                mean += points[i, axis]
+        mean /= max(count, 1)
+        for i in range(len(points)):
+            if numbers[i] == piece:
+                step = points[i, axis] - mean
+                total += step * step
+        variances[axis] = total / max(count, 1)
 
 
 @compiled
-def cut(points, narrow, most, rounds, numbers):
+def cut(points, narrow, rounds, variances, numbers):
     """Cut points in two, again and again, where and along which axis they are widest.
 
-    `points` `(n, d)`; `narrow`: variance along an axis below which nothing is cut; `most`: pieces; `rounds`:
-    in which the middle between two halves is found, each of which is nearer to its own mean; `numbers` `(n,)`
-    int64 written: the piece of each point.
+    `points` `(n, d)`; `narrow`: variance along an axis below which nothing is cut; `rounds`: in which the
+    middle between two halves is found, each of which is nearer to its own mean; `variances` `(most, d)`:
+    those of the pieces, which are at most so many, written; `numbers` `(n,)` int64 written: the piece of each
+    point.
     """
-    n, d = points.shape
-    order, kept = np.arange(n), np.empty(n, np.int64)
-    firsts, ends = np.zeros(most, np.int64), np.zeros(most, np.int64)
-    variances = np.zeros((most, d))
-    ends[0], count = n, 1
     numbers[:] = 0
-    if n > 1:
-        _spread(points, order, 0, n, variances[0])
-    while count < most:
+    variances[:] = 0.0
+    for count in range(1, len(variances) + 1):
+        _spread(points, numbers, count - 1, variances[count - 1])
+        if count == len(variances):
+            break
         widest, axis = 0, 0
         for piece in range(count):
-            for k in range(d):
+            for k in range(variances.shape[1]):
                 if variances[piece, k] > variances[widest, axis]:
                     widest, axis = piece, k
         if variances[widest, axis] < narrow:
             break
-        first, end = firsts[widest], ends[widest]
-        middle = 0.0
-        for k in range(first, end):
-            middle += points[order[k], axis]
-        middle /= end - first
-        for _ in range(rounds):
-            above, below, n_above = 0.0, 0.0, 0
-            for k in range(first, end):
-                value = points[order[k], axis]
-                if value > middle:
-                    above, n_above = above + value, n_above + 1
-                else:
-                    below += value
-            middle = 0.5 * (above / n_above + below / (end - first - n_above))
-        split, n_above = first, 0
-        for k in range(first, end):
-            point = order[k]
-            if points[point, axis] > middle:
-                kept[n_above] = point
-                numbers[point] = count
-                n_above += 1
-            else:
-                order[split] = point
-                split += 1
-        for k in range(n_above):
-            order[split + k] = kept[k]
-        ends[widest], firsts[count], ends[count] = split, split, end
-        _spread(points, order, first, split, variances[widest])
-        _spread(points, order, split, end, variances[count])
-        count += 1
+        middle = 1e300  # above all, so that the first round gives the mean
+        for _ in range(rounds + 1):
+            above, below, n_above, n_below = 0.0, 0.0, 0, 0
+            for i in range(len(points)):
+                if numbers[i] == widest:
+                    value = points[i, axis]
+                    if value > middle:
+                        above, n_above = above + value, n_above + 1
+                    else:
+                        below, n_below = below + value, n_below + 1
+            middle = 0.5 * (above / n_above + below / n_below) if n_above else below / n_below
+        for i in range(len(points)):
+            if numbers[i] == widest and points[i, axis] > middle:
+                numbers[i] = count
+        _spread(points, numbers, widest, variances[widest])
 
 
 NECK = 0.62  # of the way from the head's centre to the root: middle of the neck's skin
@@ -369,7 +353,7 @@ def hand_terms(parts, roots, elbows, centre, surround, scales, hand, bare, out):
     # a disc of skin of the hand's size, as the windows see it from its centre
     ideal = exponential(_f4(-0.5) * (radius / outer) ** 2) - exponential(_f4(-0.5) * (radius / inner) ** 2)
     width = outer * outer + _f4(0.25) * radius * radius
-    arms = np.zeros((2, 3), np.float32)
+    arms = np.empty((2, 3), np.float32)
     for k in range(len(parts)):
         apart_x = _f4(parts[k, 1, 0] - parts[k, 2, 0])
         apart_y = _f4(parts[k, 1, 1] - parts[k, 2, 1])
@@ -419,7 +403,7 @@ def forearm_terms(parts, roots, elbows, centre, scales, hand, out):
     across, down = _f4(scales[0]), _f4(scales[1])
     ideal = _before(half, inner) - _before(-half, inner)
     whole = _f4(hand.forearm[0]) - radius
-    arms = np.zeros((2, 3), np.float32)
+    arms = np.empty((2, 3), np.float32)
     for k in range(len(parts)):
         for side in range(2):
             _forearm(parts, elbows, k, side, radius, arms[side])
@@ -505,7 +489,7 @@ def blob_terms(parts, elbows, blobs, costs, reach, bare, out):
 
     A part explains what is within about `reach` `(4,)` px of it, and so do, if they are `bare`, forearms.
     """
-    arms = np.zeros((2, 3), np.float32)
+    arms = np.empty((2, 3), np.float32)
     for k in range(len(parts)):
         total = _f4(0.0)
         if bare:
@@ -981,10 +965,10 @@ def outline_terms(roots, torsos, necks, arms, solid, ratios, worth, directions, 
     kappa, none = _f4(directions[0]), _f4(hidden)
     scale = (_f4(1) - none) / _f4(directions[1])
     n_rows, tolerance = len(solid.counted), solid.tolerance
-    shapes, bounds = np.zeros((N_PARTS, NUMBERS), np.float32), np.zeros((N_PARTS, 4), np.float32)
-    lines, least = np.zeros((n_rows, ROW, LANES), np.float32), np.zeros((n_rows, LANES), np.float32)
-    places, seen = np.zeros((n_rows, LANES), np.int32), np.zeros((3, LANES), np.float32)
-    products = np.zeros(LANES, np.float32)
+    shapes, bounds = np.empty((N_PARTS, NUMBERS), np.float32), np.empty((N_PARTS, 4), np.float32)
+    lines, least = np.empty((n_rows, ROW, LANES), np.float32), np.empty((n_rows, LANES), np.float32)
+    places, seen = np.empty((n_rows, LANES), np.int32), np.empty((3, LANES), np.float32)
+    products = np.empty(LANES, np.float32)
     for pose in range(len(roots)):
         trace(roots, torsos, necks, arms, pose, solid, shapes, bounds, lines, least)
         products[:] = _f4(1)

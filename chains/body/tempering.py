@@ -38,7 +38,7 @@ class Strata:
         """Cut the widest stratum in two, repeatedly, across its widest axis of both hands' positions."""
         points = body.parts(poses)[:, 1:].reshape(len(poses), 4) / body.head_height
         numbers = np.empty(len(points), np.int64)
-        cut(points, NARROW**2, MOST_STRATA, ROUNDS, numbers)
+        cut(points, NARROW**2, ROUNDS, np.empty((MOST_STRATA, 4)), numbers)
         return cls(numbers)
 
     def balanced(self, log_weights: Array) -> Array:

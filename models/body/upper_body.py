@@ -43,10 +43,10 @@ class BodyPoses(Rows):
         `(n, 2, 2, 3)`: unit vectors along the upper arm and the forearm, [left, right][upper arm, forearm].
     """
 
-    roots: Annotated[Array, Shape("n", 2, finite=False)]
-    torsos: Annotated[Array, Shape("n", 3, finite=False)]
-    necks: Annotated[Array, Shape("n", 3, finite=False)]
-    arms: Annotated[Array, Shape("n", 2, 2, 3, finite=False)]
+    roots: Annotated[Array, Shape("n", 2)]
+    torsos: Annotated[Array, Shape("n", 3)]
+    necks: Annotated[Array, Shape("n", 3)]
+    arms: Annotated[Array, Shape("n", 2, 2, 3)]
 
     def __len__(self) -> int:
         return len(self.roots)

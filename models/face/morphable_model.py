@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 RIGID = 5  # degrees of freedom of rotation and translation, which come before the morph coefficients
 
 
+@checked
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Poses(Rows):
@@ -35,19 +36,9 @@ class Poses(Rows):
         `(n, n_bases)` px: weights of the morph bases; the first is the size of the object in the picture.
     """
 
-    rotations: Array
-    translations: Array
-    morphs: Array
-
-    def __post_init__(self) -> None:
-        # quick: poses are made in loops
-        shapes: list[tuple[int, ...]] = [getattr(each, "shape", ()) for each in self.arrays]
-        n, morphs = (shapes[0] or (-1,))[0], shapes[2]
-        if shapes[:2] != [(n, 3, 3), (n, 2)] or len(morphs) != 2 or morphs[0] != n:
-            raise ValueError(
-                f"rotations, translations, morphs: got shapes {shapes}, expected arrays (n, 3, 3), (n, 2), "
-                "(n, n_bases)"
-            )
+    rotations: Annotated[Array, Shape("n", 3, 3)]
+    translations: Annotated[Array, Shape("n", 2)]
+    morphs: Annotated[Array, Shape("n", "n_bases")]
 
     def __len__(self) -> int:
         return len(self.rotations)
@@ -77,8 +68,8 @@ class Poses(Rows):
     @checked
     def upright(
         cls,
-        translations: Annotated[Array, Shape("n", 2, finite=False)],
-        sizes: Annotated[Array, Shape("n", finite=False)],
+        translations: Annotated[Array, Shape("n", 2)],
+        sizes: Annotated[Array, Shape("n")],
         n_bases: Count,
     ) -> Self:
         """Return upright, undeformed poses at `translations` `(n, 2)` px, of `sizes` `(n,)` px."""
