@@ -176,6 +176,25 @@ class Tracker(ABC, Generic[Start, Result]):
         self._state = replace(self._state, run=belief.state)
         return belief
 
+
+class DetectingTracker(Tracker[Start, Result]):
+    """Base of trackers of one face or person, whom a detector finds in the first image that shows one.
+
+    Parameters
+    ----------
+    detector
+        model file of YuNet (.onnx) or a cascade (.xml) that finds the face; that of OpenCV 4 without it.
+    seed
+        of all random draws.
+    frame_rate, settings
+        images per second, where `update` is given no time.
+    """
+
+    def __init__(self, detector: str | Path | None, seed: int, frame_rate: float, **settings: Any) -> None:
+        self._detector = None if detector is None else Path(detector)
+        self._seed = seed
+        super().__init__(frame_rate, seed=seed, **settings)
+
     def _started(self, frame: Frame, find: Callable[[Frame], Start | None]) -> bool:
         """Return whether there is a face or person, who is looked for in this frame if not."""
         if self._state.start is None:
@@ -348,21 +367,17 @@ class TrackedFace:
     lost: bool
 
 
-class FaceTracker(Tracker[FaceStart, TrackedFace | None]):
+class FaceTracker(DetectingTracker[FaceStart, TrackedFace | None]):
     """Tracker of pose, expression and texture of one face (G-flow), as `rsmcm face`.
 
     Parameters
     ----------
-    detector
-        model file of YuNet (.onnx) or a cascade (.xml), to find the face; default: the cascade of OpenCV 4.
     model
         of faces; default: a small built-in one.
     experts
         number of experts (pose hypotheses).
-    seed
-        of random numbers.
-    frame_rate
-        images per second, if `update` gets no time.
+    detector, seed, frame_rate
+        as of `DetectingTracker`.
     """
 
     start_type = FaceStart
@@ -376,10 +391,9 @@ class FaceTracker(Tracker[FaceStart, TrackedFace | None]):
         seed: int = 0,
         frame_rate: Positive = 25.0,
     ) -> None:
-        self._detector = None if detector is None else Path(detector)
-        self._experts, self._seed = experts, seed
+        self._experts = experts
         self._model = face_model() if model is None else model
-        super().__init__(frame_rate, experts=experts, seed=seed)
+        super().__init__(detector, seed, frame_rate, experts=experts)
 
     @checked
     def update(
@@ -486,21 +500,17 @@ class _Keypoints:
         return [] if given is None else [(self.frame.number, given)]
 
 
-class BodyTracker(Tracker[SavedPerson, TrackedBody | None]):
+class BodyTracker(DetectingTracker[SavedPerson, TrackedBody | None]):
     """Tracker of head and arms of one person who faces the camera, as `rsmcm body --lag 0`.
 
     Size and colour of the person are learned from the first image with a person.
 
     Parameters
     ----------
-    detector
-        model file of YuNet (.onnx), to find the face; default: the cascade of OpenCV 4.
     samples
         number of pose samples per image.
-    seed
-        of random numbers.
-    frame_rate
-        images per second, if `update` gets no time.
+    detector, seed, frame_rate
+        as of `DetectingTracker`.
     """
 
     start_type = SavedPerson
@@ -513,9 +523,8 @@ class BodyTracker(Tracker[SavedPerson, TrackedBody | None]):
         seed: int = 0,
         frame_rate: Positive = 25.0,
     ) -> None:
-        self._detector = None if detector is None else Path(detector)
-        self._samples, self._seed = samples, seed
-        super().__init__(frame_rate, samples=samples, seed=seed)
+        self._samples = samples
+        super().__init__(detector, seed, frame_rate, samples=samples)
 
     @checked
     def update(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rsmcm.apps.body import application
 from rsmcm.apps.body import page as body_page
 from rsmcm.apps.body.application import ANGLE_NAMES, N_DRAWN, read_head
-from rsmcm.apps.body.page import RARELY_SEEN, BodyRecord
+from rsmcm.apps.body.page import BodyRecord
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.runs import loop
 from rsmcm.apps.scenes import SignerScene, signer
@@ -171,14 +171,6 @@ def test_the_body_is_followed(finished: Path, scene: SignerScene) -> None:
         assert np.median(apart(finished, scene, JOINTS.index(name))) < 0.35 * scene.body.head_height
 
 
-def test_the_page_says_everything(finished: Path) -> None:
-    page = (finished / "view.html").read_text()
-    for heading in ("Over time", "Head and hands", "Body", "Parameters"):
-        assert f">{heading}</h2>" in page
-    for plot in ("x, to the right", "doubt", "log evidence"):
-        assert f'"name":"{plot}"' in page
-
-
 def test_hands_change_their_names_at_the_end(
     film: Path, head: tuple[str, str], finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -303,37 +295,6 @@ def test_nothing_to_see(tmp_path: Path, head: tuple[str, str], capfd: pytest.Cap
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.usefixtures("faces")
-def test_a_grey_film(images: list[Image], scene: SignerScene, tmp_path: Path) -> None:
-    """The head is followed by its detector, hands by edges, and it is said."""
-    grey = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in images]
-    out = tmp_path / "out"
-    assert run(write_pictures(tmp_path / "film", grey), "--out", out, *FEW) == 0
-    summary = summary_of(out)
-    assert not summary["flesh_colour"]
-    assert summary["notes"][0].startswith("The video is grey")
-    assert "grey" in (out / "view.html").read_text()
-    assert np.median(apart(out, scene, HEAD)) < 0.35 * scene.body.head_height
-
-
-@pytest.mark.usefixtures("faces")
-def test_parts_that_are_seldom_seen_are_noted(
-    images: list[Image], scene: SignerScene, tmp_path: Path
-) -> None:
-    """All below the chin is one colour."""
-    covered = []
-    for index, image in enumerate(images[:8]):
-        image = image.copy()
-        image[round(scene.joints[index, HEAD, 1] + 0.6 * scene.body.head_height) :] = (120, 60, 20)
-        covered.append(image)
-    out = tmp_path / "out"
-    assert run(write_pictures(tmp_path / "film", covered), "--out", out, *FEW) == 0
-    summary = summary_of(out)
-    for name in ("left hand", "right hand"):
-        noted = any(f"The {name} was not seen, or not" in note for note in summary["notes"])
-        assert noted == (summary["seen"][name.replace(" ", "_")] < RARELY_SEEN)
-
-
 def test_wrong_arguments(
     film: Path,
     head: tuple[str, str],
@@ -371,9 +332,6 @@ def test_wrong_arguments(
     ):
         assert words in complaint(capfd, *arguments), arguments
         assert not (tmp_path / "out").exists()
-
-
-# --- output -------------------------------------------------------------------------------------------------
 
 
 # --- record -------------------------------------------------------------------------------------------------

@@ -1,6 +1,5 @@
 """`rsmcm face`, as a user runs it: on rendered films of a face, and with what can be wrong about them."""
 
-import signal
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.face import application
 from rsmcm.apps.face.page import FaceRecord, angles
-from rsmcm.apps.io import film as films
 from rsmcm.apps.scenes import face
 from rsmcm.chains.face.recovery import WIDTH_OF_FACE
 from rsmcm.chains.face.start import start_from_box, start_from_landmarks
@@ -20,13 +18,12 @@ from rsmcm.models.face.model_files import write_model
 from rsmcm.models.face.morphable_model import MorphableModel, Poses
 from rsmcm.models.numerics.rotations import exponential
 
-from ...conftest import Command, names, summary_of, without_compiling
+from ...conftest import Command, names, summary_of
 from ...support.records import log_of
 
 run = Command("face")
 complaint = run.complaint
 
-GROWING = (("film", "mp4"), ("view", "npz"))
 RESULTS = {
     "film.mp4",
     "view.npz",
@@ -38,8 +35,6 @@ RESULTS = {
     "state.npz",
     "manifest.json",
 }
-SEGMENTS = {f"{name}.part000000005.{kind}" for name, kind in GROWING} | {"rows"}
-"""Files of a run that was broken off, by which it can be resumed."""
 N_FRAMES = 16
 SIZE = (200, 160)
 FEW = ("--experts", "4")
@@ -158,13 +153,6 @@ def test_poses_say_where_vertices_are(finished: Path) -> None:
         assert (left_open[:, -1] > 1e-3).all() == (frame > 0)
 
 
-def test_learned_gains(film: Path, truth: Path, tmp_path: Path) -> None:
-    assert run(film, "--landmarks", truth, "--out", tmp_path, "--gain", "learned", "--stop", 6, *FEW) == 0
-    summary = summary_of(tmp_path)
-    assert summary["parameters"]["gain"] == "learned"
-    assert summary["error"]["mean_px"] < 1.5
-
-
 # --- landmarks ----------------------------------------------------------------------------------------------
 
 
@@ -213,55 +201,6 @@ def test_missing_and_blank_frames(images: list[NDArray[np.uint8]], truth: Path, 
     assert any("frames 4, 7, 10" in note for note in summary["notes"])
     video = cv2.VideoCapture(str(out / "film.mp4"))
     assert sum(iter(lambda: video.read()[0], False)) == N_FRAMES
-
-
-def test_the_first_frames_are_black(images: list[NDArray[np.uint8]], scene: Any, tmp_path: Path) -> None:
-    black = np.zeros_like(images[0])
-    folder = write_pictures(tmp_path / "film", [black, black, *images[2:6]])
-    out = tmp_path / "out"
-    landmarks = saved(tmp_path / "l.npy", scene.vertices[:6])
-    assert run(folder, "--landmarks", landmarks, "--out", out, *FEW) == 0
-    summary = summary_of(out)
-    assert (summary["before_the_start"], summary["first_frame"], summary["frames"]) == ([1, 2], 3, 4)
-    assert summary["error"]["mean_px"] < 1
-    one = saved(tmp_path / "one.npy", scene.vertices[2])
-    assert run(folder, "--landmarks", one, "--out", out, "--overwrite", *FEW) == 0
-    assert any("no landmarks of frame 3" in note for note in summary_of(out)["notes"])
-
-
-def elsewhere(images: list[NDArray[np.uint8]], scene: Any) -> list[NDArray[np.uint8]]:
-    """The pictures without the face: all that it covers is even."""
-    room = []
-    for index, image in enumerate(images):
-        low, high = (
-            scene.vertices[index].min(axis=0).astype(int) - 12,
-            scene.vertices[index].max(axis=0).astype(int) + 12,
-        )
-        empty = image.copy()
-        empty[max(low[1], 0) : high[1], max(low[0], 0) : high[0]] = 120
-        room.append(empty)
-    return room
-
-
-def test_a_cut(images: list[NDArray[np.uint8]], scene: Any, tmp_path: Path) -> None:
-    """Nobody there for a while: lost, said so, and found again when the face is back at another place."""
-    moved = [np.roll(image, (12, -20), axis=(0, 1)) for image in images[4:8]]
-    folder = write_pictures(tmp_path / "film", [*images[:4], *elsewhere(images, scene)[4:10], *moved])
-    nowhere = np.full((6, *scene.vertices[0].shape), np.nan)
-    landmarks = np.concatenate([scene.vertices[:4], nowhere, scene.vertices[4:8] + np.array([-20.0, 12.0])])
-    out = tmp_path / "out"
-    given = saved(tmp_path / "l.npy", landmarks)
-    assert run(folder, "--landmarks", given, "--out", out, *FEW) == 0
-    summary, poses = summary_of(out), poses_of(out)
-    ((first, last),) = summary["lost"]
-    assert 5 <= first <= 8
-    assert 10 <= last <= 11
-    assert summary["lost_frames"] == last - first + 1
-    assert summary["reinitialised"] == [last + 1]
-    assert np.flatnonzero(poses["lost"]).tolist() == list(range(first - 1, last))
-    assert np.flatnonzero(poses["reinitialised"]).tolist() == [last]
-    np.testing.assert_allclose(poses["landmarks"][-1], landmarks[-1], atol=3)
-    assert any(note.startswith("Lost in frames") for note in summary["notes"])
 
 
 def test_wrong_arguments(
@@ -476,39 +415,3 @@ def test_a_record_of_any_length() -> None:
     assert record.evidence_measures == {"mean": -50.5, "median": -50.5, "lowest": -100, "lowest_frame": 100}
     assert record.error_measures(10.0) is None
     assert set(record.experts) == {4.0}
-
-
-# --- output -------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("n_frames", [5])
-def test_control_c(
-    n_frames: int,
-    film: Path,
-    truth: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    """The run ends after the current frame, with complete results if there are any."""
-    is_blank = films.is_blank
-    seen: list[int] = []
-
-    def interrupting(image: NDArray[np.uint8]) -> bool:
-        seen.append(1)
-        if len(seen) == max(n_frames, 1):
-            signal.raise_signal(signal.SIGINT)
-        return is_blank(image) or n_frames == 0
-
-    monkeypatch.setattr(films, "is_blank", interrupting)
-    out = tmp_path / "out"
-    assert run(film, "--landmarks", truth, "--out", out, *FEW) == 130
-    line = "" if n_frames else "rsmcm: interrupted before there was any result\n"
-    assert without_compiling(capfd.readouterr().err) == line
-    assert out.exists() == bool(n_frames)
-    if n_frames:
-        assert names(out) == RESULTS | SEGMENTS
-        summary = summary_of(out)
-        assert summary["ended_early"]
-        assert summary["frames"] == n_frames
-        assert len(poses_of(out)["landmarks"]) == n_frames

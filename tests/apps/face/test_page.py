@@ -188,31 +188,3 @@ def test_the_head_turns(shown: ViewPage, scene: FaceScene, with_film: bool) -> N
         for vertex in apart(np.array([space.place(place)[:2] for place in shape]), 3.0):
             space.click(shape[vertex])
             assert shown.selected == f"point {vertex}", index
-
-
-def test_how_the_head_is_painted(shown: ViewPage) -> None:
-    pictures = []
-    for name in ("texture", "its variance", "shape"):
-        shown.page.get_by_label("How the head is painted").select_option(label=name)
-        pictures.append(shown.inked(".space"))
-    assert len(set(pictures)) == 3
-    images = shown.page.locator("figure.texture img")
-    assert images.count() == 2
-    assert [images.nth(k).evaluate("one => one.naturalWidth") for k in (0, 1)] == [360, 360]
-
-
-def test_the_texture_lies_where_it_was(shown: ViewPage) -> None:
-    """It grows to the right: so does the head, seen from the front."""
-    shown.page.get_by_label("turns as in the film").uncheck()
-    shown.settle()
-    script = """(() => {
-        const drawn = document.querySelector(".space"), { width, height } = drawn;
-        const copy = new OffscreenCanvas(width, height).getContext("2d");
-        copy.drawImage(drawn, 0, 0);
-        const row = copy.getImageData(0, Math.round(height / 2), width, 1).data;
-        return Array.from(row).filter((_, k) => k % 4 === 0 && row[k + 3] === 255);
-    })()"""
-    greys = np.array(shown.page.evaluate(script))
-    assert len(greys) > 80
-    assert greys[-len(greys) // 4 :].mean() - greys[: len(greys) // 4].mean() > 60
-    assert np.corrcoef(np.arange(len(greys)), greys)[0, 1] > 0.6, "but for the light on its facets"

@@ -54,27 +54,6 @@ def chain(samples: int = 500, seed: int = 0) -> Condensation:
     return Condensation(BODY, samples, START, seed, BodyDynamics(BODY, place=2.0), RootLikelihood())
 
 
-def test_a_missing_image_changes_no_weight() -> None:
-    condensation = chain()
-    state = condensation.predict(condensation.initial(FIRST), DT)
-    after = condensation.update(state, told(None))
-    np.testing.assert_array_equal(after.log_weights, state.log_weights)
-    np.testing.assert_array_equal(after.poses.roots, state.poses.roots)
-    assert after.stationary
-    assert after.log_evidence == 0
-    assert not condensation.update(after, told(START.roots[0])).stationary
-
-
-def test_predicting_in_steps_is_predicting_at_once() -> None:
-    condensation = chain()
-    state = condensation.initial(FIRST)
-    whole, steps = condensation.predict(state, 0.4), state
-    for _ in range(10):
-        steps = condensation.predict(steps, DT)
-    np.testing.assert_allclose(steps.poses.angles, whole.poses.angles, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(steps.weights, whole.weights, rtol=1e-9)
-
-
 def test_what_joints_forbid_has_no_weight_and_no_children() -> None:
     condensation = chain(2000)
     state = condensation.predict(condensation.initial(FIRST), 0.3)

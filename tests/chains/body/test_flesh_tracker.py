@@ -156,30 +156,6 @@ def test_motion_is_van_loans(dt: float) -> None:
             np.testing.assert_allclose(still.covariances[part], noise, rtol=1e-9, atol=1e-9)
 
 
-@given(SEEDS, st.floats(1e-3, 5.0), st.integers(2, 10))
-@settings(max_examples=8, deadline=None)
-def test_predicting_in_steps_is_predicting_at_once(seed: int, dt: float, steps: int) -> None:
-    """Of a hand that has not been seen for long, too, and for what is said of it afterwards."""
-    random = np.random.default_rng(seed)
-    state = standing()
-    state = replace(
-        state,
-        since=random.uniform(0, 3, state.since.shape),
-        visible=random.uniform(0, 1, state.visible.shape),
-        covariances=state.covariances * random.uniform(1, 1e4, (3, 1, 1)),
-    )
-    whole, stepwise = TRACKER.predict(state, dt), state
-    for _ in range(steps):
-        stepwise = TRACKER.predict(stepwise, dt / steps)
-    for name in ("means", "covariances", "visible", "since", "elapsed"):
-        np.testing.assert_allclose(getattr(stepwise, name), getattr(whole, name), rtol=1e-9, atol=1e-9)
-    for name in ("variances", "existence"):
-        one, other = (getattr(each.clutter, name) for each in (stepwise, whole))
-        np.testing.assert_allclose(one, other, rtol=1e-9)
-    one, other = (TRACKER.message(each, None, Incoming({})).predicted for each in (whole, stepwise))
-    np.testing.assert_allclose(other.covariances, one.covariances, rtol=1e-9, atol=1e-9)
-
-
 def test_clean_single_detections_are_filterpys_up_to_the_doubt() -> None:
     """What remains is a jump to anywhere, which hardly ever explains a detection better."""
     sure = FleshTracker(BODY, max_coast_time=1e9)
@@ -248,30 +224,6 @@ def test_an_outlier_does_not_move_a_part() -> None:
     assert off(beside, REST).max() < 0.02
     near = updated(state, seen([CENTRE, REST[LEFT] + [deviation, 0.0], REST[RIGHT]], faces=[0]))
     assert near.positions[LEFT, 0] - state.positions[LEFT, 0] > 0.2 * deviation
-
-
-def test_a_part_that_really_jumped_is_followed_soon() -> None:
-    there = np.stack([CENTRE, *at((0.6, 0.2), (-0.8, 1.6))])
-    states = followed([seen(there, faces=[0])] * 25, standing())
-    wrong = [off(state, there)[LEFT] > 0.2 for state in states]
-    assert sum(wrong) < 15
-    assert not wrong[-1]
-
-
-def test_bursts_without_detections() -> None:
-    """A hand that was hidden is found where it comes back; what was never hidden stays where it is."""
-    state = standing()
-    areas = [np.linalg.det(state.position_covariances[LEFT])]
-    for number in range(15):
-        state = stepped(state, seen(REST[[HEAD, RIGHT]], faces=[0]))
-        areas.append(np.linalg.det(state.position_covariances[LEFT]))
-        assert state.unseen[LEFT] == pytest.approx((number + 1) * DT)
-    assert (np.diff(areas) > 0).all()
-    assert not state.lost.any()
-    back = np.stack([CENTRE, *at((0.3, 1.0), (-0.8, 1.6))])
-    after = followed([seen(back, faces=[0])] * 3, state)
-    assert off(after[-1], back).max() < 0.1
-    assert after[-1].unseen[LEFT] == 0
 
 
 def test_a_lost_part_is_anywhere_in_reach_and_found_again() -> None:

@@ -129,20 +129,6 @@ def test_predictions_are_draws_of_the_mixture_around_their_ancestors() -> None:
     np.testing.assert_allclose(np.cov(after.poses.roots.T), covariance, atol=0.05 * covariance.max())
 
 
-def test_predicting_in_steps_is_predicting_at_once() -> None:
-    """The prediction of a prediction is made of the same samples; after an update it is not."""
-    state = samples(some(40))
-    whole, steps = predict_samples(DYNAMICS, state, 50, 0.4), state
-    for _ in range(10):
-        steps = predict_samples(DYNAMICS, steps, 50, DT)
-    np.testing.assert_allclose(steps.poses.angles, whole.poses.angles, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(steps.log_weights, whole.log_weights, rtol=1e-9)
-    assert steps.elapsed == pytest.approx(0.4)
-    after = whole.reweighed(np.zeros(50))
-    assert after.before is None
-    assert predict_samples(DYNAMICS, after, 50, DT).elapsed == DT
-
-
 # --- hands that were taken for each other ---
 
 

@@ -53,10 +53,3 @@ def test_chains_speak_of_every_frame(solution):
         assert not messages[0].predicted.informative.any()
         assert messages[5].predicted.informative.all()
         assert messages[7].log_mass == pytest.approx(0, abs=1e-6)
-
-
-def test_a_saved_solution_is_read_back(engine, solution, frames, tmp_path):
-    engine.save(tmp_path / "film.npz", solution)
-    again, _ = engine.load(tmp_path / "film.npz", frames)
-    for one, other in zip(solution["pose"].samples[1:], again["pose"].samples[1:], strict=True):
-        np.testing.assert_array_equal(one.poses.arms, other.poses.arms)

@@ -52,21 +52,6 @@ def test_the_true_pose_is_found_from_near() -> None:
     assert vertex_error(likelihood, modes.poses, truth).max() < 0.05
 
 
-def test_coarse_levels_reach_further() -> None:
-    truth = poses_near(20, 2, 3)
-    likelihood = learned_at(truth)
-    start = truth.moved(np.tile([0, 0, 0, 5.0, -4.0, 0, 0], (20, 1)))
-    prior = PosePrior.after(start, WEAK, 24.0, 1.0)
-    found = [
-        (
-            vertex_error(likelihood, find_modes(likelihood, prior, start, EFFECTIVE, n).poses, truth) < 0.5
-        ).sum()
-        for n in (0, 2)
-    ]
-    assert found[1] > found[0]
-    assert found[1] >= 16
-
-
 def test_precision_is_that_of_texture_and_prior_at_the_peak() -> None:
     truth = poses_near(3, 3, 4)
     likelihood = learned_at(truth, 1)

@@ -8,12 +8,10 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.scenes import FaceScene, face
 from rsmcm.chains.face.gflow import GFlow, GFlowState
-from rsmcm.inference import Incoming, MultiChain, RecursiveBP
+from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.engine.checkpoint import load, save
-from rsmcm.inference.engine.recursive_bp import RunState
-from rsmcm.models import Frame, PixelLabels, PointTracks
+from rsmcm.models import PixelLabels
 from rsmcm.models.face.morphable_model import Poses, SurfacePoints
-from rsmcm.models.pixels.pixel_labels import PixelMessage
 
 Image = NDArray[np.uint8]
 
@@ -62,46 +60,6 @@ def test_tracks_a_face(
     assert error(chain, scene, last, N_FRAMES - 1) < min(2.0, 0.4 * motion)
     assert last.weights.sum() == pytest.approx(1)
     assert np.isfinite(last.log_evidence)
-
-
-def test_resumes_from_a_file(
-    scene: FaceScene, images: list[Image], run: list[GFlowState], tmp_path: Path
-) -> None:
-    save(tmp_path / "state.npz", {"face": run[7]}, {"face": GFlowState})
-    resumed = load(tmp_path / "state.npz", {"face": GFlowState})["face"]
-    chain = chain_for(scene)
-    engine = RecursiveBP(MultiChain().connect(chain, PixelLabels()))
-    state = replace(RunState(), states={chain.name: resumed}, time=7 / 25)
-    for number in range(8, N_FRAMES):
-        belief = engine.step(state, Frame(images[number], number / 25, number + 1))
-        state = belief.state
-    np.testing.assert_allclose(belief[chain.name].poses.morphs, run[-1].poses.morphs, atol=1e-9)
-
-
-def test_missing_frames_are_bridged(scene: FaceScene, images: list[Image]) -> None:
-    chain = chain_for(scene)
-    after = states(chain, [*images[:6], None, None, *images[8:12]])
-    assert after[7].elapsed == pytest.approx(2 / 25)
-    np.testing.assert_array_equal(after[7].poses.morphs, after[5].poses.morphs)
-    assert error(chain, scene, after[-1], 11) < 2
-
-
-def test_two_predictions_are_one(scene: FaceScene, images: list[Image], run: list[GFlowState]) -> None:
-    chain = chain_for(scene, tracked=(1, 5, 9))
-    pixels, points = PixelLabels(), PointTracks()
-    once = chain.predict(run[5], 0.24)
-    twice = chain.predict(chain.predict(run[5], 0.1), 0.14)
-    nothing = Incoming({pixels: pixels.uniform(), points: points.uniform()})
-    for one, other in zip(
-        chain.message(once, points, nothing).positions.moments,
-        chain.message(twice, points, nothing).positions.moments,
-        strict=True,
-    ):
-        np.testing.assert_allclose(one, other, rtol=1e-9)
-    seen = Incoming({pixels: PixelMessage(image=images[11])})
-    one, other = (chain.update(state, seen) for state in (once, twice))
-    np.testing.assert_allclose(one.poses.morphs, other.poses.morphs, atol=1e-6)
-    np.testing.assert_allclose(one.texture.variance, other.texture.variance, rtol=1e-5)
 
 
 def noise_like(image: Image, n: int) -> list[Image]:

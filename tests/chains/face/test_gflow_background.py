@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.scenes import FaceScene, face
+from rsmcm.apps.scenes import face
 from rsmcm.chains.face.background import (
     NOISE,
     TRUST_TIME,
@@ -23,25 +23,21 @@ from rsmcm.chains.face.background import (
     units,
 )
 from rsmcm.chains.face.experts import log_likelihood
-from rsmcm.chains.face.gflow import GFlow, GFlowState
+from rsmcm.chains.face.gflow import GFlow
 from rsmcm.chains.face.texture_likelihood import (
     UNKNOWN_VARIANCE,
     TexturedObject,
     TextureLikelihood,
     image_pyramid,
 )
-from rsmcm.chains.pixels.adaptive_background import AdaptiveBackground, BackgroundState
-from rsmcm.inference.engine.graph import MultiChain
+from rsmcm.chains.pixels.adaptive_background import AdaptiveBackground
 from rsmcm.inference.engine.protocols import Incoming
-from rsmcm.inference.engine.recursive_bp import RecursiveBP
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.morphable_model import Poses
 from rsmcm.models.face.surface import Region, SurfaceTexels
 from rsmcm.models.pixels.pixel_labels import PixelLabels, PixelMessage
 
 from ...support.surfaces import bumpy, poses_near, smooth_picture
-
-Array = NDArray[np.float64]
 
 SIZE = (120, 160)
 WHOLE = Region(0, 0, *SIZE)
@@ -199,49 +195,6 @@ def test_trust_grows_where_predictions_come_true_and_the_object_is_not() -> None
     left = np.exp(-DT / TRUST_TIME)
     assert (trust[45, 65], trust[60, 5]) == (UNSEEN, pytest.approx(1 - left**2))
     assert trust[5, 5] == pytest.approx((1 - left) * left)
-
-
-def following(scene: FaceScene, **options: Any) -> tuple[GFlow, AdaptiveBackground, MultiChain]:
-    chain = GFlow(scene.model, scene.poses[0], experts=3, texels=300, **options)
-    background = AdaptiveBackground(settle_time=0.5, follow_light=False)
-    return chain, background, MultiChain().connect(background, PIXELS)
-
-
-def sliding(n_frames: int, first: int, moving: int, seed: int = 1) -> FaceScene:
-    """A face that slides to the side from frame `first` on, to where the room was seen, and rests there."""
-    scene = face(n_frames, seed, (192, 128), light=0.0)
-    start, n = scene.poses[0], n_frames
-    along = np.clip((np.arange(n) - first) / moving, 0.0, 1.0)
-    scene.__dict__["poses"] = Poses(
-        np.repeat(start.rotations, n, 0),
-        start.translations + np.stack([55 * (along - 0.6), np.zeros(n)], axis=1),
-        np.repeat(start.morphs, n, 0),
-    )
-    return scene
-
-
-@pytest.mark.parametrize("feedback", [True, False])
-def test_the_background_does_not_absorb_a_face_that_rests(feedback: bool) -> None:
-    scene = sliding(84, 30, 18)
-    chain, background, model = following(scene)
-    model.connect(chain, PIXELS, feedback=feedback)
-    *_, belief = RecursiveBP(model).run(scene)
-    state: BackgroundState = belief[background]
-    tracked: GFlowState = belief[chain]
-    error = np.linalg.norm(chain.vertices(tracked)[0][:, :2] - scene.vertices[-1], axis=1).mean()
-    assert error < 1.5
-    first, last = (scene.foreground(k).astype(np.uint8) for k in (0, 83))
-    rests = (cv2.erode(last, np.ones((9, 9))) > 0) & (cv2.dilate(first, np.ones((9, 9))) == 0)
-    left = (first > 0) & (cv2.dilate(last, np.ones((11, 11))) == 0)
-    assert min(rests.sum(), left.sum()) > 300
-    picture, before, after = (
-        each.astype(float) for each in (state.picture(), scene.image(0), scene.image(83))
-    )
-    assert (np.median(np.abs(picture - before)[rests]) < 6) == feedback
-    if feedback:  # what the face hid at first is learned when it has left
-        assert np.median(np.abs(picture - after)[left]) < 6
-        assert tracked.background_trust is not None
-        assert np.median(tracked.background_trust[left]) > 0.5
 
 
 def test_the_layer_is_what_experts_cover() -> None:

@@ -3,8 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.scenes import signer
-from rsmcm.models.body.parts import BodyParts
 from rsmcm.models.body.person import IN_SLEEVE, WITH_FOREARM, bare_probability, hand_area
 from scipy.stats import norm
 
@@ -32,19 +30,3 @@ def test_the_area_is_that_of_the_largest_patch_beside_the_head() -> None:
     assert hand_area(skin, HEADS, RADIUS, HEAD_HEIGHT) == alone
     cv2.line(skin, (230, 200), (300, 290), 4.0, 22)
     assert 2 < hand_area(skin, HEADS, RADIUS, HEAD_HEIGHT) < 3
-
-
-def test_sleeves_of_generated_signers() -> None:
-    """The probability of bare forearms, on average over three people."""
-    bare: dict[str, list[float]] = {"long": [], "short": []}
-    for sleeves, probabilities in bare.items():
-        for seed in range(3):
-            scene = signer(33, seed, 0.0, 0.0, (320, 180), sleeves=sleeves)  # type: ignore[arg-type]
-            images = [scene.image(index) for index in range(0, 33, 8)]
-            boxes = tuple(scene.detector.boxes[::8])
-            parts = BodyParts.learned(images, lambda frame, boxes=boxes: boxes[frame.number - 1])
-            probabilities.append(parts.bare)
-            seen = parts.evidence(scene.frame(0), parts.uniform()).image
-            assert seen is not None
-            assert seen.bare == parts.bare
-    assert np.mean(bare["short"]) > np.mean(bare["long"]) + 0.3

@@ -161,16 +161,3 @@ def test_of_two_people_the_larger_one_is_learned_whatever_the_order() -> None:
     assert both.skin is not None
     assert alone.skin is not None
     np.testing.assert_allclose(both.skin.table, alone.skin.table, atol=1e-5)
-
-
-def test_the_one_who_is_pointed_at_is_learned() -> None:
-    image, boxes, other = two_people()
-    node = BodyParts.learned([image] * 4, Faces(*boxes), tuple(other + 5))
-    assert node.head_height == pytest.approx(HEAD_OF_BOX * 44)
-    # the larger face is somebody else's now, and says less of where the head is
-    seen = node.evidence(Frame(image, 0.0, 1), node.uniform()).image
-    assert seen is not None
-    middles = np.stack([HEAD, other[:2] + other[2:] * (0.5, CENTRE_OF_BOX)])
-    values = seen.mixtures.log_values(np.broadcast_to(middles[:, None], (2, 3, 2)).astype(np.float64))[:, 0]
-    assert values[1] > values[0] + 4
-    assert np.isfinite(values).all()  # but it may be

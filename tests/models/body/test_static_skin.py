@@ -27,27 +27,6 @@ def colour() -> SkinColour:
     return learned
 
 
-def test_skin_is_still_where_it_is_seldom_away(colour: SkinColour) -> None:
-    """Each column of patches is there in one more of the frames than the one before."""
-    n = 10
-    columns = [slice(6 * step, 6 * step + 6) for step in range(n)]
-    images = [
-        picture(*((slice(0, 48), column) for step, column in enumerate(columns) if frame < step + 1))
-        for frame in range(n)
-    ]
-    still = static_skin(colour, images)
-    assert still is not None
-    assert still.dtype == np.float32
-    assert still.shape == SIZE
-    known = colour.log_odds(picture((slice(0, 48), slice(0, 64))))[24, 32]
-    assert known > 1
-    for step, column in enumerate(columns):
-        middle = still[24, column.start + 2 : column.start + 4]  # colours are smoothed at the borders
-        away = n - (step + 1)
-        expected = known if away <= int(AWAY * n) else 0.0
-        np.testing.assert_allclose(middle, expected, atol=0.5 / LEVELS)
-
-
 def test_it_is_a_quantile_of_the_log_odds(colour: SkinColour) -> None:
     """Over frames, but for rounding and where it would speak against skin."""
     random = np.random.default_rng(0)

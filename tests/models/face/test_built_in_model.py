@@ -9,7 +9,6 @@ from rsmcm.models.face.built_in_model import (
     MIDDLE,
     SIDE,
     face_model,
-    face_plane,
 )
 from rsmcm.models.face.morphable_model import MorphableModel
 
@@ -43,20 +42,6 @@ def test_a_mesh_is_one_oriented_disc(fineness: int) -> None:
     rim = edges[uses == 1]
     assert (np.unique(rim, return_counts=True)[1] == 2).all()
     assert len(triangles) == fineness**2 * len(face_model().triangles)
-
-
-@pytest.mark.parametrize("shields", [False, True])
-def test_finer_meshes_sample_the_same_surface(shields: bool) -> None:
-    coarse, middle, fine = (face_model(fineness, shields=shields) for fineness in (1, 2, 4))
-    n_coarse, n_middle = coarse.n_vertices, middle.n_vertices
-    np.testing.assert_array_equal(middle.bases[:, :n_coarse], coarse.bases)
-    np.testing.assert_array_equal(fine.bases[:, :n_coarse], coarse.bases)
-    # every vertex at fineness 2 is one at fineness 4, wherever it comes in the order
-    plane, finer_plane = (face_plane(fineness, shields=shields) for fineness in (2, 4))
-    away = np.linalg.norm(plane[:, None] - finer_plane[None], axis=2)
-    np.testing.assert_allclose(away.min(axis=1), 0, atol=1e-12)
-    np.testing.assert_allclose(fine.bases[:, away.argmin(axis=1)], middle.bases, atol=1e-12)
-    assert n_middle < fine.n_vertices
 
 
 @pytest.mark.parametrize("shields", [False, True])

@@ -178,35 +178,3 @@ def test_a_wall_hides_what_is_behind_it_seen_along_the_line_of_sight(turn: tuple
     np.testing.assert_array_equal(seen[clear], ~(covered & behind)[clear])
     assert (covered & behind & clear).sum() > 50
     assert seen[~behind].all()
-
-
-def cast(mesh: Mesh, places: Array) -> Array:
-    """z of the front-most triangle along the line of sight through each place, infinite without any."""
-    corners = mesh.vertices[mesh.triangles]
-    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
-    away = places[:, None] - corners[:, 0, :2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = np.linalg.inv(edges[:, :2])
-    shares = np.einsum("tij,ntj->nti", inverse, away)
-    inside = (shares.min(axis=2) >= 0) & (shares.sum(axis=2) <= 1)
-    return np.where(inside, corners[:, 0, 2] + (shares * edges[:, 2]).sum(axis=2), np.inf).min(axis=1)
-
-
-@pytest.mark.parametrize("yaw", [-60.0, -35.0, 0.0, 25.0, 50.0])
-def test_a_head_with_a_large_nose_agrees_with_lines_of_sight(yaw: float) -> None:
-    ball, nose = sphere(18), sphere(10)
-    head = joined(ball, Mesh(0.35 * nose.vertices + [0, 0.1, -1.1], nose.triangles))
-    turn = exponential(np.radians([[10.0, yaw, 20.0]]))[0]
-    mesh = Mesh(60 * head.vertices @ turn.T + [100, 80, 0], head.triangles)
-    positions = mesh.vertices[None]
-    chosen, weights = scattered(mesh, 1500, 0)
-    seen = visible(positions, mesh.triangles, points(mesh.triangles[chosen], weights))[0]
-    places = np.einsum("na,nac->nc", weights, mesh.vertices[mesh.triangles[chosen]])
-    behind = places[:, 2] - cast(mesh, places[:, :2])
-    facing = cosines(mesh)[chosen] >= 0.3
-    hidden = facing & (behind > 0.1 * np.ptp(mesh.vertices[:, 2]))
-    assert hidden.sum() > 4
-    # but for some within a cell of an outline
-    assert seen[hidden].mean() < 0.1
-    in_front = facing & (behind < 1e-6)
-    assert seen[in_front].mean() > 0.985
