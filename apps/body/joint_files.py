@@ -1,8 +1,5 @@
 """Reader of CSV files of joints clicked in a few frames."""
 
-import csv
-import io
-import re
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +7,15 @@ from numpy.typing import NDArray
 
 from ...chains.body.start import ClickedJoints
 from ...models.body.upper_body import JOINTS
-from ...models.files import LAST_FRAME, MOST_SETTINGS, read_text
 from ..io.point_files import MAX_COORDINATE
+from ..io.tables import Column, csv_rows
 
-Array = NDArray[np.float64]
-
-COLUMNS = ["frame", "joint", "x", "y"]
+COLUMNS = {
+    "frame": Column(("frame",), "frame"),
+    "joint": Column(("joint",), "text"),
+    "x": Column(("x",)),
+    "y": Column(("y",)),
+}
 
 
 def read_joints(path: Path) -> ClickedJoints:
@@ -34,41 +34,18 @@ def read_joints(path: Path) -> ClickedJoints:
     OSError
         if the file cannot be read.
     """
-    clicked: dict[int, Array] = {}
-    expected = f"expected a CSV file {','.join(COLUMNS)}"
-    lines = csv.reader(io.StringIO(read_text(path, expected, MOST_SETTINGS), newline=""))
-    try:
-        header = [name.strip().lower() for name in next(lines, [])]
-        if header != COLUMNS:
-            raise ValueError(f"got the columns {','.join(header)[:60]!r}, {expected}")
-        for line in lines:
-            if any(cell.strip() for cell in line):
-                _take(clicked, [cell.strip() for cell in line])
-    except (ValueError, csv.Error) as error:
-        raise ValueError(f"{path}, line {lines.line_num}: {error}") from None
+    clicked: dict[int, NDArray[np.float64]] = {}
+    for row in csv_rows(path, COLUMNS, (COLUMNS,), ", ".join(COLUMNS)):
+        frame, joint, *place = (row.values[name] for name in COLUMNS)
+        if joint not in JOINTS:
+            raise row.wrong(f"the joint {joint[:60]!r}", f"one of {', '.join(JOINTS)}")
+        if np.abs(place).max() > MAX_COORDINATE:
+            raise row.wrong(f"{joint} at {place[0]:g}, {place[1]:g}", f"px up to {MAX_COORDINATE:g}")
+        places = clicked.setdefault(int(frame), np.full((len(JOINTS), 2), np.nan))
+        if not np.isnan(places[JOINTS.index(joint), 0]):
+            raise row.wrong(f"{joint} of frame {frame:g} a second time", "it once")
+        places[JOINTS.index(joint)] = place
     if not clicked:
         raise ValueError(f"{path}: holds no joint, expected some of {', '.join(JOINTS)}")
     frames = sorted(clicked)
     return ClickedJoints(path, np.array(frames, np.int64), np.stack([clicked[frame] for frame in frames]))
-
-
-def _take(clicked: dict[int, Array], cells: list[str]) -> None:
-    """Add the joint of a line to its frame."""
-    expected = f"expected {','.join(COLUMNS)}"
-    if len(cells) != len(COLUMNS):
-        raise ValueError(f"got {len(cells)} values, {expected}")
-    frame, joint, x, y = cells
-    if joint not in JOINTS:
-        raise ValueError(f"got the joint {joint[:60]!r}, expected one of {', '.join(JOINTS)}")
-    if not (re.fullmatch("[0-9]{1,10}", frame) and 1 <= int(frame) <= LAST_FRAME):
-        raise ValueError(f"got the frame {frame[:60]!r}, expected a number from 1 to {LAST_FRAME}")
-    try:
-        place = float(x), float(y)
-    except ValueError:
-        raise ValueError(f"got the place {x[:60]!r}, {y[:60]!r}, expected numbers of px") from None
-    if not (np.abs(place) <= MAX_COORDINATE).all():
-        raise ValueError(f"got the place {x[:60]}, {y[:60]}, expected finite px up to {MAX_COORDINATE:g}")
-    places = clicked.setdefault(int(frame), np.full((len(JOINTS), 2), np.nan))
-    if not np.isnan(places[JOINTS.index(joint), 0]):
-        raise ValueError(f"got {joint} of frame {frame} a second time, expected it once")
-    places[JOINTS.index(joint)] = place
