@@ -220,7 +220,7 @@ class BodyDynamics:
         """Draw `n` poses from the prior in an image of `size` (height, width), all within joint limits."""
         height, width = size
         roots = random.random((n, 2)) * (width, height)
-        poses = BodyPoses(roots, np.zeros((n, 3)), np.zeros((n, 3)), np.empty((n, 2, 2, 3)))
+        poses = BodyPoses(roots, np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 2, 2, 3)))
         wrong = np.arange(n)
         while len(wrong):
             turns = self.turn_stds * random.standard_normal((len(wrong), 6))
