@@ -253,7 +253,7 @@ class GFlow(PickledByFields):
         n, n_bases = start.morphs.shape
         if n not in (1, self.experts) or n_bases != self.model.n_bases:
             raise ValueError(
-                f"start: got {n} poses with {n_bases} bases, expected 1 or {self.experts}, one an expert, with "
+                f"start: got {n} poses with {n_bases} bases, expected 1 or {self.experts} (one an expert) with "
                 f"{self.model.n_bases}"
             )
         if not (start.sizes > 0).all():
