@@ -253,8 +253,8 @@ class GFlow(PickledByFields):
         n, n_bases = start.morphs.shape
         if n not in (1, self.experts) or n_bases != self.model.n_bases:
             raise ValueError(
-                f"start: got {n} poses with {n_bases} bases, expected 1 or {self.experts} (one an expert) with "
-                f"{self.model.n_bases}"
+                f"start: got {n} poses with {n_bases} bases, expected 1 or {self.experts}, one an "
+                f"expert, with {self.model.n_bases}"
             )
         if not (start.sizes > 0).all():
             raise ValueError("start: got a size of 0 or less, expected more than 0")
