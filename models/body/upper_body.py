@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..core.checks import Positive, Shape, checked
 from ..core.short_repr import Rows, short_repr
 from ..numerics.rotations import logarithm
-from .kernels import elbows, place_joints, place_parts, reach, within_limits
+from .kernels import elbows, place_joints, reach, within_limits
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -208,6 +208,8 @@ JOINTS = (
 )  # fmt: skip
 """Points of the kinematic tree; "neck" is its root, between the shoulders; hands and head are centres."""
 
+PART_JOINTS = [JOINTS.index(part) for part in PARTS]
+
 
 @dataclass(frozen=True)
 class JointLimits:
@@ -362,12 +364,7 @@ class UpperBody:
 
     def parts(self, poses: BodyPoses) -> Array:
         """`(n, 3, 2)` px: head, left hand and right hand in the image."""
-        parts = np.empty((len(poses), 3, 2))
-        place_parts(
-            *poses.arrays,
-            self.neck, self.shoulder_width / 2, self.upper_arm, self.forearm, parts,
-        )  # fmt: skip
-        return parts
+        return np.ascontiguousarray(self.joints(poses)[:, PART_JOINTS, :2])
 
     def shoulders(self, poses: BodyPoses) -> Array:
         """`(n, 2, 3)` px: left and right shoulder, as in `joints`."""
