@@ -242,8 +242,7 @@ class ImageLikelihood:
         joints = body.joints(poses)[:, :, :2]
         parts = joints[:, [0, 4, 7]]
         terms = np.zeros((4, len(poses)))
-        heads = np.ascontiguousarray(parts[:, :1])  # or the loop is compiled once more
-        terms[0] = image.mixtures.take([0]).log_values(heads)[:, 0]
+        terms[0] = image.mixtures.take([0]).log_values(parts[:, :1])[:, 0]
         if self.head is not None:
             head_terms(parts[:, 0], self.head, _scales(self.head, image), np.array(HEAD_SCORES), terms[0])
         if self.skin is not None:

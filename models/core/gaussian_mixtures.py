@@ -104,7 +104,10 @@ class GaussianMixtures:
         n_parts, n, m = *a.log_weights.shape, b.log_weights.shape[1]
         means, covariances = np.empty((n_parts, n * m, 2)), np.empty((n_parts, n * m, 2, 2))
         overlaps = np.empty((n_parts, n * m))
-        products(a.means, a.covariances, a.flat, b.means, b.covariances, b.flat, means, covariances, overlaps)
+        of_a, of_b = map(
+            np.ascontiguousarray, (a.covariances, b.covariances)
+        )  # or the loop is compiled for each layout
+        products(a.means, of_a, a.flat, b.means, of_b, b.flat, means, covariances, overlaps)
         weights = (a.log_weights[:, :, None] + b.log_weights[:, None]).reshape(n_parts, -1) + overlaps
         labels = np.where(a.labels[:, :, None] == NO_LABEL, b.labels[:, None], a.labels[:, :, None])
         flat = a.flat[:, :, None] & b.flat[:, None]
@@ -167,6 +170,7 @@ class GaussianMixtures:
     def log_values(self, points: Array) -> Array:
         """Return `(n, n_parts)` logs of the functions at `points`, `(n, n_parts, 2)` px."""
         peaks, sums = np.empty((2, len(points), self.n_parts))
+        points = np.ascontiguousarray(points)  # or the loop is compiled for each layout
         sums_of_densities(points, *self._middles, peaks, sums)
         values = peaks + np.log(sums)
         values[peaks < 0.5 * NO_WEIGHT] = -np.inf
