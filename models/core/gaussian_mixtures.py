@@ -104,9 +104,8 @@ class GaussianMixtures:
         n_parts, n, m = *a.log_weights.shape, b.log_weights.shape[1]
         means, covariances = np.empty((n_parts, n * m, 2)), np.empty((n_parts, n * m, 2, 2))
         overlaps = np.empty((n_parts, n * m))
-        of_a, of_b = map(
-            np.ascontiguousarray, (a.covariances, b.covariances)
-        )  # or the loop is compiled for each layout
+        # or the loop is compiled for each layout
+        of_a, of_b = np.ascontiguousarray(a.covariances), np.ascontiguousarray(b.covariances)
         products(a.means, of_a, a.flat, b.means, of_b, b.flat, means, covariances, overlaps)
         weights = (a.log_weights[:, :, None] + b.log_weights[:, None]).reshape(n_parts, -1) + overlaps
         labels = np.where(a.labels[:, :, None] == NO_LABEL, b.labels[:, None], a.labels[:, :, None])
