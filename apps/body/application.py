@@ -30,7 +30,7 @@ from ...chains.body.start import (
 )
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models.body.parts import CALIBRATION_FRAMES
-from ...models.body.upper_body import JOINTS, PARTS, UpperBody
+from ...models.body.upper_body import JOINTS, PART_JOINTS, PARTS, UpperBody
 from ...models.core.frame import BoundingBox, Frame
 from ..io.film import SeenFrames
 from ..io.keypoints import Keypoints, given_keypoints, with_keypoints
@@ -44,7 +44,7 @@ from ..view.overlay import Draw
 from ..view.page import Page
 from .job import LAG, BodyJob
 from .joint_files import read_joints
-from .page import PART_JOINTS, BodyRecord, body_page, drawing, view_row_of, with_final_names
+from .page import BodyRecord, body_page, drawing, view_row_of, with_final_names
 
 _log = logging.getLogger(__name__)
 

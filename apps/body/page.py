@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...chains.body.hand_labelling import EXCHANGED_PARTS, HandLabels, label_hands
 from ...chains.body.samples import WORTH_SAYING
-from ...models.body.upper_body import JOINTS, PARTS
+from ...models.body.upper_body import JOINTS, PART_JOINTS, PARTS
 from ..io.row_log import RowLog
 from ..view.film import Film, Row
 from ..view.overlay import TRUNK, BodyOverlay, Draw, TrackedBody, caption, css_colour, skeleton
@@ -37,8 +37,6 @@ from ..view.page import (
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-
-PART_JOINTS = [JOINTS.index(name) for name in PARTS]
 
 SAME_DOUBT = 0.5  # s: gap within one stretch of doubt, at most
 MOST_NAMED = 5  # stretches of doubt that a sentence names

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...models.body.image_features import BodyImage
 from ...models.body.skin import HIGHEST
-from ...models.body.upper_body import BodyPoses, UpperBody
+from ...models.body.upper_body import PART_JOINTS, BodyPoses, UpperBody
 from ...models.numerics.threads import over_bands
 from .kernels import (
     LANES,
@@ -240,7 +240,7 @@ class ImageLikelihood:
         """Terms of some poses in one thread; without a detected face, the head's skin replaces it."""
         body, image = self.body, self.image
         joints = body.joints(poses)[:, :, :2]
-        parts = joints[:, [0, 4, 7]]
+        parts = joints[:, PART_JOINTS]
         terms = np.zeros((4, len(poses)))
         terms[0] = image.mixtures.take([0]).log_values(parts[:, :1])[:, 0]
         if self.head is not None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import i0e
 
 from ...inference.smc import normalised, systematic
-from ...models.body.upper_body import BodyPoses, UpperBody, arm_at, log_volume, swivels
+from ...models.body.upper_body import PART_JOINTS, BodyPoses, UpperBody, arm_at, log_volume, swivels
 from ...models.core.gaussian_mixtures import GaussianMixtures, log_sums
 from .dynamics import Ancestors, BodyDynamics
 from .tempering import Strata
@@ -85,7 +85,7 @@ def _log_density(dynamics: BodyDynamics, poses: BodyPoses, mixtures: GaussianMix
     body = dynamics.body
     joints = body.joints(poses)
     stds = dynamics.turn_stds
-    total = mixtures.log_values(joints[:, [0, 4, 7], :2]).sum(axis=1) - mixtures.log_masses.sum()
+    total = mixtures.log_values(joints[:, PART_JOINTS, :2]).sum(axis=1) - mixtures.log_masses.sum()
     total -= 0.5 * ((poses.turns / stds) ** 2).sum(axis=1) + np.log(stds).sum() + 3 * np.log(2 * np.pi)
     for side in (0, 1):
         offsets = joints[:, 4 + 3 * side] - joints[:, 2 + 3 * side]
