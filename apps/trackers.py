@@ -577,13 +577,11 @@ class BodyTracker(DetectingTracker[SavedPerson, TrackedBody | None]):
         image, keypoints, file = frame.required_image(), frame.keypoints, self._detector
         box = None if head is None else size_of(head)
         if box is not None and file is None:
-            return start_from_head(frame, box, [image], None)
+            return start_from_head(frame, box, [image])
         if keypoints is not None and file is None:
-            return (
-                start_from_keypoints(frame, _Keypoints(frame), [image], None) if shows_person(frame) else None
-            )
+            return start_from_keypoints(frame, _Keypoints(frame), [image]) if shows_person(frame) else None
         faces = default_faces(file, "head, keypoints, or a model file of YuNet as detector")
-        return start_from_faces("image", [image], file, None, box) if len(faces(frame)) else None
+        return start_from_faces("image", [image], file, box) if len(faces(frame)) else None
 
     def _build(self, start: SavedPerson | None) -> RecursiveBP | None:
         if start is None:

@@ -19,7 +19,6 @@ from ...chains.body.hand_labelling import relabel_hands
 from ...chains.body.samples import body_moments, hypotheses
 from ...chains.body.start import (
     BodyStart,
-    ClickedJoints,
     SavedPerson,
     fit_lengths,
     follow_person,
@@ -43,7 +42,6 @@ from ..view.film import Film
 from ..view.overlay import Draw
 from ..view.page import Page
 from .job import LAG, BodyJob
-from .joint_files import read_joints
 from .page import BodyRecord, body_page, drawing, view_row_of, with_final_names
 
 _log = logging.getLogger(__name__)
@@ -86,7 +84,7 @@ def run_body(job: BodyJob) -> Outcome:
 
     Frames that are missing, unreadable or blank (black, saturated) are predicted.
     """
-    return run_film(Body(job, None if job.joints is None else read_joints(job.joints)))
+    return run_film(Body(job))
 
 
 def read_head(text: str) -> BoundingBox:
@@ -111,11 +109,10 @@ class Body(Application[BodyJob]):
         "answered": WaitingFrame | None,
     }
 
-    def __init__(self, job: BodyJob, clicked: ClickedJoints | None) -> None:
+    def __init__(self, job: BodyJob) -> None:
         super().__init__(job)
         self._keypoints: Keypoints | None = None
         self._head = None if job.head is None else read_head(job.head)
-        self._clicked = clicked
         self._draws = np.random.default_rng(job.seed)  # of the poses that are shown
 
     def bytes_needed(self, source: Source) -> tuple[float, float]:
@@ -177,16 +174,16 @@ class Body(Application[BodyJob]):
 
     def _started_from(self, source: Source, first: Frame, images: list[Image]) -> tuple[BodyStart, str]:
         """Return the person, and in words how they were detected."""
-        job, clicked, keypoints = self.job, self._clicked, self._keypoints
+        job, keypoints = self.job, self._keypoints
         if self._head is not None and job.detector is None:
-            person, method = start_from_head(first, self._head, images, clicked), "the head as marked"
+            person, method = start_from_head(first, self._head, images), "the head as marked"
         elif keypoints is not None and job.detector is None:
-            return start_from_keypoints(first, keypoints, images, clicked), "keypoints"
+            return start_from_keypoints(first, keypoints, images), "keypoints"
         else:
             at_first = [first.image] if self._head is not None and first.image is not None else []
-            person = start_from_faces(source.name, [*at_first, *images], job.detector, clicked, self._head)
+            person = start_from_faces(source.name, [*at_first, *images], job.detector, self._head)
             method = str(job.detector or "OpenCV's cascades of faces")
-        if keypoints is not None and clicked is None:
+        if keypoints is not None:
             person = fit_lengths(person, follow_person(keypoints, first.number, person.head_in(first)))
         return person, method
 

@@ -26,14 +26,11 @@ class BodyJob(FilmJob):
         x,y,width,height in px of the head in the first frame, from chin to the top of the skull. It replaces
         the detector: the head is then tracked by colour and edges. With --detector, it selects one of several
         faces; by default that is the largest.
-    joints
-        CSV file with the columns frame,joint,x,y: joints annotated in a few frames, from which the lengths of
-        the arms are computed. Default: average proportions. Joints: head, neck (between the shoulders),
-        left_shoulder, left_elbow, left_hand, and the same with right; left is the person's own.
     keypoints
-        Keypoints of a detector of poses or hands: CSV with the columns frame, person, joint, x, y and score,
-        COCO's JSON of results, or a folder of OpenPose's JSON. Without --detector and --head, the largest
-        person in it is tracked.
+        Keypoints of a detector of poses or hands, or clicked in a few frames: CSV with the columns frame,
+        person, joint, x, y and score (person and score may be left out), COCO's JSON of results, or a folder
+        of OpenPose's JSON. They are evidence, and give the lengths of the arms. Without --detector and
+        --head, the largest person in it is tracked.
     samples
         Number of pose samples per frame.
     lag
@@ -45,19 +42,17 @@ class BodyJob(FilmJob):
 
     detector: Path | None = None
     head: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
-    joints: Path | None = None
     keypoints: Path | None = None
     samples: int = 1000
     lag: int | None = None
 
-    SETTINGS: ClassVar[Sequence[str]] = ("detector", "joints", "keypoints", "head", "samples", "lag")
+    SETTINGS: ClassVar[Sequence[str]] = ("detector", "keypoints", "head", "samples", "lag")
     BOUNDS: ClassVar[Bounds] = {
         "samples": (lambda samples: samples >= FEWEST_SAMPLES, f"{FEWEST_SAMPLES} or more"),
         "lag": (lambda frames: 0 <= frames <= MOST_LAG, f"0 to {MOST_LAG} frames"),
     }
     EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = (
         ("--head", "--from", "--from contains the person"),
-        ("--joints", "--from", "--from contains the person"),
     )
 
     def settings(self) -> dict[str, Any]:

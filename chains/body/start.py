@@ -20,15 +20,6 @@ Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
-class ClickedJoints:
-    """Joints clicked in a few frames."""
-
-    path: Path  # of their file
-    frames: NDArray[np.int64]  # `(n_frames,)` int64: numbers of the frames, from 1, in order
-    places: Array  # `(n_frames, 8, 2)` px, in the order of `JOINTS`, NaN where a joint was not clicked
-
-
-@dataclass(frozen=True, eq=False)
 class MarkedFace:
     """A detector that returns a face marked by hand, in its own frame only."""
 
@@ -102,16 +93,14 @@ def start_from_faces(
     name: str,
     images: Sequence[Image],
     detector: Path | None,
-    clicked: ClickedJoints | None,
     head: BoundingBox | None = None,
 ) -> BodyStart:
     """Detect a person's face in some images, and learn size and colour from it.
 
     `name`: of the source; `images` `(height, width[, 3])` uint8 BGR, at least one; `detector`: model file of
-    YuNet; OpenCV's cascade without it; `clicked`: joints that give the lengths; `head`: x, y, width, height
-    px of the person's head in the first image; the person with the largest face without it. Raises
-    `ValueError` if there is no face or no detector, or the joints give impossible lengths;
-    `FileNotFoundError` if there is no such model file.
+    YuNet; OpenCV's cascade without it; `head`: x, y, width, height px of the person's head in the first
+    image; the person with the largest face without it. Raises `ValueError` if there is no face or no
+    detector, `FileNotFoundError` if there is no such model file.
     """
     try:
         faces = default_faces(detector)
@@ -128,17 +117,14 @@ def start_from_faces(
             "the camera: mark the head in the first frame with --head"
         ) from None
     origin = "Average proportions of a person with the height of the detected faces."
-    return _start(parts, origin, clicked)
+    return BodyStart(parts, UpperBody.from_head(parts.head_height), origin)
 
 
-def start_from_head(
-    first: Frame, head: BoundingBox, images: Sequence[Image], clicked: ClickedJoints | None
-) -> BodyStart:
+def start_from_head(first: Frame, head: BoundingBox, images: Sequence[Image]) -> BodyStart:
     """Learn size and colour from a head marked by hand.
 
     `first`: its frame, which has an image; `head`: x, y, width, height px, from chin to the top of the skull;
-    `images`: of the same size, from all over the clip; `clicked`: joints that give the lengths. Raises
-    `ValueError` if the head is not in the image, or the joints give impossible lengths.
+    `images`: of the same size, from all over the clip. Raises `ValueError` if the head is not in the image.
     """
     image = first.image
     if image is None:
@@ -156,7 +142,8 @@ def start_from_head(
     still = None if skin is None else static_skin(skin, images)
     parts = BodyParts(height, skin, MarkedFace(box, first.number), still)
     parts = parts.dressed([image], box[None])
-    return _start(parts, "Average proportions of a person with a head of the given height.", clicked)
+    origin = "Average proportions of a person with a head of the given height."
+    return BodyStart(parts, UpperBody.from_head(height), origin)
 
 
 def _face_of(head: BoundingBox) -> BoundingBox:
@@ -164,23 +151,6 @@ def _face_of(head: BoundingBox) -> BoundingBox:
     x, y, width, height = head
     side = height / HEAD_OF_BOX
     return x + (width - side) / 2, y + height / 2 - CENTRE_OF_BOX * side, side, side
-
-
-def _start(parts: BodyParts, origin: str, clicked: ClickedJoints | None) -> BodyStart:
-    usual = UpperBody.from_head(parts.head_height)
-    if clicked is None:
-        return BodyStart(parts, usual, origin)
-    n_frames = len(clicked.frames)
-    try:
-        body = UpperBody.fit(clicked.places, np.full(n_frames, parts.head_height))
-    except ValueError as error:
-        raise ValueError(f"{clicked.path}: {error}") from None
-    if body == usual:
-        raise ValueError(
-            f"{clicked.path}: has no length, expected both ends of an arm's segment in one frame"
-        )
-    origin = f"Fitted to annotated joints in {n_frames} frames; unknown lengths have average proportions."
-    return BodyStart(parts, body, origin)
 
 
 MOST_FRAMES = 200  # that lengths are fitted to, evenly spread over all
@@ -208,13 +178,13 @@ def shows_person(frame: Frame) -> bool:
 
 
 def start_from_keypoints(
-    first: Frame, keypoints: FilmKeypoints, images: Sequence[NDArray[np.uint8]], clicked: ClickedJoints | None
+    first: Frame, keypoints: FilmKeypoints, images: Sequence[NDArray[np.uint8]]
 ) -> BodyStart:
     """Learn size, lengths and colour from the key points of the largest person in a frame.
 
     `first`: the frame, which has an image and `shows_person`; `keypoints`: of the whole film; `images`: of
-    the same size, from all over the film; `clicked`: joints that give the lengths, if any. Raises
-    `ValueError` if the points do not give the person's size, or the head is not in the image.
+    the same size, from all over the film. Raises `ValueError` if the points do not give the person's size, or
+    the head is not in the image.
     """
     given = first.keypoints
     assert given is not None
@@ -225,10 +195,10 @@ def start_from_keypoints(
         raise ValueError(f"{keypoints.path}: {error}: mark the head in the first frame with --head") from None
     (x, y), width = head_places(given, height)[largest(given)].tolist(), PROPORTIONS["head_width"] * height
     try:
-        start = start_from_head(first, (x - width / 2, y - height / 2, width, height), images, clicked)
+        start = start_from_head(first, (x - width / 2, y - height / 2, width, height), images)
     except ValueError as error:
         raise ValueError(f"{keypoints.path}, frame {first.number}: {error}") from None
-    return start if clicked else fit_lengths(start, joints)
+    return fit_lengths(start, joints)
 
 
 def fit_lengths(start: BodyStart, joints: Array) -> BodyStart:

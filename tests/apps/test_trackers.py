@@ -69,7 +69,7 @@ def _body() -> Case:
     head = (100.0, 20.0, 135.0, 62.0)
 
     def by_hand() -> list[Any]:
-        person = start_from_head(Frame(images[0], 0.0, 1), (100.0, 20.0, 35.0, 42.0), images[:1], None)
+        person = start_from_head(Frame(images[0], 0.0, 1), (100.0, 20.0, 35.0, 42.0), images[:1])
         pose = ArticulatedPose(person.body, 50)
         model = MultiChain().connect(FleshTracker(person.body), person.parts).connect(pose, person.parts)
         return [b[pose] for b in _beliefs(model, images)]

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from rsmcm.apps.background.application import build_model
 from rsmcm.apps.background.parameters import read_parameters, with_defaults
-from rsmcm.apps.body.joint_files import read_joints
 from rsmcm.apps.evaluation.scoring import Scoring
 from rsmcm.apps.evaluation.tracks import track_rows
 from rsmcm.apps.evaluation.validity import report_validity
@@ -22,7 +21,6 @@ from rsmcm.apps.io.tracks import read_tracks
 from rsmcm.apps.runs.region import read_region
 from rsmcm.apps.structure.application import read_film
 from rsmcm.apps.structure.job import StructureJob
-from rsmcm.chains.body.start import start_from_head
 from rsmcm.inference import RecursiveBP
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.detectors import default_faces
@@ -151,12 +149,6 @@ def correspondences(folder: Path) -> None:
     read_correspondences(_file(folder))
 
 
-def joints(folder: Path) -> None:
-    """Joints, and the lengths that follow from them."""
-    clicked = read_joints(_file(folder))
-    start_from_head(Frame(IMAGE, 0.0, 1), (20, 5, 12, 16), [IMAGE], clicked)
-
-
 def states(folder: Path) -> None:
     """A saved state, and one more step from it."""
     engine = background_engine()
@@ -187,6 +179,6 @@ READERS: dict[str, Callable[[Path], None]] = {
     reader.__name__: reader
     for reader in (
         films, pictures, masks, regions, boxes, archives, results, detections, keypoints, parameters, zones,
-        tracks, landmarks, models, correspondences, joints, states, predictions, exports, detectors,
+        tracks, landmarks, models, correspondences, states, predictions, exports, detectors,
     )
 }  # fmt: skip

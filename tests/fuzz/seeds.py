@@ -18,7 +18,6 @@ from rsmcm.apps.io.files import LineWriter
 from rsmcm.apps.io.tracks import HEADER, TABLE, TrackedBox, columns_of, table_lines
 from rsmcm.inference import RecursiveBP
 from rsmcm.inference.validity import RecordedPredictions
-from rsmcm.models.body.upper_body import JOINTS
 from rsmcm.models.face.model_files import write_model
 from rsmcm.models.face.morphable_model import MorphableModel, rms_radius
 
@@ -246,14 +245,6 @@ def _correspondences(_: Path) -> list[Files]:
     return [{"pairs.txt": b"# index = number\n0 = 1\n1 = 2\n 7=9 # chin\n12 = 3\n"}]
 
 
-def _joints(_: Path) -> list[Files]:
-    places = ((30, 8), (30, 20), (40, 22), (42, 42), (40, 59), (20, 22), (19, 42), (21, 59))
-    rows = [
-        f"{frame},{joint},{x}.5,{y}" for frame in (1, 9) for joint, (x, y) in zip(JOINTS, places, strict=True)
-    ]
-    return [{"joints.csv": ("frame,joint,x,y\n" + "\n".join(rows) + "\n").encode()}]
-
-
 def _states(folder: Path) -> list[Files]:
     from .readers import background_engine
 
@@ -312,7 +303,6 @@ MAKERS: dict[str, Callable[[Path], list[Files]]] = {
     "landmarks": _points,
     "models": _models,
     "correspondences": _correspondences,
-    "joints": _joints,
     "states": _states,
     "predictions": _predictions,
     "exports": _exports,

@@ -203,20 +203,10 @@ def test_hands_change_their_names_at_the_end(
 # --- who is tracked -----------------------------------------------------------------------------------------
 
 
-def write_joints(path: Path, scene: SignerScene, scale: float = 1.0) -> Path:
-    lines = [
-        f"{index + 1},{name},{scale * x:.1f},{scale * y:.1f}"
-        for index in (0, 5, 11)
-        for name, (x, y) in zip(JOINTS, scene.joints[index, :, :2], strict=True)
-    ]
-    path.write_text("\n".join(["frame,joint,x,y", *lines]))
-    return path
-
-
 def test_a_marked_head_gives_size_and_colour(images: list[Image], scene: SignerScene) -> None:
     """A grey image has no colour."""
     box = read_head(head_of(scene))
-    start = start_from_head(Frame(images[0], 0.0, 1), box, images[:1], None)
+    start = start_from_head(Frame(images[0], 0.0, 1), box, images[:1])
     assert start.parts.head_height == start.body.head_height == box[3]
     assert start.parts.skin is not None
     assert start.notes == []
@@ -224,7 +214,7 @@ def test_a_marked_head_gives_size_and_colour(images: list[Image], scene: SignerS
     assert [len(start.parts.detector(Frame(images[0], 0.0, number))) for number in (1, 2)] == [1, 0]
     odds, (x, y) = start.parts.skin.log_odds(images[0]), scene.joints[0, HEAD, :2].astype(int)
     assert odds[y : y + 10, x - 5 : x + 5].mean() > odds[:, :20].mean() + 1
-    grey = start_from_head(Frame(images[0][..., 1], 0.0, 1), box, images[:1], None)
+    grey = start_from_head(Frame(images[0][..., 1], 0.0, 1), box, images[:1])
     assert grey.parts.skin is None
     assert "grey" in grey.notes[0]
 
@@ -307,11 +297,6 @@ def test_wrong_arguments(
     out = ("--out", tmp_path / "out")
     bad = tmp_path / "bad.onnx"
     bad.write_bytes(b"no network")
-    nonsense = tmp_path / "nonsense.csv"
-    nonsense.write_text("frame,joint,x,y\n1,nose,3,4\n")
-    giant = write_joints(tmp_path / "giant.csv", scene, 9.0)
-    lonely = tmp_path / "lonely.csv"
-    lonely.write_text("frame,joint,x,y\n1,left_hand,3,4\n")
     for arguments, words in (
         ((film, *out), "no face detector along, expected a model file of YuNet as --detector, or the head"),
         ((film, *out, "--detector", bad), "bad.onnx: is no model"),
@@ -319,10 +304,6 @@ def test_wrong_arguments(
         ((film, *out, "--head", "1,2,3"), "--head: got '1,2,3', expected x,y,width,height in px"),
         ((film, *out, "--head", "400,10,30,40"), "expected the head inside the picture of 320x180 px"),
         ((film, *out, "--head=-90,10,30,40"), "expected the head inside the picture of 320x180 px"),
-        ((film, *out, *head, "--joints", tmp_path / "nowhere.csv"), "nowhere.csv: No such file"),
-        ((film, *out, *head, "--joints", nonsense), "nonsense.csv, line 2: got the joint 'nose'"),
-        ((film, *out, *head, "--joints", giant), "giant.csv: "),
-        ((film, *out, *head, "--joints", lonely), "lonely.csv: has no length"),
         ((film, *out, *head, "--samples", 9), "--samples: got 9, expected 10 or more"),
         ((film, *out, *head, "--samples", "many"), "--samples"),
         ((film, *out, *head, "--lag", -1), "--lag: got -1, expected 0 to 250 frames"),
@@ -394,8 +375,8 @@ def test_of_several_faces_the_one_that_is_pointed_at(
         return np.array([(20.0, 20.0, 60.0, 60.0), (x, y + 0.1 * height, 0.75 * height, 0.75 * height)])
 
     monkeypatch.setattr("rsmcm.chains.body.start.default_faces", lambda path: faces)
-    largest = start_from_faces("film", images, Path("any.onnx"), None)
-    meant = start_from_faces("film", images, Path("any.onnx"), None, own)
+    largest = start_from_faces("film", images, Path("any.onnx"))
+    meant = start_from_faces("film", images, Path("any.onnx"), own)
     assert largest.parts.head_height == pytest.approx(HEAD_OF_BOX * 60)
     assert meant.parts.head_height == pytest.approx(HEAD_OF_BOX * 0.75 * height)
     again = SavedPerson.of(meant).start(Path("any.onnx"))
