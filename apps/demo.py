@@ -16,7 +16,6 @@ from ..models.body.upper_body import JOINTS
 from ..models.files import write_atomically, write_text
 from .background.application import run_background
 from .background.job import BackgroundJob
-from .body.joint_files import COLUMNS
 from .experiments.compare import run_compare
 from .io.files import write_image
 from .runs.interruption import Outcome
@@ -99,7 +98,7 @@ def write_body(scene: SignerScene, folder: Path) -> None:
         for index in clicked
         for name, (x, y) in zip(JOINTS, scene.joints[index, :, :2], strict=True)
     ]
-    write_text(folder / "joints.csv", "\n".join([",".join(COLUMNS), *lines, ""]))
+    write_text(folder / "joints.csv", "\n".join(["frame,joint,x,y", *lines, ""]))
 
 
 def _write_film(name: str, images: Iterator[NDArray[np.uint8]], count: int, folder: Path) -> None:
