@@ -51,9 +51,7 @@ class BodyJob(FilmJob):
         "samples": (lambda samples: samples >= FEWEST_SAMPLES, f"{FEWEST_SAMPLES} or more"),
         "lag": (lambda frames: 0 <= frames <= MOST_LAG, f"0 to {MOST_LAG} frames"),
     }
-    EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = (
-        ("--head", "--from", "--from contains the person"),
-    )
+    EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = (("--head", "--from", "--from contains the person"),)
 
     def settings(self) -> dict[str, Any]:
         """What the results depend on, beside the source; with the content of the keypoints."""

@@ -298,7 +298,7 @@ def test_wrong_arguments(
     bad = tmp_path / "bad.onnx"
     bad.write_bytes(b"no network")
     for arguments, words in (
-        ((film, *out), "no face detector along, expected a model file of YuNet as --detector, or the head"),
+        ((film, *out), "no face detector, expected a model file of YuNet as --detector, or the head"),
         ((film, *out, "--detector", bad), "bad.onnx: is no model"),
         ((film, *out, "--detector", tmp_path / "nowhere.onnx"), "nowhere.onnx: no such file"),
         ((film, *out, "--head", "1,2,3"), "--head: got '1,2,3', expected x,y,width,height in px"),

@@ -308,7 +308,7 @@ def test_no_face_and_no_detector(
     )
     monkeypatch.delattr(cv2, "CascadeClassifier", raising=False)
     message = complaint(capfd, film, *out)
-    assert "no face detector along, expected --landmarks" in message
+    assert "no face detector, expected --landmarks" in message
     monkeypatch.setattr(application, "default_faces", lambda *_: lambda frame: np.zeros((0, 4)))
     assert "no face is found in it" in complaint(capfd, film, *out)
     assert not (tmp_path / "out").exists()
