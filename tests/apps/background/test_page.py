@@ -97,7 +97,7 @@ def test_a_page_says_everything(tmp_path: Path) -> None:
     text = (tmp_path / "view.html").read_text()
     for expected in (
         "Street &amp; square", "background.noise", "&lt;b&gt;&amp;.avi", "0.9123", "frames 5, 6", "nats",
-        "The camera moves.", "Where the feet went",
+        "The camera moves.", "Paths of the feet",
     ):  # fmt: skip
         assert expected in text
     assert [path.name for path in tmp_path.iterdir()] == ["view.html"]

@@ -407,8 +407,8 @@ def test_command_prints_verdicts(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "chain-a + chain-b on points: helps. Errors of " in out
     assert "Theorem 2 is met" in out
     assert "chain-a has calibrated covariances" in out
-    assert "predicts what is observed better" in out
-    assert "predicts what is observed worse" in out
+    assert "predicts the observations better" in out
+    assert "predicts the observations worse" in out
 
 
 def test_command_on_wrong_folders(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

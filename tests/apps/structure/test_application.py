@@ -177,7 +177,7 @@ def test_one_coordinate_of_a_position_is_used(
     n_half = int((np.isnan(lines).sum(axis=2) == 1).sum())
     source = track_file(tmp_path / "t.npz", lines)
     assert run(source, "--out", tmp_path / "out", *ALONE) == 0
-    assert f"one coordinate is known: {n_half}." in capfd.readouterr().out
+    assert f"one known coordinate: {n_half}." in capfd.readouterr().out
     assert None not in summary_of(tmp_path / "out")["objective"]
     with np.load(tmp_path / "out" / "tracks.npz") as content:
         places, observed = content["position"][:, content["point_of_track"]], content["observed"]

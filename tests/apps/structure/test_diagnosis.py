@@ -121,7 +121,11 @@ def pictures(kind: str) -> list[Image]:
 @pytest.mark.parametrize(
     ("kind", "missing", "why"),
     [
-        ("grey", "0 points can be tracked, and 4 are needed", "grey levels deviate by 0 of 255"),
+        (
+            "grey",
+            "0 points can be tracked, and 4 are needed",
+            "standard deviation of grey levels is 0 of 255",
+        ),
         ("dot", "points can be tracked, and 4 are needed", "Only corners can be tracked"),
     ],
 )
