@@ -272,8 +272,8 @@ def _tracks(job: StructureJob) -> Film:
     notes = []
     if n_half := int(np.count_nonzero(seen & ~whole)):
         notes.append(
-            f"Positions with one known coordinate: {n_half}. Affine cameras and the shape are found "
-            "from them, too; errors, counts and perspective cameras are of the others."
+            f"Positions with one known coordinate: {n_half}. Affine cameras and the shape use them; "
+            "errors, counts and perspective cameras do not."
         )
     empty = [number for number, some in zip(numbers, seen, strict=True) if not some.any()]
     if empty:
