@@ -6,8 +6,8 @@ from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from ...models.core.short_repr import short_repr
 from ...models.numerics.compiled import compiled, logarithm, put
@@ -70,7 +70,8 @@ def follow(
     odds = np.log(clear) - np.log1p(-clear) + texture
     weight = np.where(agreement > LEAST_AGREEMENT, agreement / (1 + np.exp(-odds.clip(-30, 30))), 0.0)
     change = np.log(ratios).astype(np.float64)
-    medians = ndimage.median_filter(_extrapolated(_filled(change, weight)), 3)[1:-1, 1:-1]
+    around = sliding_window_view(_extrapolated(_filled(change, weight)), (3, 3))
+    medians = np.partition(around.reshape(*weight.shape, 9), 4)[..., 4]
     padded = _extrapolated(medians)  # smoothed by 1 2 1 both ways: errors of no wavelength grow
     rows = padded[:-2] + 2 * padded[1:-1] + padded[2:]
     step = (rows[:, :-2] + 2 * rows[:, 1:-1] + rows[:, 2:]) / 16
