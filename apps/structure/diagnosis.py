@@ -145,7 +145,9 @@ def no_depth(reason: str, tracks: Numbers) -> Diagnosis:
     motion = motion_of(tracks)
     parallax = ""
     if math.isfinite(motion.parallax):
-        parallax = f" Homographies between pictures far apart leave {motion.parallax:.2g} px per point over"
+        parallax = (
+            f" Homographies between distant frames have a residual of {motion.parallax:.2g} px per point"
+        )
         parallax += ", no more than noise: no parallax."
     return Diagnosis(
         f"The shape is undetermined, and none is given: {reason}.",

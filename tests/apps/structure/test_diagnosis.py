@@ -21,7 +21,7 @@ ALONE = ("--association", "none")
 WHY = {
     "still": "nothing moves",
     "zoom": "the camera only zooms",
-    "rotation": "a camera that turns and zooms where it stands",
+    "rotation": "a camera that rotates and zooms in place",
     "plane": "one plane explains all motion",
 }
 

@@ -58,7 +58,7 @@ def test_no_cascade_no_model(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(cv2, "CascadeClassifier", raising=False)
     with pytest.raises(ValueError, match=r"^OpenCV .* has no face detector$"):
         HaarFaces()
-    with pytest.raises(ValueError, match=r"^OpenCV .* along, expected a model file of YuNet$"):
+    with pytest.raises(ValueError, match=r"^OpenCV .* detector, expected a model file of YuNet$"):
         default_faces()
 
 
