@@ -215,9 +215,9 @@ class Objects:
     Parameters
     ----------
     tracks
-        one an object, as `belief["blobs"].tracks()` has them.
+        one per object, as in `belief["blobs"].tracks()`.
     foreground
-        `(height, width)` uint8, 255 where something covers the background, else 0.
+        `(height, width)` uint8, 255 for foreground, 0 for background.
     """
 
     tracks: Sequence[TrackedObject]
@@ -352,9 +352,9 @@ class TrackedFace:
     expression
         `(n_bases,)` px: coefficients of the face's shapes; the first is its size.
     landmarks
-        `(n, 2)` px: points of the surface, where the landmarks were that were given at the start.
+        `(n, 2)` px: the landmarks given at the start, tracked on the surface.
     lost
-        whether the tracker knows that it does not follow the face.
+        whether the face is lost.
     """
 
     vertices: Floats
@@ -606,7 +606,7 @@ class Points:
     velocities
         `(n, 2)` px/s.
     identities
-        `(n,)`: numbers that stay with the points, and are never used twice.
+        `(n,)`: constant for each point, never used twice.
     seen
         `(n,)`: whether the image shows the point; otherwise it is only predicted.
     """

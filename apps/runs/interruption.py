@@ -15,7 +15,7 @@ SIGNALLED = 128
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended: its `summary.json`, also in `words`, and the signal that ended it early, if any."""
+    """Result of a run: its `summary.json`, also in `words`, and the signal that ended it, if any."""
 
     summary: dict[str, Any]
     signal: int | None
@@ -23,13 +23,13 @@ class Outcome:
 
     @property
     def lost(self) -> str | None:
-        """Why its camera or stream was lost permanently; `None` if it was not."""
+        """Why the camera or stream was lost permanently; otherwise `None`."""
         stream = self.summary.get("stream")
         return None if stream is None else stream["lost"]
 
     @property
     def nothing(self) -> str | None:
-        """What is missing, where nothing was found; `None` where something was."""
+        """Message if there is no result; otherwise `None`."""
         diagnosis = self.summary.get("diagnosis")
         return None if diagnosis is None else diagnosis["missing"]
 

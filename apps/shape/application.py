@@ -27,8 +27,7 @@ NAME = "shape"
 def run_shape(job: ShapeJob) -> Outcome:
     """Run the shape application; all results are in the job's folder afterwards.
 
-    Nothing is saved before the end: a run takes seconds, and there is no `--resume`. Errors are those of
-    `run_film`.
+    There is no saved state, since a run takes seconds. Errors are those of `run_film`.
     """
     session = Session(NAME, job, job.settings())
     with session.running():

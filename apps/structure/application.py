@@ -89,8 +89,9 @@ FILES = (
 def run_structure(job: StructureJob) -> Outcome:
     """Run the structure application; all results are in the job's folder afterwards.
 
-    The state is saved after every round of the ascent. A signal ends it after the current one, with complete
-    results. A source that breaks in the middle leaves none. Errors are those of `run_film`.
+    The state is saved after every round of the ascent. A signal ends it after the current round, with
+    complete results. There are no results if the source cannot be read to its end. Errors are those of
+    `run_film`.
     """
     if job.engine == "recursive-bp":
         if Path(job.source).suffix.lower() in TRACK_FILES:
