@@ -123,11 +123,11 @@ def measured_when(record: Record, changed: str) -> str:
     made = record.made
     minutes = round(made.seconds / 60)
     took = f"{made.seconds:.0f} s" if minutes < 2 else f"{minutes} min"
-    others = "" if math.isnan(made.others) else f", meanwhile {made.others:.1f} cores busy with others"
+    others = "" if math.isnan(made.others) else f", {made.others:.1f} cores busy with other processes"
     versions = ", ".join(f"{name} {version}" for name, version in made.versions.items())
     return (
-        f"`{record.command}`; {_when(made, changed)}; {made.machine}; {took}, load before it {made.load:.1f}"
-        f"{others}; {versions}."
+        f"`{record.command}`; {_when(made, changed)}; {made.machine}; {took}, load {made.load:.1f} "
+        f"at the start{others}; {versions}."
     )
 
 
