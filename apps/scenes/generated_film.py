@@ -68,10 +68,3 @@ class GeneratedFilm(Lazy[Frame]):
             picture = picture + np.float32(noise) * generator.standard_normal(picture.shape, np.float32)
         image = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
         return Frame(image, index * self.dt, index + 1)
-
-
-def check_range(name: str, value: float, least: float = 0.0, most: float = np.inf, unit: str = "") -> None:
-    """Raise `ValueError` if a parameter is out of its range."""
-    if not (least <= value <= most and value < np.inf):
-        expected = f"{least:g} or more" if most == np.inf else f"{least:g} to {most:g}{unit}"
-        raise ValueError(f"{name}: got {value}, expected {expected}")

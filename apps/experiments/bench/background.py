@@ -58,13 +58,13 @@ Image = NDArray[np.uint8]
 # --- what is timed ------------------------------------------------------------------------------------------
 
 
-def preloaded(n_frames: int = N_FRAMES, step: int = 1, **generated: Any) -> Sequence[Frame]:
-    """Return every `step`-th frame of PETS2009 S2.L1 where it can be found, else of a generated scene."""
+def preloaded(n_frames: int = N_FRAMES, **generated: Any) -> Sequence[Frame]:
+    """Return frames of PETS2009 S2.L1 where it can be found, else of a generated scene."""
     try:
         film = str(data_folder("pets2009-s2l1") / "vtest.avi")
     except OSError:
         return list(sleeping_man(n_frames, **{"size": SIZE, **generated}))
-    with open_source(film, step=step, stop=step * n_frames) as source:
+    with open_source(film, stop=n_frames) as source:
         return list(source)
 
 

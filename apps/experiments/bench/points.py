@@ -239,7 +239,7 @@ def turning_points(n_frames: int, n_points: int, length: int, seed: int = 0) -> 
     return positions
 
 
-def bundle_adjustment(positions: Numbers, cameras: Numbers, shape: Numbers, most_steps: int = 60) -> float:
+def bundle_adjustment(positions: Numbers, cameras: Numbers, shape: Numbers) -> float:
     """Return the root mean square error (px) of joint least squares over all cameras and points.
 
     Sparse analytic Jacobian, trust region with LSMR (`scipy.optimize.least_squares`).
@@ -275,6 +275,6 @@ def bundle_adjustment(positions: Numbers, cameras: Numbers, shape: Numbers, most
         tr_solver="lsmr",
         x_scale="jac",
         ftol=1e-8,
-        max_nfev=most_steps,
+        max_nfev=60,
     )
     return float(np.sqrt(np.mean(found.fun**2)))
