@@ -122,6 +122,3 @@ def test_a_click_on_a_joint_selects_it(shown: ViewPage, joints: NDArray[np.float
         assert abs(shown.numbers("depth")[0] - abs(joints[index, joint, 2])) < 0.06
     shown.click((2, 2))
     assert shown.selected is None
-
-
-# --- fingers and the whole screen ---------------------------------------------------------------------------

@@ -134,30 +134,3 @@ def test_learned_from_a_clip() -> None:
         BodyParts.learned([picture(), picture()], Faces())
     with pytest.raises(ValueError, match="images: got no face in 0 of 0"):
         BodyParts.learned([], Faces(BOX))
-
-
-# hand-marked centres, px, of the right and the left hand in every 16th frame of a film of 125
-
-
-def two_people(order: int = 0) -> tuple[Image, Array, Array]:
-    """A picture of two, and their faces' boxes: the second is smaller, darker, at the right."""
-    image = picture()
-    rows, columns = np.mgrid[:240, :320]
-    image[np.hypot((columns - 270) / 25, (rows - 60) / 33) < 1] = (40, 60, 110)
-    other = np.array([270 - 22, 60 - 18, 44.0, 44.0])
-    return image, np.array([BOX, other])[:: 1 - 2 * order], other
-
-
-def test_of_two_people_the_larger_one_is_learned_whatever_the_order() -> None:
-    image, _, _ = two_people()
-    alone = BodyParts.learned([image], Faces(BOX))
-    frames = [image] * 4
-
-    def alternating(frame: Frame) -> Array:
-        return two_people(frame.number % 2)[1]
-
-    both = BodyParts.learned(frames, alternating)
-    assert both.head_height == alone.head_height == pytest.approx(HEIGHT)
-    assert both.skin is not None
-    assert alone.skin is not None
-    np.testing.assert_allclose(both.skin.table, alone.skin.table, atol=1e-5)
