@@ -18,8 +18,9 @@ from scipy.special import i0e
 
 from ...inference.smc import normalised, systematic
 from ...models.body.upper_body import PART_JOINTS, BodyPoses, UpperBody, arm_at, log_volume, swivels
-from ...models.core.gaussian_mixtures import GaussianMixtures, log_sums
+from ...models.core.gaussian_mixtures import GaussianMixtures
 from .dynamics import Ancestors, BodyDynamics
+from .kernels import choose, closeness_to, guided_values
 from .tempering import Strata
 
 Array = NDArray[np.float64]
@@ -187,16 +188,11 @@ def draw_guided(
 
 def _closeness(targets: _Targets, joints: Array, step: float, choice: Array) -> Array:
     """`(k_targets, k_past)`: weight of each past pose for a target, over its weight without one."""
-    wide = targets.covariances + step**2 * np.eye(2)
-    near = np.exp(-0.5 * _squares(joints, targets, wide)).T + FARAWAY
-    return np.asarray(near / (near * choice).sum(axis=1, keepdims=True))
-
-
-def _squares(joints: Array, targets: _Targets, covariances: Array) -> Array:
-    """`(n, k_targets)`: squared Mahalanobis distances of hands from their targets."""
-    x, y = np.moveaxis(joints[:, np.array(HANDS)[targets.sides], :2] - targets.means, 2, 0)
-    (xx, xy), (_, yy) = np.linalg.inv(covariances).transpose(1, 2, 0)
-    return np.asarray(xx * x * x + 2 * xy * x * y + yy * y * y)
+    wide = np.linalg.inv(targets.covariances + step**2 * np.eye(2))
+    closeness = np.empty((len(targets.sides), len(joints)))
+    hands = np.ascontiguousarray(joints[:, HANDS, :2])
+    closeness_to(hands, targets.sides, targets.means, wide, FARAWAY, choice, closeness)
+    return closeness
 
 
 def _guide(
@@ -257,12 +253,15 @@ def _log_drawn(
         near = hidden.log_density(chosen, side, offsets[:, 2], angles)
         evenly = np.log(ANYWHERE / (4 * np.pi)) - np.log(half_range(body, offsets))
         completions[:, side] = np.logaddexp(np.log1p(-ANYWHERE) + near, evenly) + log_volume(body, offsets)
-    heights = targets.shares / (2 * np.pi * np.sqrt(np.linalg.det(targets.covariances)))
-    terms = np.log(closeness[:, chosen]).T + (completions - walks)[:, targets.sides]
-    terms += np.log(heights) - 0.5 * _squares(joints, targets, targets.covariances)
-    untargeted = np.full((len(poses), 1), np.log(1.0 - targets.shares.sum()))
-    total: Array = walks.sum(axis=1) + log_sums(np.concatenate([terms, untargeted], axis=1))
-    return total
+    precisions = np.linalg.inv(targets.covariances)
+    heights = targets.shares * np.sqrt(np.linalg.det(precisions)) / (2 * np.pi)
+    values = np.empty(len(poses))
+    guided_values(
+        np.ascontiguousarray(joints[:, HANDS, :2]), chosen, walks, completions,
+        targets.sides, targets.means, precisions, np.append(heights, 1.0 - targets.shares.sum()),
+        closeness, values,
+    )  # fmt: skip
+    return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,12 +300,9 @@ def _chosen(
     ends = np.floor(n * np.cumsum(shares) + random.random()).astype(np.int64)
     counts = np.diff(ends, prepend=0)
     counts = np.append(counts, n - counts.sum())
-    chosen = []
-    for target, (count, shift) in enumerate(zip(counts, random.random(len(counts)), strict=True)):
-        ends = np.cumsum(choice * closeness[target] if target < len(closeness) else choice)
-        places = (np.arange(count) + shift) * (ends[-1] / max(count, 1))
-        chosen.append(np.searchsorted(ends[:-1], places, side="right"))
-    return np.concatenate(chosen), np.repeat(np.append(np.arange(len(shares)), -1), counts)
+    chosen = np.empty(n, np.int64)
+    choose(choice, closeness, counts, random.random(len(counts)), chosen)
+    return chosen, np.repeat(np.append(np.arange(len(shares)), -1), counts)
 
 
 RESTARTED = 0.1  # share of candidates without a past, at least: a body that reappears elsewhere needs them

@@ -74,6 +74,21 @@ def place_joints(roots, torsos, necks, arms, neck, half, upper, fore, joints):
             joints[k, first + 2, 2] = ez + fore * arms[k, side, 1, 2]
 
 
+@compiled
+def place_parts(roots, torsos, necks, arms, neck, half, upper, fore, parts):
+    """Write head and hands in the image into `parts` `(n, 3, 2)`; otherwise as `place_joints`."""
+    for k in range(len(roots)):
+        x, y = roots[k, 0], roots[k, 1]
+        right, _, _ = rotation(torsos[k, 0], torsos[k, 1], torsos[k, 2])
+        _, (dx, dy, _), _ = rotation(necks[k, 0], necks[k, 1], necks[k, 2])
+        parts[k, 0, 0], parts[k, 0, 1] = x - neck * dx, y - neck * dy
+        for side in range(2):
+            aside = (1 - 2 * side) * half
+            sx, sy = x + aside * right[0], y + aside * right[1]
+            parts[k, 1 + side, 0] = sx + upper * arms[k, side, 0, 0] + fore * arms[k, side, 1, 0]
+            parts[k, 1 + side, 1] = sy + upper * arms[k, side, 0, 1] + fore * arms[k, side, 1, 1]
+
+
 @helper
 def _along(axes, x, y, z):
     """Coordinates of a vector along the axes that `rotation` gives."""

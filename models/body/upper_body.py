@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..core.checks import Positive, Shape, checked
 from ..core.short_repr import Rows, short_repr
 from ..numerics.rotations import logarithm
-from .kernels import elbows, place_joints, reach, within_limits
+from .kernels import elbows, place_joints, place_parts, reach, within_limits
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -68,7 +68,11 @@ class BodyPoses(Rows):
         rows = np.asarray(chosen)
         if rows.dtype == np.bool_:
             rows = np.flatnonzero(rows)
-        return type(self)(*(each.take(rows, 0) for each in self.arrays))  # several times faster than `[rows]`
+        taken = object.__new__(type(self))  # not checked again, which would take as long
+        names = ("roots", "torsos", "necks", "arms")
+        # `take` is several times faster than `[rows]`
+        vars(taken).update({name: getattr(self, name).take(rows, 0) for name in names})
+        return taken
 
     def replaced(self, where: NDArray[np.bool_], others: "BodyPoses") -> Self:
         """Replace the poses `where` `(n,)` by those of `others`."""
@@ -364,7 +368,12 @@ class UpperBody:
 
     def parts(self, poses: BodyPoses) -> Array:
         """`(n, 3, 2)` px: head, left hand and right hand in the image."""
-        return np.ascontiguousarray(self.joints(poses)[:, PART_JOINTS, :2])
+        parts = np.empty((len(poses), 3, 2))
+        place_parts(
+            *poses.arrays,
+            self.neck, self.shoulder_width / 2, self.upper_arm, self.forearm, parts,
+        )  # fmt: skip
+        return parts
 
     def shoulders(self, poses: BodyPoses) -> Array:
         """`(n, 2, 3)` px: left and right shoulder, as in `joints`."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
+from rsmcm.chains.body.kernels import choose, closeness_to, guided_values
 from rsmcm.chains.body.proposals import ANYWHERE, GUIDED, Guided, draw_guided, half_range
 from rsmcm.models.body.upper_body import JOINTS, BodyPoses, UpperBody, log_volume, swivels
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
@@ -134,3 +135,53 @@ def test_weights_are_prediction_over_density_of_the_draw(side: int) -> None:
         walks + dynamics.log_posture(found.poses, DT) - density(found, past, dynamics, (side, place, 6.0))
     )
     np.testing.assert_allclose(found.log_weights, expected - logsumexp(expected), atol=1e-6)
+
+
+def test_kernel_is_the_sum_over_targets() -> None:
+    random = np.random.default_rng(0)
+    n, k, ancestors = 50, 5, 4
+    hands, means = random.normal(0, 30, (n, 2, 2)), random.normal(0, 30, (k, 2))
+    chosen, sides = random.integers(ancestors, size=n), random.integers(2, size=k)
+    walks, completions = random.normal(-3, 30, (2, n, 2))
+    closeness, shares = random.random((k, ancestors)), random.dirichlet(np.ones(k + 1))
+    roots = random.normal(0, 10, (k, 2, 2))
+    covariances = roots @ np.swapaxes(roots, 1, 2) + 9 * np.eye(2)
+    heights = shares[:k] / (2 * np.pi * np.sqrt(np.linalg.det(covariances)))
+    values = np.empty(n)
+    precisions = np.linalg.inv(covariances)
+    heights = np.append(heights, shares[k])
+    guided_values(hands, chosen, walks, completions, sides, means, precisions, heights, closeness, values)
+    terms = [np.log(shares[k]) + walks.sum(axis=1)]
+    for target in range(k):
+        side = sides[target]
+        at = multivariate_normal(means[target], covariances[target]).logpdf(hands[:, side])
+        terms.append(
+            np.log(shares[target] * closeness[target, chosen])
+            + at
+            + completions[:, side]
+            + walks[:, 1 - side]
+        )
+    np.testing.assert_allclose(values, logsumexp(terms, axis=0), rtol=1e-9)
+
+
+def test_poses_are_chosen_for_targets_as_plain_numpy_and_systematic_resampling_have_it() -> None:
+    random = np.random.default_rng(3)
+    n, k = 300, 4
+    hands, means = random.normal(0, 30, (n, 2, 2)), random.normal(0, 30, (k, 2))
+    roots = random.normal(0, 8, (k, 2, 2))
+    precisions = np.linalg.inv(roots @ np.swapaxes(roots, 1, 2) + 20 * np.eye(2))
+    sides, choice = np.array([0, 1, 1, 0]), random.dirichlet(np.ones(n))
+    found = np.empty((k, n))
+    closeness_to(hands, sides, means, precisions, 1e-3, choice, found)
+    apart = hands[:, sides] - means
+    near = np.exp(-0.5 * np.einsum("nkx,kxy,nky->kn", apart, precisions, apart)) + 1e-3
+    np.testing.assert_allclose(found, near / (near @ choice)[:, None], rtol=1e-9)
+    counts, shifts = np.array([50, 0, 7, 200, 90]), random.random(5)
+    chosen = np.empty(counts.sum(), np.int64)
+    choose(choice, found, counts, shifts, chosen)
+    expected = []
+    for target, (count, shift) in enumerate(zip(counts, shifts, strict=True)):
+        ends = np.cumsum(choice * found[target] if target < k else choice)
+        points = (np.arange(count) + shift) * ends[-1] / max(count, 1)
+        expected.append(np.searchsorted(ends[:-1], points, side="right"))
+    np.testing.assert_array_equal(chosen, np.concatenate(expected))
