@@ -162,8 +162,8 @@ class Body(Application[BodyJob]):
                 break
             start.before.append(first.number)
         else:
-            what = "a head or shoulders were found" if by_keypoints else "anything is to be seen"
-            raise start.no_frame(f"holds no frame in which {what}")
+            found = "holds no frame in which a head or shoulders were found"
+            raise start.no_frame(found if by_keypoints else "holds only blank frames")
         if images is None:
             images = self._calibration_images(start)
         images = images or [first.image]  # if all others are blank
