@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..models.core.checks import Count, NotNegative, checked
 from ..models.core.short_repr import short_repr
 from . import kernels as kalman_kernels
+from .kernels import ROUNDING
 
 Array = NDArray[np.float64]
 
@@ -89,6 +90,7 @@ def _check(dt: float) -> None:
 
 
 STATE = 4
+LEAST_SHARE = 1e-12  # of a position's information: what other frames add that is less is rounding
 
 
 @short_repr
@@ -203,10 +205,60 @@ def smooth(filtered: PointStates, times: ArrayLike, acceleration: ArrayLike) -> 
     seconds = _checked_times(times)
     if len(seconds) != len(filtered):
         raise ValueError(f"times: got {len(seconds)} for states in {len(filtered)} frames, expected as many")
-    smoothed = _empty_like(filtered)
+    means, covariances = (array.copy() for array in filtered.arrays)
     noise = _per_point(acceleration, n_points)
-    kalman_kernels.smooth_states(seconds, *filtered.arrays, noise, *smoothed.arrays)
-    return smoothed
+    for t in range(len(seconds) - 2, -1, -1):
+        later = means[t + 1], covariances[t + 1]
+        dt = seconds[t + 1] - seconds[t]
+        means[t], covariances[t] = _step_back(means[t], covariances[t], *later, dt, noise)
+    return PointStates(means, covariances)
+
+
+def _step_back(
+    mean: Array, covariance: Array, later_mean: Array, later: Array, dt: float, noise: Array
+) -> tuple[Array, Array]:
+    """Smoothed states from filtered ones and the smoothed ones of `dt` s later.
+
+    The recursion as a sum of two covariances: with the motion undone, the later state is the earlier one plus
+    noise of covariance n, and is believed by k = p (p + n)^-1.
+    """
+    unit, far = np.eye(2), dt * noise[:, None, None] * np.eye(2)
+    near, cross = dt * dt / 3 * far, -0.5 * dt * far
+    added = np.block([[near, cross], [cross, far]])
+    # r = (p + n)^-1 by blocks
+    total = covariance + added
+    of_position, both = _inverse(total[:, :2, :2]), total[:, :2, 2:]
+    slope = of_position @ both
+    of_velocity = _inverse(_remainder(total[:, 2:, 2:], slope.mT @ both))
+    mixed = -slope @ of_velocity
+    inverse = np.block([[of_position - mixed @ slope.mT, mixed], [mixed.mT, of_velocity]])
+    left = added @ inverse  # what remains of the earlier state's own error, n r = 1 - k
+    kept = np.eye(STATE) - left
+    back = np.block([[unit, -dt * unit], [np.zeros((2, 2)), unit]])
+    off = later_mean @ back.T - mean
+    grown = left @ covariance @ left.mT + kept @ (back @ later @ back.T + added) @ kept.mT
+    grown = 0.5 * (grown + grown.mT)
+    grown[:, range(STATE), range(STATE)] *= 1 + ROUNDING
+    return mean + (kept @ off[..., None])[..., 0], grown
+
+
+def _inverse(blocks: Array) -> Array:
+    """Inverses of symmetric, positive definite matrices `(..., 2, 2)`."""
+    xx, xy, yy = blocks[..., 0, 0], blocks[..., 0, 1], blocks[..., 1, 1]
+    determinant = np.maximum(xx * yy - xy * xy, ROUNDING * xx * yy)
+    adjugate = np.stack([np.stack([yy, -xy], axis=-1), np.stack([-xy, xx], axis=-1)], axis=-2)
+    inverse: Array = adjugate / determinant[..., None, None]
+    return inverse
+
+
+def _remainder(whole: Array, explained: Array) -> Array:
+    """Symmetric `whole` - `explained`, covariances, kept positive definite whatever rounding does."""
+    left = whole - 0.5 * (explained + explained.mT)
+    diagonal = np.maximum(left[:, range(2), range(2)], 0.0)
+    most = np.sqrt(diagonal.prod(axis=1))
+    left[:, 0, 1] = left[:, 1, 0] = np.clip(left[:, 0, 1], -most, most)
+    left[:, range(2), range(2)] = diagonal + ROUNDING * whole[:, range(2), range(2)]
+    return left
 
 
 def cavity(smoothed: PointStates, information: ArrayLike, vector: ArrayLike) -> tuple[Array, Array]:
@@ -219,16 +271,15 @@ def cavity(smoothed: PointStates, information: ArrayLike, vector: ArrayLike) -> 
     """
     _checked_states(smoothed, 2)
     own_information, own_vector = _checked_measurements(information, vector, smoothed.mean.shape[:-1])
-    others_information, others_vector = np.empty_like(own_information), np.empty_like(own_vector)
-    kalman_kernels.cavities(
-        _plain(smoothed.mean).reshape(-1, STATE),
-        _plain(smoothed.covariance).reshape(-1, STATE, STATE),
-        own_information.reshape(-1, 2, 2),
-        own_vector.reshape(-1, 2),
-        others_information.reshape(-1, 2, 2),
-        others_vector.reshape(-1, 2),
-    )
-    return others_information, others_vector
+    whole = _inverse(smoothed.position_covariance)
+    others = whole - own_information
+    # smallest eigenvalue with the whole information's diagonal scaled to 1
+    size = np.sqrt(whole[..., range(2), range(2)])
+    scaled = others / (size[..., :, None] * size[..., None, :])
+    xx, xy, yy = scaled[..., 0, 0], scaled[..., 0, 1], scaled[..., 1, 1]
+    sure = xx + yy - np.hypot(xx - yy, 2 * xy) > 2 * LEAST_SHARE
+    others_vector = (whole @ smoothed.position[..., None])[..., 0] - own_vector
+    return np.where(sure[..., None, None], others, 0.0), np.where(sure[..., None], others_vector, 0.0)
 
 
 def _plain(array: ArrayLike) -> Array:

@@ -1,4 +1,4 @@
-"""Kalman filter and smoother of many points in the plane: position and velocity along x and y, fully coupled.
+"""Kalman filter of many points in the plane: position and velocity along x and y, fully coupled.
 
 Points are worked on `LANES` at a time, numbers first and points last, so that every operation of the loops is
 one on whole vector registers; arrays outside have points first. A state is (x, y, velocity of x, velocity of
@@ -14,10 +14,8 @@ LANES = 32
 _S, _B, _V = 4 * LANES, 7 * LANES, 11 * LANES  # where a block's rows begin in the lanes' array
 _NUMBERS = 14
 
-_ROUNDING = 1e-14
+ROUNDING = 1e-14
 """Share of the diagonal that is added or kept, so that rounding leaves every covariance positive definite."""
-
-LEAST_SHARE = 1e-12  # of a position's information: what other frames add that is less is rounding
 
 
 @inlined
@@ -41,11 +39,6 @@ def _sum(a, b):
 
 
 @inlined
-def _difference(a, b):
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]
-
-
-@inlined
 def _scaled(p, a):
     return p * a[0], p * a[1], p * a[2], p * a[3]
 
@@ -64,7 +57,7 @@ def _sizes(a):
 @inlined
 def _raised(a):
     """A covariance with its diagonal so much larger that rounding cannot make it indefinite."""
-    return (1.0 + _ROUNDING) * a[0], a[1], a[2], (1.0 + _ROUNDING) * a[3]
+    return (1.0 + ROUNDING) * a[0], a[1], a[2], (1.0 + ROUNDING) * a[3]
 
 
 @inlined
@@ -75,7 +68,7 @@ def _applied(a, x, y):
 @inlined
 def _inverse(a):
     """Inverse of a symmetric, positive definite block."""
-    determinant = max(a[0] * a[3] - a[1] * a[1], _ROUNDING * a[0] * a[3])
+    determinant = max(a[0] * a[3] - a[1] * a[1], ROUNDING * a[0] * a[3])
     scale = 1.0 / determinant
     return scale * a[3], -scale * a[1], -scale * a[1], scale * a[0]
 
@@ -86,7 +79,7 @@ def _remainder(v, explained):
     xx, yy = max(v[0] - explained[0], 0.0), max(v[3] - explained[3], 0.0)
     most = np.sqrt(xx * yy)
     xy = min(max(v[1] - 0.5 * (explained[1] + explained[2]), -most), most)
-    return xx + _ROUNDING * v[0], xy, xy, yy + _ROUNDING * v[3]
+    return xx + ROUNDING * v[0], xy, xy, yy + ROUNDING * v[3]
 
 
 @inlined
@@ -96,20 +89,6 @@ def _either(first, a, b):
         a[1] if first else b[1],
         a[2] if first else b[2],
         a[3] if first else b[3],
-    )
-
-
-@inlined
-def _congruent(mss, msv, mvs, mvv, s, b, v):
-    """Blocks of m p m^T, for p with the blocks s, b and v."""
-    across = _transposed(b)
-    us, uv = _sum(_product(mss, s), _product(msv, across)), _sum(_product(mss, b), _product(msv, v))
-    ls, lv = _sum(_product(mvs, s), _product(mvv, across)), _sum(_product(mvs, b), _product(mvv, v))
-    tss, tsv, tvs, tvv = _transposed(mss), _transposed(msv), _transposed(mvs), _transposed(mvv)
-    return (
-        _sum(_product(us, tss), _product(uv, tsv)),
-        _sum(_product(us, tvs), _product(uv, tvv)),
-        _sum(_product(ls, tvs), _product(lv, tvv)),
     )
 
 
@@ -162,7 +141,7 @@ def _update(lanes, measured):
         s, b, v = _covariance_of(lanes, k)
         jxx, jxy, jyy = measured[k], measured[LANES + k], measured[2 * LANES + k]
         # (s^-1 + j)^-1 without the inverse of j, which need not be of full rank; all terms are positive
-        area = max(s[0] * s[3] - s[1] * s[1], _ROUNDING * s[0] * s[3])
+        area = max(s[0] * s[3] - s[1] * s[1], ROUNDING * s[0] * s[3])
         trace = max(jxx * s[0] + 2 * jxy * s[1] + jyy * s[3], 0.0)
         scale = 1.0 / (1.0 + trace + area * max(jxx * jyy - jxy * jxy, 0.0))
         after = _raised(_scaled(scale, _sum(s, _scaled(area, (jyy, -jxy, -jxy, jxx)))))
@@ -176,58 +155,13 @@ def _update(lanes, measured):
         between = _product(after, slope)
         fast = _sum(rest, _product(across, between))
         errors = _product(_sizes(across), _product(_sizes(after), _sizes(slope)))
-        fast = (fast[0] + _ROUNDING * errors[0], fast[1], fast[2], fast[3] + _ROUNDING * errors[3])
+        fast = (fast[0] + ROUNDING * errors[0], fast[1], fast[2], fast[3] + ROUNDING * errors[3])
         du, dw = _applied(across, dx, dy)
         seen = jxx + jyy > 0.0  # no information leaves every bit as it is
         _put(
             lanes, k,
             x + dx if seen else x, y + dy if seen else y, u + du if seen else u, w + dw if seen else w,
             _either(seen, after, s), _either(seen, between, b), _either(seen, fast, v),
-        )  # fmt: skip
-
-
-@compiled
-def _step_back(lanes, later, dt, noise):
-    """Smoothed states, from the filtered ones in `lanes` and, replaced by them, those of `dt` s later.
-
-    Rauch, Tung and Striebel's recursion as a sum of two covariances: with the motion undone, the later state
-    is the earlier one plus noise of covariance n, and is believed by k = p (p + n)^-1.
-    """
-    for i in range(LANES):
-        x, y, u, w = _mean_of(lanes, i)
-        s, b, v = _covariance_of(lanes, i)
-        x1, y1, u1, w1 = _mean_of(later, i)
-        s1, b1, v1 = _covariance_of(later, i)
-        far = dt * noise[i]
-        near, cross = dt * dt * far / 3, -0.5 * dt * far
-        # r = (p + n)^-1 by blocks
-        both, of_s = _plus_unit(b, cross), _inverse(_plus_unit(s, near))
-        slope = _product(of_s, both)
-        rvv = _inverse(_remainder(_plus_unit(v, far), _product(_transposed(slope), both)))
-        rsv = _scaled(-1.0, _product(slope, rvv))
-        rvs = _transposed(rsv)
-        rss = _difference(of_s, _product(rsv, _transposed(slope)))
-        # what remains of the earlier state's own error, l = n r, and k = 1 - l
-        lss = _sum(_scaled(near, rss), _scaled(cross, rvs))
-        lsv = _sum(_scaled(near, rsv), _scaled(cross, rvv))
-        lvs = _sum(_scaled(cross, rss), _scaled(far, rvs))
-        lvv = _sum(_scaled(cross, rsv), _scaled(far, rvv))
-        kss, ksv = _plus_unit(_scaled(-1.0, lss), 1.0), _scaled(-1.0, lsv)
-        kvs, kvv = _scaled(-1.0, lvs), _plus_unit(_scaled(-1.0, lvv), 1.0)
-        # the later state with the motion undone, and its covariance with the noise
-        dx, dy, du, dw = x1 - dt * u1 - x, y1 - dt * w1 - y, u1 - u, w1 - w
-        undone = _difference(b1, _scaled(dt, v1))
-        s1 = _plus_unit(_difference(s1, _scaled(dt, _sum(undone, _transposed(b1)))), near)
-        b1, v1 = _plus_unit(undone, cross), _plus_unit(v1, far)
-        xs, ys = _applied(kss, dx, dy)
-        xv, yv = _applied(ksv, du, dw)
-        us, ws = _applied(kvs, dx, dy)
-        uv, wv = _applied(kvv, du, dw)
-        s, b, v = _congruent(lss, lsv, lvs, lvv, s, b, v)
-        s1, b1, v1 = _congruent(kss, ksv, kvs, kvv, s1, b1, v1)
-        _put(
-            later, i, x + xs + xv, y + ys + yv, u + us + uv, w + ws + wv,
-            _raised(_sum(s, s1)), _sum(b, b1), _raised(_sum(v, v1)),
         )  # fmt: skip
 
 
@@ -306,39 +240,3 @@ def filter_states(mean, covariance, times, information, vector, acceleration, me
             _load_measured(information[t], vector[t], first, measured)
             _update(lanes, measured)
             _store(lanes, first, means[t], covariances[t])
-
-
-@compiled
-def smooth_states(times, means, covariances, acceleration, new_means, new_covariances):
-    """All frames' states given all measurements, from the filtered ones."""
-    lanes, later = np.empty(_NUMBERS * LANES), np.empty(_NUMBERS * LANES)
-    noise = np.empty(LANES)
-    end = times.size - 1
-    for first in range(0, means.shape[1], LANES):
-        _load_noise(acceleration, first, noise)
-        _load(means[end], covariances[end], first, later)
-        _store(later, first, new_means[end], new_covariances[end])
-        for t in range(end - 1, -1, -1):
-            _load(means[t], covariances[t], first, lanes)
-            _step_back(lanes, later, times[t + 1] - times[t], noise)
-            _store(later, first, new_means[t], new_covariances[t])
-
-
-@compiled
-def cavities(mean, covariance, information, vector, new_information, new_vector):
-    """Smoothed positions, `(n, 4)` and `(n, 4, 4)`, divided by their own measurements."""
-    for k in range(mean.shape[0]):
-        sxx, sxy, syy = covariance[k, 0, 0], covariance[k, 0, 1], covariance[k, 1, 1]
-        xx, xy, _, yy = _inverse((sxx, sxy, sxy, syy))
-        x, y = xx * mean[k, 0] + xy * mean[k, 1], xy * mean[k, 0] + yy * mean[k, 1]
-        ixx, ixy = xx - information[k, 0, 0], xy - information[k, 0, 1]
-        iyy = yy - information[k, 1, 1]
-        # smallest eigenvalue with the whole information's diagonal scaled to 1
-        p, q, r = ixx / xx, ixy * ixy / (xx * yy), iyy / yy
-        if p + r - np.sqrt((p - r) * (p - r) + 4 * q) > 2 * LEAST_SHARE:
-            new_information[k, 0, 0], new_information[k, 1, 1] = ixx, iyy
-            new_information[k, 0, 1] = new_information[k, 1, 0] = ixy
-            new_vector[k, 0], new_vector[k, 1] = x - vector[k, 0], y - vector[k, 1]
-        else:
-            new_information[k] = 0.0
-            new_vector[k] = 0.0
