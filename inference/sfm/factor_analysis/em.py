@@ -66,6 +66,7 @@ class Sums:
         if len(weight) > DENSE * size:
             tables = [table.toarray() for table in tables]
         self.weight, self._x, self._y = tables
+        self.transposed, self._x_transposed, self._y_transposed = (table.T for table in tables)
         self._squares = np.bincount(by_frame.other, weight * (by_frame.x**2 + by_frame.y**2), n_points)
 
     @property
@@ -90,8 +91,8 @@ class Sums:
         10)` are E[m m^T] summed over both rows m, as of `camera_moments`.
         """
         n_points = self.weight.shape[1]
-        seconds = _summed(moments, n_points) if self._equal else self.weight.T @ moments
-        vector = self._x.T @ cameras[:, 0] + self._y.T @ cameras[:, 1]
+        seconds = _summed(moments, n_points) if self._equal else self.transposed @ moments
+        vector = self._x_transposed @ cameras[:, 0] + self._y_transposed @ cameras[:, 1]
         quadratic = self._squares - 2 * vector[:, 3] + seconds[:, 9]
         information = _matrices(seconds, _SYMMETRIC[:3, :3])
         return information, vector[:, :3] - seconds[:, [3, 6, 8]], quadratic

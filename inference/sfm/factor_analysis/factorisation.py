@@ -165,7 +165,7 @@ def _reduced_step(
             break
         direction = solved + length / before * direction
         before = length
-        of_points = (sums.weight.T @ (turned @ direction).reshape(n_frames, -1)).reshape(-1, RANK, 4)
+        of_points = (sums.transposed @ (turned @ direction).reshape(n_frames, -1)).reshape(-1, RANK, 4)
         solutions = np.einsum("ijk,ikl,il->ij", at.inverses, of_points, points, optimize=True)
         pulls = (solutions[:, :, None] * points[:, None, :]).reshape(len(points), -1)
         of_frames = (sums.weight @ pulls).reshape(n_frames, RANK, 4)

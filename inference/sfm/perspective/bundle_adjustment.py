@@ -269,7 +269,7 @@ def retriangulated(listed: SparseObservations, bundle: Bundle) -> Array:
         tried = beginning
         for _ in range(ROUNDS):
             counted = counts[:, None, None] * rows
-            information = (sums @ np.einsum("nci,ncj->nij", counted, rows).reshape(-1, 9)).reshape(-1, 3, 3)
+            information = (sums @ (counted.mT @ rows).reshape(-1, 9)).reshape(-1, 3, 3)
             vector = sums @ np.einsum("nci,nc->ni", counted, aims)
             ridge = OPEN * np.trace(information, axis1=1, axis2=2) + 1e-30
             information += ridge[:, None, None] * np.eye(3)
@@ -295,13 +295,11 @@ def sums_of(listed: SparseObservations, weights: Array, cameras: PerspectiveCame
     n, n_frames, last = len(weights), len(cameras.scales), CAMERA
     of_points = _sums_of_points(listed)
     of_frames = csr_array((np.ones(n), (listed.other, np.arange(n))), shape=(n_frames, n))
-    blocks = (of_frames @ np.einsum("nci,ncj->nij", weighted, both).reshape(n, -1)).reshape(
-        n_frames, last + 1, last + 1
-    )
+    blocks = (of_frames @ (weighted.mT @ both).reshape(n, -1)).reshape(n_frames, last + 1, last + 1)
     vectors = of_frames @ np.einsum("nci,nc->ni", weighted, errors)
-    mixed = np.einsum("nci,ncj->nij", by_place, weighted)
+    mixed = by_place.mT @ weighted
     by_place_weighted = weights[:, None, None] * by_place
-    squares = np.einsum("nci,ncj->nij", by_place_weighted, by_place)
+    squares = by_place_weighted.mT @ by_place
     return Sums(
         cameras=blocks[:, :last, :last],
         camera_vector=vectors[:, :last],
