@@ -396,20 +396,20 @@ class _Association:
         tracks = self._tracks
         information, vector, _, _ = noise.information(tracks, self._cameras)
         mean, covariance = self._population()
-        prior = np.linalg.inv(covariance)
+        prior = np.asarray(np.linalg.inv(covariance), np.float64)
         order = np.argsort(self._counts, kind="stable")
         # a track is the only one of a point as often as others are
         alone = np.count_nonzero(np.bincount(membership.indices[membership.data > TORN]) == 1)
         n, n_points = membership.shape
         odds = max((alone + 1) / (n - alone + 1), NEW_POINT / (1 - NEW_POINT))
-        pull = prior @ mean
-        alone = log_partition(information + prior, vector + pull) - log_partition(prior, pull)
+        pull: Array = prior @ mean
+        track_alone = log_partition(information + prior, vector + pull) - log_partition(prior, pull)
         whole, sums = pooled(membership, information) + prior, pooled(membership, vector) + pull
         covariances = np.ascontiguousarray(np.linalg.inv(whole))
         means = np.einsum("pij,pj->pi", covariances, sums)
         others = np.asarray(membership.sum(axis=0), np.float64)
         found, counts = assign_tracks(
-            order, tracks, information, vector, alone, np.ascontiguousarray(self._cameras),
+            order, tracks, information, vector, track_alone, np.ascontiguousarray(self._cameras),
             noise.white + noise.drift, FAR, float(np.log(n_points * odds)), hard,
             membership.indptr.astype(np.int64), membership.indices.astype(np.int64), membership.data,
             others, whole, sums, means, covariances, log_partition(whole, sums),

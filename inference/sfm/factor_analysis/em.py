@@ -7,6 +7,7 @@ either independent, or moving by eq. (19). The posterior is sought in the form q
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +61,7 @@ class Sums:
         weight = by_frame.weight
         size = (len(by_frame.edges) - 1) * n_points
         self._equal = len(weight) == size and float(np.ptp(weight)) == 0.0
-        tables = [
+        tables: list[Any] = [
             by_frame.matrix(values, n_points) for values in (weight, weight * by_frame.x, weight * by_frame.y)
         ]
         if len(weight) > DENSE * size:

@@ -1,8 +1,11 @@
 """Loops of factor analysis: inverses of many small matrices, and the smoother of coherent cameras."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ....models.numerics.compiled import compiled
+
+Array = NDArray[np.float64]
 
 
 @compiled
@@ -59,7 +62,14 @@ STATE = 12
 BACK = np.kron([[1.0, -1.0, 0.5], [0.0, 1.0, -1.0], [0.0, 0.0, 1.0]], np.eye(ROW))  # inverse of F in eq. (19)
 
 
-def smooth_cameras(information, vector, precision, noise, start_mean, start_variance):
+def smooth_cameras(
+    information: Array,
+    vector: Array,
+    precision: float,
+    noise: Array,
+    start_mean: Array,
+    start_variance: Array,
+) -> tuple[Array, Array, float, Array, Array]:
     """Return posterior of the cameras under eq. (19), and what it says of the motion's noise.
 
     `information` `(n_frames, 4, 4)` and `vector` `(n_frames, 4, 2)` are those of the camera rows at noise

@@ -40,7 +40,8 @@ class SparseObservations(NamedTuple):
         edges = np.zeros(n + 1, np.int64)
         np.cumsum(np.bincount(own, minlength=n), out=edges[1:])
         # loops are compiled once, for arrays without gaps
-        return cls(edges, *(np.ascontiguousarray(each) for each in (own, other, x, y, weight)))
+        compact = np.ascontiguousarray
+        return cls(edges, compact(own), compact(other), compact(x), compact(y), compact(weight))
 
     def transposed(self, n: int) -> Self:
         """Return the observations sorted by the other side, of which there are `n`."""
@@ -56,7 +57,8 @@ class SparseObservations(NamedTuple):
     def errors(self, cameras: Array, shape: Array) -> Array:
         """Return `(2, n)`: observed minus predicted, of observations by frame."""
         rows, points = cameras[self.own], shape[self.other]
-        return np.array([self.x, self.y]) - np.einsum("ncj,nj->cn", rows[..., :3], points) - rows[..., 3].T
+        predicted = np.einsum("ncj,nj->cn", rows[..., :3], points) + rows[..., 3].T
+        return np.asarray(np.array([self.x, self.y]) - predicted, np.float64)
 
     def only(self, own: NDArray[np.bool_], other: NDArray[np.bool_]) -> Self:
         """Return the observations of which both sides are kept."""
