@@ -25,7 +25,7 @@ from ..io.row_log import RowLog
 from ..io.sources.open_source import Source, open_source
 from ..runs.interruption import Outcome
 from ..runs.loop import Application, Columns, Engine, Start, run_film
-from ..runs.memory import EXPERT, FACE, FACE_EXPERT
+from ..runs.memory import EXPERT, FACE
 from ..view.film import Film
 from ..view.overlay import Draw, draw_face
 from ..view.page import Page
@@ -148,7 +148,7 @@ class Face(Application[FaceJob]):
 
     def bytes_needed(self, source: Source) -> tuple[float, float]:
         """Return bytes a pixel and beside them, for the number of experts."""
-        return FACE + self.job.experts * FACE_EXPERT, self.job.experts * EXPERT
+        return FACE, self.job.experts * EXPERT
 
     def build(self, start: Start) -> Engine:
         """Take the face from another run, or find it in the first frame that shows one; connect the chain."""

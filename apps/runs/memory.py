@@ -9,11 +9,11 @@ import psutil
 BACKGROUND = {"gaussian": 300, "mixture": 400}
 """Bytes per pixel, by the model of the background: 10 or 13 GB for 8K."""
 
-STRUCTURE, STRUCTURE_FRAME = 40, 6
+STRUCTURE, STRUCTURE_FRAME = 220, 6
 """Bytes per pixel, and per pixel of each frame, all of which are held."""
 
-FACE, FACE_EXPERT, EXPERT = 60, 1.5, 200_000
-"""Bytes per pixel, per pixel and expert, and per expert."""
+FACE, EXPERT = 40, 200_000
+"""Bytes per pixel, and per expert."""
 
 BODY, SAMPLE = 180, 5_000
 """Bytes per pixel, and per sample."""

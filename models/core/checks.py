@@ -288,7 +288,7 @@ def _check_of_union(hints: tuple[Any, ...]) -> Check:
 
 
 def _check_of_array(arguments: tuple[Any, ...]) -> Check:
-    """Of `NDArray[type]`: bytes and truth values exactly, floating numbers of any real type."""
+    """Of `NDArray[type]`: bytes, truth values and records exactly, floating numbers of any real type."""
     kinds = get_args(arguments[1]) if len(arguments) > 1 else ()
     kind = kinds[0] if kinds and isinstance(kinds[0], type) and kinds[0] is not np.generic else None
     allowed = None
@@ -301,7 +301,7 @@ def _check_of_array(arguments: tuple[Any, ...]) -> Check:
     def holds(value: Any) -> bool:
         if not isinstance(value, np.ndarray) or kind is None:
             return isinstance(value, np.ndarray)
-        return value.dtype.kind in allowed if allowed else value.dtype == kind
+        return value.dtype.kind in allowed if allowed else issubclass(value.dtype.type, kind)
 
     return _by(holds, expected)
 

@@ -13,6 +13,7 @@ from rsmcm.chains.body.samples import body_moments
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import BodyParts, Frame
 from rsmcm.models.body.upper_body import JOINTS
+from scipy.stats import wilcoxon
 
 from ...support.keypoints import read_frame_result
 
@@ -57,9 +58,8 @@ def error_of(values: Array) -> float:
 
 @pytest.mark.slow
 def test_points_with_errors_misses_and_exchanged_sides_help() -> None:
-    """Errors are smaller on average over the scenes, by more than two standard errors."""
-    gained = gains(noise=0.08)
-    assert gained.mean() > 2 * error_of(gained)
+    """Errors are smaller over the scenes: a rank test, for one scene in eight gains as much as all others."""
+    assert wilcoxon(gains(noise=0.08), alternative="greater").pvalue < 0.05
 
 
 def test_a_detector_without_detections_changes_nothing() -> None:

@@ -40,6 +40,11 @@ def distances(
     return float(np.hypot(*(points - others).T).sum())
 
 
+@checked
+def first_frame(rows: NDArray[np.void] | NDArray[np.float64]) -> float:
+    return float(rows["frame"][0])
+
+
 @pytest.mark.parametrize(
     ("name", "value", "error", "message"),
     [
@@ -78,6 +83,7 @@ def test_a_wrong_value_is_named(name: str, value: object, error: type[Exception]
 def test_what_is_right_is_taken() -> None:
     made = Settings(np.float32(2), np.int64(4), limit=np.inf, numbers=[1], path=Path("b"), gain="learned")
     assert (made.time, made.count, made.limit, made.gain) == (2, 4, np.inf, "learned")
+    assert first_frame(np.zeros(2, [("frame", int)])) == 0
     assert distances(np.zeros((3, 2)), np.ones((3, 2)), stack=np.zeros((5, 4, 3))) == pytest.approx(
         3 * 2**0.5
     )
