@@ -113,11 +113,11 @@ def pictures(
                 axis.imshow(image[..., ::-1] if image.ndim == 3 else image, cmap="gray", vmin=0, vmax=255)
                 axis.set(xticks=[], yticks=[])
                 axis.grid(visible=False)
-            axes[0].set_ylabel(row, fontsize=8)
+            axes[0].set_ylabel(row.replace(": ", ":\n"), fontsize=8)
         for axis, column in zip(grid[0], columns, strict=True):
             axis.set_title(column, fontsize=9)
 
-    return Plot(name, draw, (width * len(columns) + 0.4, (height + 0.1) * len(rows) + 0.3), caption)
+    return Plot(name, draw, (width * len(columns) + 0.5, (height + 0.1) * len(rows) + 0.3), caption)
 
 
 @dataclass(frozen=True, eq=False)
