@@ -7,6 +7,7 @@ from rsmcm.inference.optimisation import Anderson
 from rsmcm.inference.sfm.factor_analysis.em import Posterior, expectation_maximisation
 from rsmcm.inference.sfm.factor_analysis.factorisation import around_start
 from rsmcm.inference.sfm.factor_analysis.initialisation import mean_filled
+from rsmcm.inference.sfm.factor_analysis.kernels import invert_information
 from rsmcm.inference.sfm.factor_analysis.observations import Observations
 
 from ....support.turning import turning
@@ -128,3 +129,12 @@ def test_noise_free_observations_are_explained_to_rounding() -> None:
     observations, start = problem(0.3, noise=0.0)
     found, _ = expectation_maximisation(observations, start, iterations=1000, tolerance=-np.inf)
     assert np.sqrt(found.noise) < 1e-4
+
+
+def test_a_loop_is_compiled_once_for_films_of_any_kind() -> None:
+    """Points seen throughout, in gaps, and frames of one normal matrix come as arrays of one layout."""
+    for missing, equal in ((0.0, True), (0.0, False), (0.5, False)):
+        for coherent in (False, True):
+            observations, start = problem(missing, equal=equal, coherent=coherent)
+            expectation_maximisation(observations, start, iterations=2, tolerance=0.0)
+    assert len(invert_information.signatures) == 1  # type: ignore[attr-defined]
