@@ -21,7 +21,7 @@ RIGID = 5  # degrees of freedom of rotation and translation, which come before t
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Poses(Rows):
-    """Array of poses under weak perspective (G-flow paper §2.1).
+    """Array of poses under weak perspective (G-flow paper §2.1); NaN in those of which nothing is known.
 
     Small changes of a pose are vectors of `dimension` numbers: a rotation vector w (rad) that turns the
     object as the camera sees it, r <- exp([w]x) r, then px of translation, then changes of the coefficients.
@@ -36,9 +36,9 @@ class Poses(Rows):
         `(n, n_bases)` px: weights of the morph bases; the first is the size of the object in the picture.
     """
 
-    rotations: Annotated[Array, Shape("n", 3, 3)]
-    translations: Annotated[Array, Shape("n", 2)]
-    morphs: Annotated[Array, Shape("n", "n_bases")]
+    rotations: Annotated[Array, Shape("n", 3, 3, finite=False)]
+    translations: Annotated[Array, Shape("n", 2, finite=False)]
+    morphs: Annotated[Array, Shape("n", "n_bases", finite=False)]
 
     def __len__(self) -> int:
         return len(self.rotations)

@@ -1,6 +1,5 @@
 """Every page that a command leaves, in a real browser: nothing wrong, nothing asked for, readable."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -9,16 +8,9 @@ from rsmcm.apps.experiments.record import Expectation, Table
 
 from ..conftest import Command
 from ..support.browser import PHONE, Browser, landmarks, overflow
-from .test_same_bytes import background, body, face_of_a_film, shape, structure
+from .test_same_bytes import arguments_of
 
-APPLICATIONS: dict[str, Callable[[Path], list[str]]] = {
-    "background": background,
-    "structure": structure,
-    "shape": shape,
-    "face": face_of_a_film,
-    "body": body,
-}
-"""Functions that write a source into a folder, and return the arguments of the command."""
+APPLICATIONS = ("background", "structure", "shape", "face", "body")
 
 
 def check(browser: Browser, page: Path) -> None:
@@ -34,12 +26,12 @@ def check(browser: Browser, page: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["background", *(pytest.param(name, marks=pytest.mark.slow) for name in list(APPLICATIONS)[1:])]
+    "name", ["background", *(pytest.param(name, marks=pytest.mark.slow) for name in APPLICATIONS[1:])]
 )
 def test_pages_of_runs(browser: Browser, tmp_path: Path, name: str) -> None:
     folder, out = tmp_path / "of", tmp_path / "out"
     folder.mkdir()
-    assert Command(name)(*APPLICATIONS[name](folder), "--out", out) == 0
+    assert Command(name)(*arguments_of(name, folder)[1:], "--out", out) == 0
     check(browser, out / "view.html")
 
 

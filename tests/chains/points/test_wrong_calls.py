@@ -25,6 +25,9 @@ def poses(size: float = 30.0, n: int = 1, n_bases: int = MODEL.n_bases) -> Poses
     return Poses.upright(np.zeros((n, 2)), np.full(n, size), n_bases)
 
 
+UNKNOWN = Poses(*(np.full(part.shape, np.nan) for part in poses().arrays))
+
+
 def gflow(start: Any = None, model: Any = MODEL, **settings: Any) -> GFlow:
     return GFlow(model, poses() if start is None else start, **settings)
 
@@ -37,7 +40,7 @@ WRONG: dict[Callable[..., Any], list[tuple[str, Any]]] = {
         ("covariance_scale", -1.0), ("resample_interval", 0.0), ("levels", 4), ("surface", "round"),
         ("tracked", (3, 2)), ("tracked", (10**6,)), ("tracked", ("a",)), ("seed", -1), ("finder", 3),
         ("texture", 4), ("dynamics", 0.5), ("model", "face"), ("start", 5), ("start", poses(n=3)),
-        ("start", poses(-1.0)), ("start", poses(np.nan)), ("start", poses(n_bases=2)),
+        ("start", poses(-1.0)), ("start", UNKNOWN), ("start", poses(n_bases=2)),
     ],
     PoseDynamics: [("rotation", 0.0), ("morphs", -1.0), ("size", np.nan)],
     PointTracker: [

@@ -133,8 +133,9 @@ def test_noise_free_observations_are_explained_to_rounding() -> None:
 
 def test_a_loop_is_compiled_once_for_films_of_any_kind() -> None:
     """Points seen throughout, in gaps, and frames of one normal matrix come as arrays of one layout."""
+    before = set(invert_information.signatures)  # type: ignore[attr-defined]
     for missing, equal in ((0.0, True), (0.0, False), (0.5, False)):
         for coherent in (False, True):
             observations, start = problem(missing, equal=equal, coherent=coherent)
             expectation_maximisation(observations, start, iterations=2, tolerance=0.0)
-    assert len(invert_information.signatures) == 1  # type: ignore[attr-defined]
+    assert len(set(invert_information.signatures) - before) <= 1  # type: ignore[attr-defined]
