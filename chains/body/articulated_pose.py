@@ -1,12 +1,13 @@
 """The pose of a person's upper body in 16 degrees of freedom, by likelihood sampling."""
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.engine.protocols import Incoming, Port
+from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ...inference.smc import copied
 from ...models.body.parts import BodyParts, PartMessage
 from ...models.body.upper_body import BodyPoses, UpperBody
@@ -15,6 +16,7 @@ from ...models.core.frame import Frame
 from ...models.core.gaussian_mixtures import GaussianMixtures
 from ...models.core.short_repr import short_repr
 from .dynamics import BodyDynamics
+from .fixed_lag import PoseTrajectory, predicted_messages, smoothed_poses
 from .likelihood import BodyLikelihood, PoseLikelihood
 from .proposals import Candidates
 from .samples import (
@@ -151,6 +153,19 @@ class ArticulatedPose:
             guides = ((seen, 1 - PREDICTED), (message.predicted, PREDICTED))
             drawn = Candidates.of_next_frame(self._dynamics, state.size, past, guides, starts, n, random)
         return drawn.weighted(message.log_values(self.body.parts(drawn.poses)))
+
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: PoseTrajectory | None = None
+    ) -> Smoothed[PoseTrajectory]:
+        """Smooth the poses over all frames, given the images and the other chains' messages."""
+        likelihood = self.likelihood or BodyLikelihood(self.body)
+        return Smoothed(smoothed_poses(self, self._dynamics, likelihood, incoming_over_time))
+
+    def messages(
+        self, trajectory: PoseTrajectory, feature: BodyParts, incoming_over_time: Sequence[BatchIncoming] = ()
+    ) -> list[PartMessage]:
+        """Return the parts predicted from the smoothed poses of the frame before (mu_{X -> F})."""
+        return predicted_messages(self, trajectory.samples, trajectory.times, feature)
 
     @property
     def _dynamics(self) -> BodyDynamics:

@@ -8,30 +8,32 @@ using Markov chain Monte Carlo" (2013), move each pose x_t where it is
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...inference import Belief, RecursiveBP
-from ...inference.engine.protocols import Chain
+from ...inference.engine.protocols import BatchIncoming, Chain, Incoming
 from ...inference.engine.recursive_bp import RunState
 from ...inference.smc import copied, normalised, systematic
 from ...models.body.image_features import BodyImage
-from ...models.body.parts import BodyParts
+from ...models.body.parts import BodyParts, PartMessage
 from ...models.body.upper_body import BodyPoses
 from ...models.core.checks import CountFrom0, at_least, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from .dynamics import Ancestors, BodyDynamics, concentration, draw_directions
-from .hand_labelling import NO_EVIDENCE, ExchangeEvidence, exchange_evidence, label_hands
+from .flesh_state import FleshTracks
+from .hand_labelling import NO_EVIDENCE, ExchangeEvidence, Labelling, exchange_evidence, label_hands
 from .likelihood import BodyLikelihood, PoseLikelihood
 from .samples import LONGEST, BodySamples
 from .tempering import LogDensity, perturb
 
 Array = NDArray[np.float64]
+State = TypeVar("State")
 
 SCALES = np.array([0.1, 0.3, 0.7, 1.2])  # of an arm's move from the next frame's, over the dynamics'
 CENTRES = 64  # poses of the filter about whose arms others are drawn
@@ -365,6 +367,100 @@ def thin(samples: BodySamples, n: int, random: np.random.Generator) -> BodySampl
         ancestors=None,
         before=None,
     )
+
+
+FILM_LAG = 25  # later frames that are waited for in films: a second and more
+
+
+class PartFilter(Chain[State], Protocol[State]):
+    """A filter on `BodyParts` alone."""
+
+    def message(self, state: State, feature: BodyParts, incoming: Incoming, /) -> PartMessage:
+        """As of `Chain`."""
+        ...
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class PoseTrajectory:
+    """Poses in all frames."""
+
+    samples: list[BodySamples | None]  # of each frame; `None` before the first one with an image
+    times: Array  # `(n,)` s
+    exchanged: Array  # `(n,)`: probability of exchanged hands, given the whole film
+    log_prior: float  # mean log density of a frame's poses under those of the frame before
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class FleshTrajectory:
+    """Head and hands in all frames."""
+
+    tracks: list[FleshTracks | None]  # of each frame; `None` before the first one with an image
+    times: Array  # `(n,)` s
+    log_prior: float = 0.0  # nats: 0, since a tracker that assigns has no density over its trajectories
+
+
+def filtered(
+    chain: PartFilter[State], incoming_over_time: Sequence[BatchIncoming]
+) -> Iterator[tuple[Frame, State | None, BodyImage | None]]:
+    """Filter the frames; yield each with its posterior and the image's features."""
+    state, time = None, 0.0
+    for incoming in incoming_over_time:
+        frame, (node,) = incoming.frame, incoming
+        if state is None and frame.image is None:
+            yield frame, None, None
+            continue
+        assert isinstance(node, BodyParts)
+        state = chain.initial(frame) if state is None else chain.predict(state, frame.time - time)
+        others = incoming.others(node)
+        own = chain.message(state, node, Incoming({node: node.uniform()}))
+        evidence = incoming.search(node, others * own)
+        state, time = chain.update(state, Incoming({node: others * evidence})), frame.time
+        yield frame, state, evidence.image
+
+
+def smoothed_poses(
+    chain: PartFilter[BodySamples],
+    dynamics: BodyDynamics,
+    likelihood: PoseLikelihood | None,
+    incoming_over_time: Sequence[BatchIncoming],
+) -> PoseTrajectory:
+    """Filter and smooth the poses of all frames of a film."""
+    smoother, labelling = FixedLag(dynamics, FILM_LAG, likelihood=likelihood), Labelling()
+    frames, before_start = [], 0
+    for frame, state, image in filtered(chain, incoming_over_time):
+        if state is None:
+            before_start += 1
+        else:
+            frames += smoother.add(frame, state, image)
+    frames += smoother.flush()
+    total = 0.0
+    for index, each in enumerate(frames):
+        labelling.add(each.number, each.time, each.evidence)
+        if index:
+            past = frames[index - 1].ancestors(each.time)
+            total += float(each.samples.weights @ dynamics.log_density(each.samples.poses, past))
+    return PoseTrajectory(
+        [None] * before_start + [each.samples for each in frames],
+        np.array([incoming.time for incoming in incoming_over_time]),
+        np.concatenate([np.zeros(before_start), labelling.result().probabilities]),
+        total,
+    )
+
+
+def predicted_messages(
+    chain: PartFilter[State], states: Sequence[State | None], times: Array, node: BodyParts
+) -> list[PartMessage]:
+    """Return a filter's message in each frame, predicted from the frame before; the first is uniform."""
+    messages = [node.uniform()]
+    for state, elapsed in zip(states[:-1], np.diff(times), strict=True):
+        if state is None:
+            messages.append(node.uniform())
+        else:
+            ahead = chain.predict(state, float(elapsed))
+            messages.append(chain.message(ahead, node, Incoming({node: node.uniform()})))
+    return messages
 
 
 class SmoothedBelief(Belief):

@@ -5,18 +5,20 @@ hand is not detected, and tells left from right by their motion; a pose chain on
 rest.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.engine.protocols import Incoming, Port
+from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ...models.body.parts import FALSE_HANDS, BodyParts, PartMessage
 from ...models.body.upper_body import UpperBody
 from ...models.core.checks import Positive, PositiveOrInfinite, checked
 from ...models.core.frame import Frame
 from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures, log_sums
 from ...models.core.short_repr import short_repr
+from .fixed_lag import FleshTrajectory, filtered, predicted_messages
 from .flesh_assignment import (
     VISIBLE,
     JointAssignments,
@@ -143,6 +145,23 @@ class FleshTracker:
         mixtures = GaussianMixtures(shares, means, covariances, np.zeros(shares.shape, np.bool_), no_labels)
         flat = FLATTENED * state.log_weights
         return PartMessage(mixtures, None, flat - log_sums(flat))
+
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: FleshTrajectory | None = None
+    ) -> Smoothed[FleshTrajectory]:
+        """Filter all frames, given the other chains' smoothed messages."""
+        tracks = [state for _, state, _ in filtered(self, incoming_over_time)]
+        times = np.array([incoming.time for incoming in incoming_over_time])
+        return Smoothed(FleshTrajectory(tracks, times))
+
+    def messages(
+        self,
+        trajectory: FleshTrajectory,
+        feature: BodyParts,
+        incoming_over_time: Sequence[BatchIncoming] = (),
+    ) -> list[PartMessage]:
+        """Return the predicted positions of the parts in each frame (mu_{X -> F})."""
+        return predicted_messages(self, trajectory.tracks, trajectory.times, feature)
 
     def update(self, state: FleshTracks, incoming: Incoming) -> FleshTracks:
         """Continue each hypothesis by the assignments that explain the image best.
