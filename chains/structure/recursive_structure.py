@@ -522,9 +522,12 @@ def first_structure(window: Window) -> Structure | None:
     scale = max(found.noise_variance, LEAST_SCALE)
     linear = found.cameras[:, :, :3]
     per_frame, per_point = seen.sum() / seen.shape[0], seen.sum() / seen.shape[1]
-    third = np.sqrt(per_frame) * np.linalg.svd(linear.reshape(-1, 3), compute_uv=False)[2]
+    _, sizes, directions = np.linalg.svd(linear.reshape(-1, 3), full_matrices=False)
+    third = np.sqrt(per_frame) * sizes[2]
+    # a track that goes on at another point has a depth of its own, and nearly all of the sum of squares
+    depths = np.square(found.shape @ directions[2])
     by_chance = np.sqrt(scale * stated[seen].mean()) * (np.sqrt(2 * per_point) + np.sqrt(per_frame))
-    if not third > CLEAR * by_chance:
+    if not (third > CLEAR * by_chance and depths.sum() ** 2 > LEAST_SEEN * np.square(depths).sum()):
         return None
 
     extent = float(np.sqrt(0.5 * (linear**2).sum() / len(linear)))

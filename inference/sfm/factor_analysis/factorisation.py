@@ -170,7 +170,10 @@ def _reduced_step(
         pulls = (solutions[:, :, None] * points[:, None, :]).reshape(len(points), -1)
         of_frames = (sums.weight @ pulls).reshape(n_frames, RANK, 4)
         product = damping * direction + direction @ information - rows @ of_frames
-        stride = length / max(float(np.sum(product * direction)), 1e-300)
+        curvature = float(np.sum(product * direction))
+        if not curvature > 0:  # by rounding
+            break
+        stride = length / curvature
         step += stride * direction
         residual -= stride * product
     return step

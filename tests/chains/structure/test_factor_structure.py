@@ -26,7 +26,7 @@ def test_without_association_it_is_factor_analysis_of_the_tracks() -> None:
     weights = np.where(np.isnan(tracks[..., 0]), 0.0, 1e4)
     robust = factorise_robustly(tracks, weights, coherence=True)
     expected = robust.factorisation.of_points(robust.consistent)
-    np.testing.assert_allclose(found.factorisation.cameras, expected.cameras, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(found.factorisation.cameras, expected.cameras, atol=1e-5)
     numbers = np.where(robust.consistent, np.cumsum(robust.consistent) - 1, -1)
     np.testing.assert_array_equal(found.point_of_track, numbers)
     assert (found.trusted == (weights > 0)).mean() > 0.99
