@@ -89,7 +89,8 @@ class Setting:
         return opencv_subtractor(self.method, self.history, self.threshold)
 
     def __str__(self) -> str:
-        return f"history {self.history}, threshold {self.threshold:g}, {self.clean_up}"
+        parts = (f"history {self.history}", f"threshold {self.threshold:g}", str(self.clean_up))
+        return ", ".join(filter(None, parts))
 
 
 def components(mask: Image) -> NDArray[np.float64]:

@@ -68,12 +68,14 @@ class Documents:
         if without:
             raise ValueError(f"{folder / 'notes.toml'}: no note of {', '.join(sorted(without))}")
         records = {name: found[name] for name in notes["notes"] if name in found}
-        return cls(records, notes["notes"], notes["readme"], (folder / "earlier.md").read_text())
+        return cls(
+            records, notes["notes"], notes["readme"], (folder / "earlier.md").read_text(encoding="utf-8")
+        )
 
 
 def _toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text())
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -215,7 +217,7 @@ def write_pages(root: Path, changed: str) -> None:
     """Write the page of results and the figures of README of a checkout."""
     documents, readme = Documents.read(root / "docs" / "results"), root / "README.md"
     write_text(root / "docs" / "results.md", results_page(documents, changed))
-    write_text(readme, readme_with(readme.read_text(), documents, changed))
+    write_text(readme, readme_with(readme.read_text(encoding="utf-8"), documents, changed))
 
 
 def main(folder: Path) -> int:

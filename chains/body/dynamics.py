@@ -50,9 +50,11 @@ class BodyDynamics:
     With the root r, the rotations o of the torso and n of the neck and the directions of upper arms and
     forearms, after dt seconds
 
-        p(r | r') = N(r; r', place^2 dt) p(n | n') = N(n; k n', neck^2 (1 - k^2)),    k = exp(-dt / neck_time)
-        p(o | o') = N(o; l o', s^2 (1 - l^2)),       l = exp(-dt / torso_time),  s = (lean, turn, lean) p(arm
-        | arm') = (1 - j) vMF(upper; upper', K) vMF(fore; fore', K') + j prior(arm) j = 1 - exp(-jumps dt)
+        p(r | r') = N(r; r', place^2 dt)
+        p(n | n') = N(n; k n', neck^2 (1 - k^2)),    k = exp(-dt / neck_time)
+        p(o | o') = N(o; l o', s^2 (1 - l^2)),       l = exp(-dt / torso_time),  s = (lean, turn, lean)
+        p(arm | arm') = (1 - j) vMF(upper; upper', K) vMF(fore; fore', K') + j prior(arm)
+        j = 1 - exp(-jumps dt)
 
     Directions approximate Brownian motion on the sphere, in any number of steps, by the von Mises-Fisher
     density with the same mean. Jumps are more frequent than those of real arms, since the tracker also needs

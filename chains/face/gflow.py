@@ -256,6 +256,8 @@ class GFlow(PickledByFields):
                 f"start: got {n} poses with {n_bases} bases, expected 1 or {self.experts}, one an "
                 f"expert, with {self.model.n_bases}"
             )
+        if not all(np.isfinite(part).all() for part in start.arrays):
+            raise ValueError("start: got NaN or infinity, expected finite poses")
         if not (start.sizes > 0).all():
             raise ValueError("start: got a size of 0 or less, expected more than 0")
 

@@ -25,7 +25,7 @@ from ...models.array_files import read_arrays
 from ...models.core.checks import shown
 from ...models.files import write_atomically
 
-FORMAT = "rsmcm state 2"
+FORMAT = "rsmcm state 3"
 EXPECTED = "expected a state that was saved here"
 SKELETON = "skeleton"
 DIGEST = "digest"  # of everything else: loops compiled for speed trust the shapes and numbers of a state
@@ -112,6 +112,8 @@ def parameters_of(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         own = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
         value = {"class": type(value).__name__, **own}
+    if isinstance(chains := getattr(value, "chains", None), Mapping):  # of a model inside a chain
+        value = {**chains, **value.features}
     if isinstance(value, Mapping):
         return {str(key): parameters_of(item) for key, item in value.items()}
     if isinstance(value, tuple | list):

@@ -205,7 +205,7 @@ class MultiChain:
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters of all chains and feature nodes by name, as plain JSON."""
-        return {name: parameters_of(node) for name, node in {**self.chains, **self.features}.items()}
+        return dict(parameters_of(self))
 
     def components(self) -> list[list[str]]:
         """Return the groups of features that remain connected without the cut edges."""
@@ -294,7 +294,7 @@ class MultiChain:
             kinds = " or ".join(port.kind.__name__ for port in declared) or "none at all"
             raise TypeError(
                 f"connect: got {feature.name!r} ({type(feature).__name__}) for {chain.name!r}, "
-                f"expected a feature of the ports of this {type(chain).__name__} meets: {kinds}"
+                f"expected a feature that this {type(chain).__name__} meets: {kinds}"
             )
         for other in self.features_of.get(chain.name, ()):
             if self._port(chain.name, other) == ports[0] and not ports[0].many:

@@ -52,15 +52,14 @@ def camera_moments(cameras: Array, covariance: Array | None = None) -> Array:
 class Sums:
     """Weighted sums over observations by frame, of `n_points` points.
 
-    Products with sparse matrices, or with full ones where most points are seen. Where all are, with equal
-    weights, all points have one normal matrix, and so have all frames: it is repeated without being stored
-    again.
+    Products with sparse matrices, or with full ones where most points are seen. Where all are, with a
+    weight of 1, all points have one normal matrix, and so have all frames: it is not stored for each.
     """
 
     def __init__(self, by_frame: SparseObservations, n_points: int) -> None:
         weight = by_frame.weight
         size = (len(by_frame.edges) - 1) * n_points
-        self._equal = len(weight) == size and float(np.ptp(weight)) == 0.0
+        self._equal = len(weight) == size and bool((weight == 1).all())
         tables: list[Any] = [
             by_frame.matrix(values, n_points) for values in (weight, weight * by_frame.x, weight * by_frame.y)
         ]

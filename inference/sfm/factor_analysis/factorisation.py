@@ -87,12 +87,11 @@ def variable_projection(
         def step(damping: float) -> LeastSquares | None:
             added = damping * scale
             preconditioner, _ = invert_information(information, np.full(4, added), 1.0)
-            moved = _reduced_step(sums, at, information, preconditioner, gradient, added)
             with np.errstate(over="ignore", invalid="ignore"):  # where damping is too small it may run away
-                promised = -float(np.sum(moved * gradient))
-            if damping <= NEAR and promised <= tolerance * at.error:
-                return at  # even an undamped step would hardly gain
-            shape, inverses, error = eliminate_points(by_frame, sums, at.cameras + moved)
+                moved = _reduced_step(sums, at, information, preconditioner, gradient, added)
+                if damping <= NEAR and -float(np.sum(moved * gradient)) <= tolerance * at.error:
+                    return at  # even an undamped step would hardly gain
+                shape, inverses, error = eliminate_points(by_frame, sums, at.cameras + moved)
             if not error < at.error:
                 return None
             return LeastSquares(*_in_gauge(at.cameras + moved, shape, inverses, points, rank), error)
@@ -161,7 +160,7 @@ def _reduced_step(
         length = float(np.sum(solved * residual))
         if turn == 0:
             first, before = length, np.inf
-        if length <= ACCURACY**2 * first:
+        if not length > ACCURACY**2 * first:  # NaN as well
             break
         direction = solved + length / before * direction
         before = length

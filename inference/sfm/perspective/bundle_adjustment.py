@@ -465,7 +465,7 @@ def gauge_of(cameras: PerspectiveCameras) -> Array:
 
 def predicted(bundle: Bundle, covariance: BundleCovariance) -> tuple[Array, Array]:
     """Return positions `(n_frames, n_points, 2)` px of all points, and their covariances px^2."""
-    positions, _ = bundle.cameras.seen(bundle.shape)
+    positions, depths = bundle.cameras.seen(bundle.shape)
     covariances = np.empty((*positions.shape, 2))
     for t, of_camera in enumerate(covariance.cameras):
         frames = np.full(len(bundle.shape), t)
@@ -475,4 +475,5 @@ def predicted(bundle: Bundle, covariance: BundleCovariance) -> tuple[Array, Arra
         mixed = by_place @ covariance.points_and_cameras[:, :, columns] @ by_both.mT
         covariances[t] = by_both @ of_camera @ by_both.mT + by_place @ covariance.points @ by_place.mT
         covariances[t] += mixed + mixed.mT
+    covariances[depths < NEAREST] = BEHIND * np.eye(2)
     return positions, covariances

@@ -48,7 +48,7 @@ LEAST_SHARED = 12  # points from which a camera is found: twice what it needs
 LEVELS = ((1, 1.0), (2 / 3, 0.5), (0.5, 0.2))
 """Shares of `LEAST_SHARED` and of `NARROW` that are enough: less, when no other frame can be added."""
 LEAST_AGREEING = 0.5  # share of the points that agree with a frame's camera
-SAMPLES = math.ceil(math.log(1 - SURE) / math.log(1 - LEAST_AGREEING**4))  # of four points, to be sure of one
+SAMPLES = math.ceil(math.log(1 - SURE) / math.log(1 - LEAST_AGREEING**4))  # of four points
 MOSTLY = 0.7  # share of the points of the frame that shows most from which another one is taken along with it
 GROWTH = 1.25  # factor by which the number of frames grows between two bundle adjustments
 STEPS = 12  # of bundle adjustment while it grows
@@ -134,7 +134,6 @@ class _Growth:
         both = np.flatnonzero(self._seen[one] & self._seen[other])
         curvature = self._cameras.curvature
         here, there = self._places[one, both] * curvature, self._places[other, both] * curvature
-        cv2.setRNGSeed(0)
         essential, agreeing = cv2.findEssentialMat(
             here, there, np.eye(3), method=cv2.USAC_DEFAULT, prob=SURE,
             threshold=AGREEING_DISTANCE / 2 * curvature,
@@ -192,7 +191,6 @@ class _Growth:
         """Find a frame's camera from the points that are known; whether there is one."""
         points = np.flatnonzero(self._seen[frame] & self._points)
         shape, seen = self._shape[points], self._places[frame, points] * self._cameras.curvature
-        cv2.setRNGSeed(0)
         try:
             found, _, _, agreeing = cv2.solvePnPRansac(
                 shape, seen, np.eye(3), None, confidence=SURE, iterationsCount=SAMPLES,
@@ -201,12 +199,12 @@ class _Growth:
             if not found or agreeing is None or len(agreeing) < LEAST_AGREEING * len(points):
                 return False
             good = agreeing[:, 0]
-            _, vector, translation = cv2.solvePnP(
+            solved, vector, translation = cv2.solvePnP(
                 shape[good], seen[good], np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
             )
         except cv2.error:  # points that are nearly in one place or on a line
             return False
-        if translation[2, 0] <= 0:
+        if not solved or translation[2, 0] <= 0:
             return False
         self._place(frame, exponential(_float(vector.T))[0], _float(translation[:, 0]))
         return True

@@ -239,7 +239,7 @@ def test_other_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"run.npz: got .*expected a state that was saved here"):
         walking().load(path)
     np.savez(path, skeleton=np.array(json.dumps({"format": "rsmcm state 0", "values": {}})))
-    with pytest.raises(ValueError, match=r"run.npz: got format 'rsmcm state 0', expected 'rsmcm state 2'"):
+    with pytest.raises(ValueError, match=r"run.npz: got format 'rsmcm state 0', expected 'rsmcm state 3'"):
         walking().load(path)
 
 
