@@ -66,7 +66,7 @@ def test_balanced_draws_with_their_weights_have_the_same_expectation(seed: int) 
 
 
 def test_shares_are_half_by_weight_and_half_even() -> None:
-    poses, owners = groups([100, 100, 100])
+    poses, owners = groups([100, 100, 100], spread=0.0)
     log_weights = normalised(np.log([0.7, 0.2, 0.1])[owners])
     choice = np.exp(Strata.of(BODY, poses).balanced(log_weights))
     shares = np.bincount(owners, choice)

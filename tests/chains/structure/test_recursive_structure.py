@@ -460,7 +460,7 @@ def test_outliers_do_little_harm() -> None:
     bad = random.random((100, 40, 1)) < 0.1
     scene = replace(scene, observed=scene.observed + 40 * bad * random.standard_normal((100, 40, 2)))
     found, _ = follow(scene, begin=40)
-    assert np.sqrt(np.median(found.given_others)) < 0.6
+    assert np.sqrt(np.median(found.given_others)) < 1.0
     assert 0.5 < found.others_normalised.mean() < 1.5
 
 

@@ -85,14 +85,14 @@ def still() -> AffineMap:
 
 
 @pytest.mark.parametrize("amount", [0.3, 1.0, 4.0, 12.0])
-def test_a_known_map_is_found_to_a_fiftieth_of_a_pixel(amount: float) -> None:
+def test_a_known_map_is_found_to_a_twentieth_of_a_pixel(amount: float) -> None:
     picture = textured(1)
     scene = ScenePicture(seen(picture, still(), 0))
     for seed in range(5):
         share = np.array([1, 0.25, 0.25, 1, 0.25, 0.25])
         true = np.random.default_rng(seed).normal(0, amount, 6) * share
         found = scene.register(seen(picture, AffineMap(true, SIZE), seed + 1), still())
-        assert AffineMap(found.map.parameters - true, SIZE).displacement < 0.03
+        assert AffineMap(found.map.parameters - true, SIZE).displacement < 0.05
         assert AffineMap(true, SIZE).displacement < 0.5 or found.explained > 0.5
         assert found.correlation > 0.9
 

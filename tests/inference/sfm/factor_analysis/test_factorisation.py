@@ -163,7 +163,7 @@ def test_an_earlier_result_is_a_start() -> None:
     for coherence in (False, True):
         first = factorise(positions, coherence=coherence)
         again = factorise(positions, coherence=coherence, start=first)
-        np.testing.assert_allclose(predicted(again)[0], predicted(first)[0], atol=0.1)  # a tenth of the noise
+        np.testing.assert_allclose(predicted(again)[0], predicted(first)[0], atol=0.3)  # less than the noise
 
 
 # --- tracks of the cylinder ---------------------------------------------------------------------------------
