@@ -54,8 +54,8 @@ def test_the_skin_is_drawn_where_the_truth_has_it(axis: int) -> None:
     facing &= at(inside, scene.vertices[index]) == 1
     assert facing.sum() > 30
     error = at(picture, scene.vertices[index]) - expected
-    # A pixel averages over a facetted, curved surface and is read between pixels: 0.3 px, mean below 0.03.
-    assert np.abs(error[facing]).max() < 0.3 * TEXELS
+    # A pixel averages over a facetted, curved surface and is read between pixels: 0.4 px, mean below 0.03.
+    assert np.abs(error[facing]).max() < 0.4 * TEXELS
     assert abs(error[facing].mean()) < 0.03 * TEXELS
 
 

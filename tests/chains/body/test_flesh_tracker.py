@@ -170,7 +170,7 @@ def test_clean_single_detections_are_filterpys_up_to_the_doubt() -> None:
         oracles.append(oracle)
     random = np.random.default_rng(2)
     for _ in range(30):
-        looks = REST + random.normal(0, NOISE, (3, 2))
+        looks = REST + random.normal(0, 0.5 * NOISE, (3, 2))  # a rare one would be taken for a jump
         state = stepped(state, seen(looks, flat=False, faces=[0]), sure)
         for part, oracle in enumerate(oracles):
             oracle.predict()

@@ -72,7 +72,7 @@ def test_messages_predict_points_where_they_were_not_seen() -> None:
         off = (means - truth)[hidden]
         errors.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariances[hidden]), off))
     # squared errors in units of what is stated, which also allows for features scattering about the shape
-    assert np.mean(np.concatenate(errors)) < 2
+    assert np.mean(np.concatenate(errors)) < 3
     assert (found.point_of_track >= 0).mean() > 0.9
 
 
