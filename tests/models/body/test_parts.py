@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts, PartMessage
+from rsmcm.models.body.parts import ANYWHERE, CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts, PartMessage
 from rsmcm.models.body.skin import SkinColour
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
+from rsmcm.models.face.detectors import HaarFaces
 from scipy.special import logsumexp
 
 Array = NDArray[np.float64]
@@ -134,3 +135,33 @@ def test_learned_from_a_clip() -> None:
         BodyParts.learned([picture(), picture()], Faces())
     with pytest.raises(ValueError, match="images: got no face in 0 of 0"):
         BodyParts.learned([], Faces(BOX))
+
+
+def test_faces_are_sought_about_the_head_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There they are where they are in the whole picture; elsewhere if there is none, or now and then."""
+    shown: list[tuple[int, ...]] = []
+
+    def brightest(self: HaarFaces, frame: Frame) -> Array:
+        """A box about the middle of what is white, if anything is."""
+        assert frame.image is not None
+        shown.append(frame.image.shape[:2])
+        rows, columns = np.nonzero(frame.image[..., 0] == 255)
+        boxes = [[columns.mean() - 30, rows.mean() - 30, 60, 60]] if len(rows) else []
+        return np.array(boxes, np.float64).reshape(-1, 4)
+
+    monkeypatch.setattr(HaarFaces, "__call__", brightest)
+    node = BodyParts(80.0, detector=HaarFaces())
+    image = np.zeros((360, 640, 3), np.uint8)
+    image[140:150, 300:320] = 255
+    for place, number, size in (
+        ((310.0, 150.0), 1, [(200, 200)]),
+        ((310.0, 150.0), ANYWHERE, [(360, 640)]),
+        ((40.0, 300.0), 2, [(160, 140), (360, 640)]),
+    ):
+        shown.clear()
+        known = GaussianMixtures.of_parts(
+            [np.zeros(1)] * 3, [np.array([place])] * 3, [25.0 * np.eye(2)[None]] * 3
+        )
+        heads = node._known_head(PartMessage(known), image.shape)
+        np.testing.assert_allclose(node._faces(Frame(image, 0.0, number), heads), [[279.5, 114.5, 60, 60]])
+        assert shown == size

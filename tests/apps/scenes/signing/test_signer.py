@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from rsmcm.apps.scenes import signer
 from rsmcm.apps.scenes.signing.faults import BOX_NOISE, FACE_BELOW, FACE_BOX, MISSING, bursts
+from rsmcm.apps.scenes.signing.shape import tube
 from rsmcm.models.core.frame import Frame
 
 HANDS = (4, 7)  # of JOINTS
@@ -104,3 +105,13 @@ def test_false_skin_comes_as_often_as_asked_for():
 
 
 # Pictures
+
+
+def test_a_tube_has_rings_of_the_stated_half_widths() -> None:
+    centres = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 2.0]])
+    across, over = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    wide, deep = np.array([2.0, 2.0, 1.0]), np.array([0.5, 1.0, 1.0])
+    places = tube("skin", centres, across, over, wide, deep).places.reshape(3, -1, 3)
+    x, y = places[..., 0] / wide[:, None], places[..., 1] / deep[:, None]
+    np.testing.assert_allclose(x**2 + y**2, 1, atol=1e-12)
+    np.testing.assert_allclose(places[..., 2], centres[:, 2:].repeat(places.shape[1], axis=1))
