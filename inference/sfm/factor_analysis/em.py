@@ -131,7 +131,7 @@ def inverses(information: Array, prior: Array, scale: float) -> tuple[Array, Arr
     return covariance, log_determinant
 
 
-ROUNDING = 1e-10
+FINEST = 1e-15
 """Least variance of a coherent camera after a frame, as a share of that before: differences of them round."""
 
 LEAST_NOISE = 1e-9
@@ -219,7 +219,7 @@ def estimate_cameras(information: Array, vector: Array, noise: float, prior: Cam
     variance = prior.numbers
     if prior.coherent:
         first = np.repeat(FIRST_SPREAD, 4)
-        noise = max(noise, ROUNDING * float(information.max() * variance.max()))
+        noise = max(noise, FINEST * float(information.max() * max(first.max(), variance.max())))
         cameras, covariance, evidence, squares, counts = smooth_cameras(
             information, vector, 1 / noise, variance, np.zeros((12, 2)), first
         )
