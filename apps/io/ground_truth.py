@@ -16,7 +16,7 @@ from ...models.array_files import ARCHIVE, PACKED
 from ...models.core.checks import checked
 from ...models.core.short_repr import short_repr
 from ...models.files import MOST_SETTINGS, MOST_TEXT, read_text
-from .sources.images import read_grey
+from .sources.images import images_among, read_grey
 from .tables import Row, rows_of_frame
 from .tracks import mot_rows, mot_rows_of
 
@@ -149,6 +149,9 @@ def read_ground_truth(path: str | Path) -> BoxTruth | MaskTruth:
 
     Notes
     -----
+    A mask belongs to the picture of its number in `input/`, if that is there: `gt000000.png` to
+    `in000000.jpg`, whose frame is the first. Otherwise its number is the frame's.
+
     A MOT line is frame, identity, left, top, width, height, flag (0: ignore) and then, in MOT16 and later,
     class and visibility (nine columns), in MOT15 x, y, z (ten columns; all are pedestrians). Coordinates
     are 1-based pixels in the file, 0-based in what is returned. In CVAT's zip they are 0-based, and classes
@@ -271,11 +274,7 @@ def _kind_of(values: Sequence[float], kinds: Sequence[Kind]) -> Kind:
 
 
 def _read_masks(folder: Path) -> MaskTruth:
-    files = {}
-    for path in (folder / "groundtruth").iterdir():
-        digits = re.search(r"(\d+)\.(?:png|bmp)$", path.name)
-        if digits:
-            files[int(digits[1])] = path
+    files = _by_number((folder / "groundtruth").iterdir(), "png|bmp")
     if not files:
         raise ValueError(f"{folder / 'groundtruth'}: holds no masks, expected gt000001.png and so on")
     temporal = folder / "temporalROI.txt"
@@ -290,8 +289,20 @@ def _read_masks(folder: Path) -> MaskTruth:
             raise ValueError(
                 f"{folder / 'groundtruth'}: holds no mask of frames {first} to {last} ({temporal.name})"
             )
+    pictures = images_among((folder / "input").iterdir()) if (folder / "input").is_dir() else []
+    if frames := _by_number(pictures, r"\w+"):
+        place = {path: number for number, path in enumerate(pictures, 1)}
+        files = {place[frames[number]]: path for number, path in files.items() if number in frames}
+        if not files:
+            raise ValueError(f"{folder / 'groundtruth'}: holds no mask of a picture in input, by its number")
     region = folder / "ROI.bmp"
     return MaskTruth(files, _read_grey(region) > 0 if region.exists() else None)
+
+
+def _by_number(paths: Iterable[Path], suffixes: str) -> dict[int, Path]:
+    """Files by the number at the end of their names."""
+    found = ((path, re.search(rf"(\d+)\.(?:{suffixes})$", path.name)) for path in paths)
+    return {int(digits[1]): path for path, digits in found if digits}
 
 
 def _read_grey(path: Path) -> NDArray[np.uint8]:

@@ -111,6 +111,31 @@ def test_masks_with_regions_of_interest(tmp_path: Path) -> None:
         truth.labels(9)
 
 
+@pytest.mark.parametrize(
+    ("masks_of", "pictures", "place_of_7"),
+    [(range(3), range(3), None), (range(4, 9), range(10), 8), ([7], range(5, 9), 3), ([7], [2, 7, 9], 2)],
+)
+def test_a_mask_belongs_to_the_picture_of_its_number(
+    tmp_path: Path, masks_of: range, pictures: range, place_of_7: int | None
+) -> None:
+    """Frames are counted from 1, whatever number the first picture has."""
+    cdnet(tmp_path, masks_of)
+    (tmp_path / "input").mkdir()
+    for number in pictures:
+        (tmp_path / f"input/in{number:06d}.jpg").touch()
+    found = {path.name: frame for frame, path in masks(tmp_path).files.items()}
+    assert found.get("gt000007.png") == place_of_7
+    assert len(found) == len(set(masks_of) & set(pictures))
+
+
+def test_masks_of_other_pictures_are_refused(tmp_path: Path) -> None:
+    cdnet(tmp_path, range(1, 4))
+    (tmp_path / "input").mkdir()
+    (tmp_path / "input/in000009.jpg").touch()
+    with pytest.raises(ValueError, match="holds no mask of a picture in input, by its number"):
+        read_ground_truth(tmp_path)
+
+
 def test_broken_masks_are_named(tmp_path: Path) -> None:
     cdnet(tmp_path, range(1, 4), "1 x")
     with pytest.raises(ValueError, match=r"temporalROI\.txt"):
