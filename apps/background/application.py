@@ -128,8 +128,8 @@ def read_frame_result(
         tracks = inside(region, tracks)
     if pixels.view is None:
         return FrameResult(foreground, tracks)
-    view = pixels.view.map
-    return FrameResult(view.warp_to_frame(foreground), [track.seen_by(view) for track in tracks])
+    view = pixels.view
+    return FrameResult(view.map.warp_to_frame(foreground), [track.seen_by(view) for track in tracks])
 
 
 def run_background(job: BackgroundJob) -> Outcome:

@@ -76,7 +76,6 @@ class BackgroundJob(FilmJob):
     BOUNDS: ClassVar[Bounds] = {"warm_up": (lambda seconds: 0 < seconds < math.inf, "seconds, more than 0")}
     EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = (
         ("--chain", "--engine stand-alone"),
-        ("--detections", "--camera moving"),
         ("--detections", "--engine stand-alone"),
         ("--zones", "--engine stand-alone"),
         ("--warm-up", WHOLE, "the second estimates the background from the whole video"),

@@ -125,18 +125,20 @@ class BlobTracker:
         """Return the message of all objects to a feature (mu_{S -> F})."""
         if isinstance(feature, PixelLabels):
             return PixelMessage(layers=self._placed(state, incoming)[2])
-        blobs, _ = incoming.once(self._registered, state, incoming[PixelLabels])
+        pixels = incoming[PixelLabels]
+        blobs, _ = incoming.once(self._registered, state, pixels)
+        view = BoxMessage(view=pixels.view)
         if not len(blobs):
-            return BoxMessage()
+            return view
         is_seen = incoming.evidence(PixelLabels).image is not None
-        return detections.box_message(select_whole(blobs), state.detecting, is_seen)
+        return view * detections.box_message(select_whole(blobs), state.detecting, is_seen)
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Update all objects by the frame: register, learn, merge, split, delete and create."""
         pixels, boxes = incoming[PixelLabels], incoming.get(ObjectBoxes)
         blobs, newborn, layers = self._placed(state, incoming)
         if boxes is not None and boxes.association is not None:
-            blobs = blobs.select(detections.are_kept(blobs, state.size))
+            blobs = blobs.select(detections.are_kept(blobs, boxes, state.size))
             all_blobs, born = blobs.concatenate(newborn), state.born + len(newborn)
             state = replace(state, blobs=all_blobs, born=born, detecting=True)
         if pixels.subtraction is None:

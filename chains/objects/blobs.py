@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...models.camera.moving_camera import AffineMap
+from ...models.camera.moving_camera import View
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import FOOT_X, FOOT_Y, HEIGHT, WIDTH
@@ -52,13 +52,19 @@ class Track:
     seen: bool  # whether this frame shows it, to its pixels or to a detector; else it is only predicted
     position_covariance: Covariance  # px^2, of the middle of the box, along x and y
 
-    def seen_by(self, view: AffineMap) -> Self:
+    def seen_by(self, view: View) -> Self:
         """Return the track in a frame whose camera has moved by `view`; the velocity stays the scene's."""
-        linear = view.matrix[:, :2]
+        linear, (x, y, width, height) = view.map.matrix[:, :2], self.box
+        here = np.array([[x + width / 2, y + height, width, height]])
+        unsure = np.diag(view.box_variances(here)[0, :WIDTH])
+        ((x, y, width, height),) = view.map.boxes(here).tolist()
         vx, vy = (linear @ self.velocity).tolist()
-        (xx, xy), (yx, yy) = (linear @ self.position_covariance @ linear.T).tolist()
+        (xx, xy), (yx, yy) = (linear @ self.position_covariance @ linear.T + unsure).tolist()
         return replace(
-            self, box=view.box(self.box), velocity=(vx, vy), position_covariance=((xx, xy), (yx, yy))
+            self,
+            box=(x - width / 2, y - height, width, height),
+            velocity=(vx, vy),
+            position_covariance=((xx, xy), (yx, yy)),
         )
 
 

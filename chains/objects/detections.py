@@ -133,7 +133,8 @@ def unexplained(boxes: BoxMessage, size: tuple[int, int]) -> list[int]:
     """Return the indices of boxes in the picture that may show a new object."""
     association = boxes.association
     assert association is not None
-    return np.flatnonzero((association.new > CANDIDATE) & _inside(association.boxes, size)).tolist()
+    inside = _inside(boxes.in_frame(association.boxes), size)
+    return np.flatnonzero((association.new > CANDIDATE) & inside).tolist()
 
 
 def newborn(identity: int, boxes: BoxMessage, k: int, channels: int, colour_variance: float) -> Blob:
@@ -171,12 +172,12 @@ def are_parts(blobs: Blobs, detected: Blobs) -> NDArray[np.bool_]:
     return np.asarray(shared.any(axis=1) & (blobs.table["detected"] == 0))
 
 
-def are_kept(blobs: Blobs, size: tuple[int, int]) -> NDArray[np.bool_]:
+def are_kept(blobs: Blobs, message: BoxMessage, size: tuple[int, int]) -> NDArray[np.bool_]:
     """Return `(n,)` whether objects are kept: undetected ones, and detected ones that may still be there."""
     table = blobs.table
     boxes = table["box_mean"].copy()
     boxes[:, :WIDTH] += table["position"][:, ::-1]
-    there = _inside(boxes, size) & (table["existence"] > GIVEN_UP)
+    there = _inside(message.in_frame(boxes), size) & (table["existence"] > GIVEN_UP)
     kept: NDArray[np.bool_] = (table["detected"] == 0) | (
         there & (table["covariance"][:, 0, 0] < boxes[:, HEIGHT] ** 2)
     )

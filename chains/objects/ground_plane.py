@@ -223,9 +223,10 @@ class GroundPlane:
         state = self._with_births_and_deaths(state, identities, boxes)
         if not len(identities):
             return state
+        whole = _are_whole(message.in_frame(boxes), state.size)
         places = places_of(state.identities, identities)
         exists = 1 / (1 + np.exp(-message.existence.of(identities))) if len(message.existence) else 1.0
-        return self._observed(state, places, boxes, covariances, exists)
+        return self._observed(state, places, boxes, covariances, whole, exists)
 
     def _observed(
         self,
@@ -233,6 +234,7 @@ class GroundPlane:
         places: NDArray[np.intp],
         boxes: Array,
         covariances: Array,
+        whole: NDArray[np.bool_],
         exists: Array | float,
     ) -> GroundState:
         """The state given boxes `(n, 4)` px of different objects, each weighed by its prediction."""
@@ -245,7 +247,6 @@ class GroundPlane:
         noise += slope * (slope * covariances[:, FOOT_Y, FOOT_Y] - 2 * covariances[:, FOOT_Y, HEIGHT])
         ratio = _good_over_bad(off**2, known.diagonal() + noise, (HALF_HIDDEN * own) ** 2)
         good = self._probability_of_good(ratio)
-        whole = _are_whole(boxes, state.size)
         on_plane = exists / (1 + np.exp(-state.trust[places]))
         worth = np.clip(state.unseen[places] / self.observation_time, 1e-6 / self.observation_time, 1.0)
         weight = whole * on_plane * good * worth

@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.frame import BoundingBox
 from ..core.gaussian_message import GaussianMessage
 from ..core.pictures import grey_of
 from ..core.short_repr import short_repr
@@ -118,6 +117,13 @@ class AffineMap:
         """Return the map of a camera that has not moved."""
         return cls(np.zeros(UNKNOWNS), size)
 
+    @classmethod
+    def of(cls, matrix: Array, size: tuple[int, int]) -> Self:
+        """Return the map whose `matrix` `(2, 3)` is given."""
+        still = cls.identity(size)
+        shift = matrix[:, :2] @ still.middle + matrix[:, 2] - still.middle
+        return cls(np.column_stack([shift, (matrix[:, :2] - np.eye(2)) * still.radius]).reshape(-1), size)
+
     @property
     def middle(self) -> tuple[float, float]:
         """Middle of the picture (x, y), px."""
@@ -148,13 +154,28 @@ class AffineMap:
         matrix = self.matrix
         return places @ matrix[:, :2].T + matrix[:, 2]
 
-    def box(self, box: BoundingBox) -> BoundingBox:
-        """Return a box (x, y, width, height) in the frame: upright, about the mapped middle."""
-        x, y, width, height = box
-        (middle_x, middle_y) = self.points(np.array([x + width / 2 - 0.5, y + height / 2 - 0.5])) + 0.5
-        across, down = np.hypot(*self.matrix[:, :2])
-        width, height = width * float(across), height * float(down)
-        return float(middle_x) - width / 2, float(middle_y) - height / 2, width, height
+    @property
+    def inverse(self) -> Self:
+        """The map from the frame to the scene."""
+        return self.of(np.asarray(cv2.invertAffineTransform(self.matrix), np.float64), self.size)
+
+    def after(self, first: Self) -> Self:
+        """Return the map that is `first` followed by this one."""
+        matrix = self.matrix[:, :2] @ first.matrix
+        matrix[:, 2] += self.matrix[:, 2]
+        return self.of(matrix, self.size)
+
+    @property
+    def scale(self) -> Array:
+        """`(2,)`: by which widths and heights grow."""
+        return np.asarray(np.hypot(*self.matrix[:, :2]))
+
+    def boxes(self, boxes: Array) -> Array:
+        """Return boxes `(n, 4)` (foot x, foot y, width, height) in the frame: upright, middles mapped."""
+        sides = boxes[:, 2:] * self.scale
+        up = np.array([0.0, 0.5])
+        middles = self.points(boxes[:, :2] - up * boxes[:, 2:] - 0.5) + 0.5
+        return np.hstack([middles + up * sides, sides])
 
     def warp_to_scene(self, image: Image, beyond: Image) -> Image:
         """Warp a frame's image to the scene; `beyond` fills what the frame does not show."""
@@ -168,9 +189,13 @@ class AffineMap:
     @property
     def shown(self) -> NDArray[np.bool_]:
         """Pixels of the scene that lie in the frame, `(height, width)`."""
-        frame = np.ones(self.size, np.uint8)
+        return self.mask_to_scene(np.ones(self.size, np.bool_))
+
+    def mask_to_scene(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Warp a mask `(height, width)` of the frame to the scene; false where the frame does not show it."""
         flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-        return np.asarray(cv2.warpAffine(frame, self.matrix, self.size[::-1], flags=flags), bool)
+        seen = cv2.warpAffine(mask.astype(np.uint8), self.matrix, self.size[::-1], flags=flags)
+        return np.asarray(seen, np.bool_)
 
     def warp_to_frame(self, mask: NDArray[Value]) -> NDArray[Value]:
         """Warp a map of the scene `(height, width)` to the frame; 0 outside of the scene."""
@@ -391,6 +416,18 @@ class View:
     def covariance(self) -> Array:
         """Covariance of the map's parameters, `(6, 6)` px^2."""
         return self.where.marginal(0)[1]
+
+    def box_variances(self, boxes: Array) -> Array:
+        """Return `(n, 4)` px^2, what the map is unsure of boxes `(n, 4)` of the scene in the frame."""
+        radius, spread = self.map.radius, self.covariance
+        feet = np.column_stack([np.ones(len(boxes)), (boxes[:, :2] - np.array(self.map.middle)) / radius])
+        # its middle is mapped, half a height above the foot, whose row grows as the height does
+        middles = feet - np.outer(boxes[:, 3] / (2 * radius), [0, 0, 1])
+        x, y = (
+            ((middles @ spread[:3, :3]) * middles).sum(axis=1),
+            ((feet @ spread[3:, 3:]) * feet).sum(axis=1),
+        )
+        return np.column_stack([x, y, (boxes[:, 2:] / radius) ** 2 * spread.diagonal()[[1, 5]]])
 
     @cached_property
     def hidden(self) -> NDArray[np.bool_]:

@@ -7,6 +7,7 @@ from typing import Annotated, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..camera.moving_camera import View
 from ..core.checks import NotNegative, Positive, Probability, Shape, checked
 from ..core.gaussian_message import GaussianMessage
 from ..core.identities import find, union
@@ -211,6 +212,7 @@ class BoxMessage:
     detector: BoxDetector | None = None  # how reliable the detector is; at most one sender
     # from the evidence: which detection belongs to whom; None if no detector has run
     association: Association | None = None
+    view: View | None = None  # map from the scene, in whose px all boxes are, to the frame; None: the same
 
     def __mul__(self, other: Self) -> Self:
         for name in ("newcomers", "detector", "association"):
@@ -225,7 +227,28 @@ class BoxMessage:
             self.detector or other.detector,
             # one without boxes, which is false, says that the detector has run
             other.association if self.association is None else self.association,
+            self.view or other.view,
         )
+
+    def in_frame(self, boxes: Numbers) -> Numbers:
+        """Return boxes `(n, 4)` of the scene as the frame shows them."""
+        return boxes if self.view is None else self.view.map.boxes(boxes)
+
+    def in_scene(self, boxes: Numbers) -> Numbers:
+        """Return boxes `(n, 4)` of the frame as they are in the scene."""
+        return boxes if self.view is None else self.view.map.inverse.boxes(boxes)
+
+    def outlines_in_scene(self, masks: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return masks `(n, height, width)` of the frame as they are in the scene."""
+        if self.view is None or not len(masks):
+            return masks
+        return np.stack([self.view.map.mask_to_scene(mask) for mask in masks])
+
+    def variances_by_view(self, boxes: Numbers) -> Numbers:
+        """Return `(n, 4)` px^2, of boxes in the scene as seen in the frame, by what the view is unsure of."""
+        if self.view is None:
+            return np.zeros_like(boxes)
+        return np.asarray(self.view.box_variances(boxes) / np.tile(self.view.map.scale**2, 2))
 
     def distance(self, other: Self) -> float:
         """Return the greatest distance of boxes and odds of two messages."""

@@ -95,8 +95,8 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     """
     given = frame.boxes
     assert given is not None
-    boxes = feet(given.xyxy)
-    noise = detector.noise(boxes)
+    boxes = prior.in_scene(feet(given.xyxy))
+    noise = detector.noise(boxes) + prior.variances_by_view(boxes)
     tracked = prior.expected
     tracked = tracked.only(np.isin(tracked.identities, prior.existence.identities))
     identities, means, covariances = tracked.moments
@@ -104,10 +104,10 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
 
     exists, noticed = (expit(odds.of(identities)) for odds in (prior.existence, prior.noticed))
     size = _picture(frame, prior, given)
-    visible = visible_share(means, exists, size)
+    visible = visible_share(prior.in_frame(means), exists, size)
     phases = np.array([[NOTICED], [UNNOTICED]]) * visible
     expected = noticed * phases[0] + (1 - noticed) * phases[1]
-    own = detector.noise(means)
+    own = detector.noise(means) + prior.variances_by_view(means)
     densities = _log_densities(boxes, means, covariances, own)
     further = _log_densities(boxes, means, covariances, DOUBLE**2 * own)
 
@@ -141,7 +141,7 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
         new=found.alone * new / alone,
         double=found.alone * doubles / alone,
         log_evidence=found.log_sum + float(np.log(alone).sum()) - poisson,
-        outlines=given.masks,
+        outlines=None if given.masks is None else prior.outlines_in_scene(given.masks),
     )
     order = np.argsort(identities)
     return BoxMessage(

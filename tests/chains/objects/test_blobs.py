@@ -3,25 +3,34 @@
 import numpy as np
 import pytest
 from rsmcm.chains.objects.blobs import Blob, Blobs, BlobState, Track
-from rsmcm.models.camera.moving_camera import AffineMap
+from rsmcm.models.camera.moving_camera import View
 
 
 def test_a_track_is_seen_by_a_camera_that_has_moved_as_its_middle_is() -> None:
-    view = AffineMap(np.array([4.0, 3.0, -6.0, -2.0, 5.0, 2.0]), (120, 160))
+    parameters, errors = np.array([4.0, 3.0, -6.0, -2.0, 5.0, 2.0]), np.array([0.5, 1.0, 0.0, 2.0, 0.0, 1.0])
+    view = View.predicted(parameters, np.diag(errors**2 + 1e-9), np.zeros((120, 160), np.float32))
     covariance = ((4.0, 1.0), (1.0, 9.0))
     track = Track(3, (40.0, 30.0, 10.0, 20.0), 0.75, (8.0, -6.0), True, covariance)
     seen = track.seen_by(view)
 
     def middle(moved: float) -> np.ndarray:
-        x, y, width, height = view.box((40 + 8 * moved, 30 - 6 * moved, 10.0, 20.0))
-        return np.array([x + width / 2, y + height / 2])
+        box = np.array([[45 + 8 * moved, 50 - 6 * moved, 10.0, 20.0]])
+        ((x, y, _, height),) = view.map.boxes(box)
+        return np.array([x, y - height / 2])
 
     assert (seen.identity, seen.confidence, seen.seen) == (3, 0.75, True)
-    assert seen.box == pytest.approx(view.box(track.box))
+    x, y, width, height = seen.box
+    np.testing.assert_allclose([x + width / 2, y + height / 2], middle(0.0))
+    np.testing.assert_allclose([width, height], view.map.scale * [10.0, 20.0])
     np.testing.assert_allclose(seen.velocity, middle(1.0) - middle(0.0), atol=1e-9)
-    drawn = np.random.default_rng(0).multivariate_normal((0, 0), covariance, 100_000)
-    places = view.points(drawn)
-    np.testing.assert_allclose(seen.position_covariance, np.cov(places.T), atol=0.12)
+    random = np.random.default_rng(0)
+    drawn = random.multivariate_normal((0, 0), covariance, 100_000)
+    places = view.map.points(drawn)
+    foot_from_middle = np.array([45 - 79.5, 50 - 59.5]) / 100  # half a diagonal is 100 px
+    unsure = errors**2 @ np.array(
+        [[1, 0], [foot_from_middle[0] ** 2, 0], [0, 0], [0, 1], [0, 0], [0, foot_from_middle[1] ** 2]]
+    )
+    np.testing.assert_allclose(seen.position_covariance, np.cov(places.T) + np.diag(unsure), atol=0.12)
 
 
 def known(**changes: object) -> Blob:

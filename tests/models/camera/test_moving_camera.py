@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.camera.moving_camera import AffineMap, ScenePicture
+from rsmcm.models.camera.moving_camera import AffineMap, ScenePicture, View
 from scipy.ndimage import affine_transform
 
 SMALL = (60, 90)
@@ -45,12 +45,35 @@ def test_a_frame_comes_back_to_the_scene_and_the_mask_to_the_frame() -> None:
 
 def test_a_box_is_where_its_corners_are() -> None:
     shift = AffineMap(np.array([3.5, 0, 0, -2.0, 0, 0]), SMALL)
-    assert shift.box((10, 20, 8, 16)) == pytest.approx((13.5, 18, 8, 16))
+    box = np.array([[14.0, 36, 8, 16]])  # middle of the lowest edge, width, height
+    np.testing.assert_allclose(shift.boxes(box), [[17.5, 34, 8, 16]])
     radius = shift.radius
     zoom = AffineMap(np.array([0, 0.1 * radius, 0, 0, 0, 0.1 * radius]), SMALL)
     corners = zoom.points(np.array([(9.5, 19.5), (17.5, 35.5)])) + 0.5
-    x, y, width, height = zoom.box((10, 20, 8, 16))
-    assert np.allclose([(x, y), (x + width, y + height)], corners)
+    ((x, y, width, height),) = zoom.boxes(box)
+    assert np.allclose([(x - width / 2, y - height), (x + width / 2, y)], corners)
+
+
+@given(numbers(5.0), numbers(5.0))
+def test_maps_one_after_the_other_and_back(first: np.ndarray, second: np.ndarray) -> None:
+    one, two = AffineMap(first, SMALL), AffineMap(second, SMALL)
+    places = np.array([[0.0, 0.0], [80.0, 10.0], [30.0, 55.0]])
+    np.testing.assert_allclose(two.after(one).points(places), two.points(one.points(places)), atol=1e-9)
+    np.testing.assert_allclose(one.inverse.points(one.points(places)), places, atol=1e-9)
+
+
+def test_what_the_map_is_unsure_of_moves_boxes_as_much_as_is_said() -> None:
+    random = np.random.default_rng(0)
+    spread = random.normal(size=(6, 6))
+    covariance = 0.05 * spread @ spread.T
+    view = View.predicted(random.normal(size=6), covariance, np.zeros(SMALL, np.float32))
+    boxes = np.array([[14.0, 36, 8, 16], [70.0, 58, 20, 50]])
+    drawn = random.multivariate_normal(view.map.parameters, covariance, 20_000)
+    seen = np.stack([AffineMap(each, SMALL).boxes(boxes) for each in drawn])
+    # a variance of n draws is known to sqrt(2 / n); shear, which turns middles of edges, is left out
+    np.testing.assert_allclose(
+        view.box_variances(boxes), seen.var(axis=0), rtol=5 * np.sqrt(2 / 20_000), atol=0.02
+    )
 
 
 SIZE = (180, 240)
