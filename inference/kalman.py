@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..models.core.checks import Count, NotNegative, checked
 from ..models.core.short_repr import short_repr
 from . import kernels as kalman_kernels
-from .kernels import ROUNDING
+from .kernels import ROUNDING, Block, inverse, remainder
 
 Array = NDArray[np.float64]
 
@@ -110,17 +110,17 @@ class PointStates:
     covariance: Array
 
     @classmethod
-    def at_rest(cls, positions: ArrayLike, variance: ArrayLike, speed: float) -> Self:
+    def at_rest(cls, positions: ArrayLike, variance: ArrayLike, speed: ArrayLike) -> Self:
         """Return new points, with unknown velocities.
 
-        Positions `(n_points, 2)` px have this variance px^2 (one for all, or `(n_points,)`), velocities the
-        standard deviation `speed` px/s, along each coordinate.
+        Positions `(n_points, 2)` px have this variance px^2, velocities the standard deviation `speed` px/s,
+        along each coordinate; both are one for all, or `(n_points,)`.
         """
         places = np.asarray(positions, np.float64).reshape(-1, 2)
         mean, covariance = np.zeros((len(places), STATE)), np.zeros((len(places), STATE, STATE))
         mean[:, :2] = places
         covariance[:, 0, 0] = covariance[:, 1, 1] = variance
-        covariance[:, 2, 2] = covariance[:, 3, 3] = speed**2
+        covariance[:, 2, 2] = covariance[:, 3, 3] = np.square(speed)
         return cls(mean, covariance)
 
     @property
@@ -154,7 +154,7 @@ def predict(states: PointStates, dt: float, acceleration: ArrayLike) -> PointSta
     n_points = _checked_states(states, 1)
     moved = _empty_like(states)
     noise = _per_point(acceleration, n_points)
-    kalman_kernels.predict_states(*states.arrays, float(dt), noise, *moved.arrays)
+    kalman_kernels.predict_states(*states.arrays, np.full(n_points, float(dt)), noise, *moved.arrays)
     return moved
 
 
@@ -180,17 +180,17 @@ def filter_tracks(
 
     A point that begins later, or is lost in between, has no information in the frames before. Its prior (in
     the first frame, before its measurement) should be so broad that it does not matter when the point
-    begins. `times` `(n_frames,)` are s, information and vector have the frames in front; times that decrease
-    and shapes that do not fit are a `ValueError`.
+    begins. `times` are s, `(n_frames,)` or, if each point has its own, `(n_frames, n_points)`; information
+    and vector have the frames in front. Times that decrease and shapes that do not fit are a `ValueError`.
     """
     n_points = _checked_states(prior, 1)
-    seconds = _checked_times(times)
-    measured = _checked_measurements(information, vector, (len(seconds), n_points))
+    steps = _checked_steps(times, n_points)
+    measured = _checked_measurements(information, vector, (len(steps), n_points))
     filtered = PointStates(
-        np.empty((len(seconds), n_points, STATE)), np.empty((len(seconds), n_points, STATE, STATE))
+        np.empty((len(steps), n_points, STATE)), np.empty((len(steps), n_points, STATE, STATE))
     )
-    noise = _per_point(acceleration, n_points)
-    kalman_kernels.filter_states(*prior.arrays, seconds, *measured, noise, *filtered.arrays)
+    noise, each = _per_point(acceleration, n_points), _plain(np.broadcast_to(steps, (len(steps), n_points)))
+    kalman_kernels.filter_states(*prior.arrays, each, *measured, noise, *filtered.arrays)
     return filtered
 
 
@@ -202,63 +202,58 @@ def smooth(filtered: PointStates, times: ArrayLike, acceleration: ArrayLike) -> 
     result `filtered` is; times that decrease and shapes that do not fit are a `ValueError`.
     """
     n_points = _checked_states(filtered, 2)
-    seconds = _checked_times(times)
-    if len(seconds) != len(filtered):
-        raise ValueError(f"times: got {len(seconds)} for states in {len(filtered)} frames, expected as many")
+    steps = _checked_steps(times, n_points)
+    if len(steps) != len(filtered):
+        raise ValueError(f"times: got {len(steps)} for states in {len(filtered)} frames, expected as many")
     means, covariances = (array.copy() for array in filtered.arrays)
     noise = _per_point(acceleration, n_points)
-    for t in range(len(seconds) - 2, -1, -1):
+    for t in range(len(steps) - 2, -1, -1):
         later = means[t + 1], covariances[t + 1]
-        dt = seconds[t + 1] - seconds[t]
-        means[t], covariances[t] = _step_back(means[t], covariances[t], *later, dt, noise)
+        means[t], covariances[t] = _step_back(means[t], covariances[t], *later, steps[t + 1], noise)
     return PointStates(means, covariances)
 
 
 def _step_back(
-    mean: Array, covariance: Array, later_mean: Array, later: Array, dt: float, noise: Array
+    mean: Array, covariance: Array, later_mean: Array, later: Array, dt: Array, noise: Array
 ) -> tuple[Array, Array]:
-    """Smoothed states from filtered ones and the smoothed ones of `dt` s later.
+    """Smoothed states from filtered ones and the smoothed ones of `dt` s later, `(1,)` or `(n_points,)`.
 
     The recursion as a sum of two covariances: with the motion undone, the later state is the earlier one plus
     noise of covariance n, and is believed by k = p (p + n)^-1.
     """
-    unit, far = np.eye(2), dt * noise[:, None, None] * np.eye(2)
+    dt, noise = dt[:, None, None], noise[:, None, None]
+    far = dt * noise * np.eye(2)
     near, cross = dt * dt / 3 * far, -0.5 * dt * far
     added = np.block([[near, cross], [cross, far]])
     # r = (p + n)^-1 by blocks
     total = covariance + added
     of_position, both = _inverse(total[:, :2, :2]), total[:, :2, 2:]
     slope = of_position @ both
-    of_velocity = _inverse(_remainder(total[:, 2:, 2:], slope.mT @ both))
+    of_velocity = _matrices(inverse(remainder(_numbers(total[:, 2:, 2:]), _numbers(slope.mT @ both))))
     mixed = -slope @ of_velocity
-    inverse = np.block([[of_position - mixed @ slope.mT, mixed], [mixed.mT, of_velocity]])
-    left = added @ inverse  # what remains of the earlier state's own error, n r = 1 - k
+    inverses = np.block([[of_position - mixed @ slope.mT, mixed], [mixed.mT, of_velocity]])
+    left = added @ inverses  # what remains of the earlier state's own error, n r = 1 - k
     kept = np.eye(STATE) - left
-    back = np.block([[unit, -dt * unit], [np.zeros((2, 2)), unit]])
-    off = later_mean @ back.T - mean
-    grown = left @ covariance @ left.mT + kept @ (back @ later @ back.T + added) @ kept.mT
+    back = np.eye(STATE) - dt * np.eye(STATE, k=2)
+    off = (back @ later_mean[..., None])[..., 0] - mean
+    grown = left @ covariance @ left.mT + kept @ (back @ later @ back.mT + added) @ kept.mT
     grown = 0.5 * (grown + grown.mT)
     grown[:, range(STATE), range(STATE)] *= 1 + ROUNDING
     return mean + (kept @ off[..., None])[..., 0], grown
 
 
-def _inverse(blocks: Array) -> Array:
+def _inverse(matrices: Array) -> Array:
     """Inverses of symmetric, positive definite matrices `(..., 2, 2)`."""
-    xx, xy, yy = blocks[..., 0, 0], blocks[..., 0, 1], blocks[..., 1, 1]
-    determinant = np.maximum(xx * yy - xy * xy, ROUNDING * xx * yy)
-    adjugate = np.stack([np.stack([yy, -xy], axis=-1), np.stack([-xy, xx], axis=-1)], axis=-2)
-    inverse: Array = adjugate / determinant[..., None, None]
-    return inverse
+    return _matrices(inverse(_numbers(matrices)))
 
 
-def _remainder(whole: Array, explained: Array) -> Array:
-    """Symmetric `whole` - `explained`, covariances, kept positive definite whatever rounding does."""
-    left = whole - 0.5 * (explained + explained.mT)
-    diagonal = np.maximum(left[:, range(2), range(2)], 0.0)
-    most = np.sqrt(diagonal.prod(axis=1))
-    left[:, 0, 1] = left[:, 1, 0] = np.clip(left[:, 0, 1], -most, most)
-    left[:, range(2), range(2)] = diagonal + ROUNDING * whole[:, range(2), range(2)]
-    return left
+def _numbers(matrices: Array) -> Block:
+    """The four numbers of matrices `(..., 2, 2)`, as blocks of loops have them."""
+    return matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 0], matrices[..., 1, 1]
+
+
+def _matrices(numbers: Block) -> Array:
+    return np.stack(numbers, axis=-1).reshape(*numbers[0].shape, 2, 2)
 
 
 def cavity(smoothed: PointStates, information: ArrayLike, vector: ArrayLike) -> tuple[Array, Array]:
@@ -309,11 +304,18 @@ def _checked_states(states: PointStates, axes: int) -> int:
     return int(shape[-2])
 
 
-def _checked_times(times: ArrayLike) -> Array:
-    seconds = _plain(times)
-    if seconds.ndim != 1 or not len(seconds) or not (np.diff(seconds) >= 0).all():
-        raise ValueError(f"times: got {seconds.shape}, expected seconds of one or more frames, in order")
-    return seconds
+def _checked_steps(times: ArrayLike, n_points: int) -> Array:
+    """s from the frame before, 0 in the first: `(n_frames, 1)`, or `(n_frames, n_points)`."""
+    seconds = np.asarray(times, np.float64)
+    columns = seconds[:, None] if seconds.ndim == 1 else seconds
+    fits = columns.ndim == 2 and len(columns) and columns.shape[1] in (1, n_points)
+    steps = np.diff(columns, axis=0, prepend=columns[:1]) if fits else np.full(1, np.nan)
+    if not (steps >= 0).all():
+        raise ValueError(
+            f"times: got {seconds.shape}, expected seconds (n_frames,) or (n_frames, {n_points}) "
+            "of one or more frames, in order"
+        )
+    return steps
 
 
 def _checked_measurements(

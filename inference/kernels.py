@@ -6,9 +6,13 @@ y). Within a loop a 4x4 covariance is its 2x2 blocks: position `s`, position wit
 A block is the tuple (xx, xy, yx, yy).
 """
 
+from typing import Any
+
 import numpy as np
 
 from ..models.numerics.compiled import compiled, inlined
+
+Block = tuple[Any, Any, Any, Any]
 
 LANES = 32
 _S, _B, _V = 4 * LANES, 7 * LANES, 11 * LANES  # where a block's rows begin in the lanes' array
@@ -65,21 +69,22 @@ def _applied(a, x, y):
     return a[0] * x + a[1] * y, a[2] * x + a[3] * y
 
 
-@inlined
-def _inverse(a):
-    """Inverse of a symmetric, positive definite block."""
-    determinant = max(a[0] * a[3] - a[1] * a[1], ROUNDING * a[0] * a[3])
+def inverse(a: Block) -> Block:
+    """Inverse of a symmetric, positive definite block, of numbers or of arrays."""
+    determinant = np.maximum(a[0] * a[3] - a[1] * a[1], ROUNDING * a[0] * a[3])
     scale = 1.0 / determinant
     return scale * a[3], -scale * a[1], -scale * a[1], scale * a[0]
 
 
-@inlined
-def _remainder(v, explained):
-    """Symmetric v - explained, a covariance, kept positive definite whatever rounding does."""
-    xx, yy = max(v[0] - explained[0], 0.0), max(v[3] - explained[3], 0.0)
+def remainder(v: Block, explained: Block) -> Block:
+    """Symmetric v - explained, a covariance, kept positive definite whatever rounding does; as `inverse`."""
+    xx, yy = np.maximum(v[0] - explained[0], 0.0), np.maximum(v[3] - explained[3], 0.0)
     most = np.sqrt(xx * yy)
-    xy = min(max(v[1] - 0.5 * (explained[1] + explained[2]), -most), most)
+    xy = np.minimum(np.maximum(v[1] - 0.5 * (explained[1] + explained[2]), -most), most)
     return xx + ROUNDING * v[0], xy, xy, yy + ROUNDING * v[3]
+
+
+_inverse, _remainder = inlined(inverse), inlined(remainder)
 
 
 @inlined
@@ -117,9 +122,10 @@ def _put(lanes, k, x, y, u, w, s, b, v):
 
 
 @compiled
-def _predict(lanes, dt, noise):
-    """Move on by `dt` s; `noise` has each lane's spectral density of acceleration."""
+def _predict(lanes, steps, noise):
+    """Move each lane on by its step, in s; `noise` has its spectral density of acceleration."""
     for k in range(LANES):
+        dt = steps[k]
         x, y, u, w = _mean_of(lanes, k)
         s, b, v = _covariance_of(lanes, k)
         q = dt * noise[k]
@@ -199,20 +205,21 @@ def _load_measured(information, vector, first, measured):
 
 
 @compiled
-def _load_noise(acceleration, first, noise):
-    last = acceleration.size - 1
+def _load_numbers(numbers, first, lanes):
+    last = numbers.size - 1
     for k in range(LANES):
-        noise[k] = acceleration[min(first + k, last)]
+        lanes[k] = numbers[min(first + k, last)]
 
 
 @compiled
 def predict_states(mean, covariance, dt, acceleration, new_mean, new_covariance):
-    """States `(n, 4)`, `(n, 4, 4)` after `dt` s; `acceleration` is `(n,)`."""
-    lanes, noise = np.empty(_NUMBERS * LANES), np.empty(LANES)
+    """States `(n, 4)`, `(n, 4, 4)` after `dt` s; `dt` and `acceleration` are `(n,)`."""
+    lanes, steps, noise = np.empty(_NUMBERS * LANES), np.empty(LANES), np.empty(LANES)
     for first in range(0, mean.shape[0], LANES):
         _load(mean, covariance, first, lanes)
-        _load_noise(acceleration, first, noise)
-        _predict(lanes, dt, noise)
+        _load_numbers(dt, first, steps)
+        _load_numbers(acceleration, first, noise)
+        _predict(lanes, steps, noise)
         _store(lanes, first, new_mean, new_covariance)
 
 
@@ -228,15 +235,20 @@ def update_states(mean, covariance, information, vector, new_mean, new_covarianc
 
 
 @compiled
-def filter_states(mean, covariance, times, information, vector, acceleration, means, covariances):
-    """All frames' states after their measurements, from those before the first one's."""
-    lanes, measured, noise = np.empty(_NUMBERS * LANES), np.empty(5 * LANES), np.empty(LANES)
+def filter_states(mean, covariance, dt, information, vector, acceleration, means, covariances):
+    """All frames' states after their measurements, from those before the first one's.
+
+    `dt` `(n_frames, n)` is from the frame before.
+    """
+    lanes, measured = np.empty(_NUMBERS * LANES), np.empty(5 * LANES)
+    steps, noise = np.empty(LANES), np.empty(LANES)
     for first in range(0, mean.shape[0], LANES):
         _load(mean, covariance, first, lanes)
-        _load_noise(acceleration, first, noise)
-        for t in range(times.size):
+        _load_numbers(acceleration, first, noise)
+        for t in range(dt.shape[0]):
             if t > 0:
-                _predict(lanes, times[t] - times[t - 1], noise)
+                _load_numbers(dt[t], first, steps)
+                _predict(lanes, steps, noise)
             _load_measured(information[t], vector[t], first, measured)
             _update(lanes, measured)
             _store(lanes, first, means[t], covariances[t])

@@ -146,27 +146,56 @@ class SmoothedTrack:
         return np.asarray(self.seen | (unsure < KNOWN * boxes.means[:, WIDTH]))
 
 
-def smooth_track(track: Boxes, times: Numbers, motion: Motion) -> SmoothedTrack:
-    """Smooth the track of one object (Rauch, Tung, Striebel)."""
-    first, last = int(track.frames[0]), int(track.frames[-1])
-    seconds, place = times[first : last + 1], track.frames - first
-    height = float(np.median(track.means[:, HEIGHT]))
-    seen = np.zeros(len(seconds), bool)
-    seen[place] = True
+MOST_ROWS = 100_000
+"""Boxes that are smoothed at a time, with those that fill up shorter tracks: 800 bytes each."""
 
-    def states(columns: tuple[int, int], density: float, speed: float) -> PointStates:
-        information, vector = np.zeros((len(seconds), 1, 2, 2)), np.zeros((len(seconds), 1, 2))
-        for axis, column in enumerate(columns):
-            information[place, 0, axis, axis] = 1 / track.variances[:, column]
-            vector[place, 0, axis] = track.means[:, column] / track.variances[:, column]
-        prior = PointStates.at_rest(track.means[:1, columns], (10 * height) ** 2, speed * height)
-        filtered = filter_tracks(prior, seconds, information, vector, density * height**2)
-        both = smooth(filtered, seconds, density * height**2)
-        return PointStates(both.mean[:, 0], both.covariance[:, 0])
 
-    feet = states((FOOT_X, FOOT_Y), motion.acceleration, motion.initial_velocity_std)
-    sizes = states((WIDTH, HEIGHT), motion.growth, 0.2 * motion.initial_velocity_std)
-    return SmoothedTrack(first, int(track.identities[0]), height, seen, feet, sizes)
+def smooth_tracks(tracks: Sequence[Boxes], times: Numbers, motion: Motion) -> list[SmoothedTrack]:
+    """Smooth the track of each object (Rauch, Tung, Striebel), those of similar length together."""
+    lengths = [int(track.frames[-1] - track.frames[0]) + 1 for track in tracks]
+    order = sorted(range(len(tracks)), key=lambda row: lengths[row])
+    batches: list[list[Boxes]] = []
+    for row in order:
+        if not batches or (len(batches[-1]) + 1) * lengths[row] > MOST_ROWS:
+            batches.append([])
+        batches[-1].append(tracks[row])
+    smoothed = [track for batch in batches for track in _smoothed(batch, times, motion)]
+    return [smoothed[place] for place in np.argsort(order)]
+
+
+def _smoothed(tracks: Sequence[Boxes], times: Numbers, motion: Motion) -> list[SmoothedTrack]:
+    """Smooth tracks, filled up to the longest one by frames that show nothing, 0 s after the last."""
+    first, last = (np.array([track.frames[end] for track in tracks]) for end in (0, -1))
+    frames = np.minimum(first + np.arange((last - first).max() + 1)[:, None], last)
+    heights = np.array([np.median(track.means[:, HEIGHT]) for track in tracks])
+    column = np.repeat(np.arange(len(tracks)), [len(track) for track in tracks])
+    place = np.concatenate([track.frames for track in tracks]) - first[column]
+    precision = 1 / np.concatenate([track.variances for track in tracks])
+    weighted = precision * np.concatenate([track.means for track in tracks])
+
+    shape = (len(frames), 2, len(tracks))  # feet and sizes
+    information, vector, seen = np.zeros((*shape, 2, 2)), np.zeros((*shape, 2)), np.zeros(frames.shape, bool)
+    seen[place, column] = True
+    vector[place, :, column] = weighted.reshape(-1, 2, 2)
+    for axis in range(2):
+        information[place, :, column, axis, axis] = precision.reshape(-1, 2, 2)[:, :, axis]
+    start = np.stack([track.means[0] for track in tracks]).reshape(-1, 2, 2).swapaxes(0, 1)
+    speeds = np.outer([1.0, 0.2], motion.initial_velocity_std * heights).reshape(-1)
+    prior = PointStates.at_rest(start, (10 * np.tile(heights, 2)) ** 2, speeds)
+    density = np.outer([motion.acceleration, motion.growth], heights**2).reshape(-1)
+    seconds = np.tile(times[frames], 2)
+    measured = information.reshape(len(frames), -1, 2, 2), vector.reshape(len(frames), -1, 2)
+    both = smooth(filter_tracks(prior, seconds, *measured, density), seconds, density)
+
+    result = []
+    for k, (track, end) in enumerate(zip(tracks, last - first + 1, strict=True)):
+        feet, sizes = (
+            PointStates(both.mean[:end, point], both.covariance[:end, point])
+            for point in (k, len(tracks) + k)
+        )
+        identity, height = int(track.identities[0]), float(heights[k])
+        result.append(SmoothedTrack(int(first[k]), identity, height, seen[:end, k], feet, sizes))
+    return result
 
 
 @dataclass(frozen=True)
@@ -341,12 +370,12 @@ class ObjectTrajectories:
         boxes = Boxes.of(each.others(ObjectBoxes).objects for each in incoming_over_time)
         motion = Motion(0.5 * self.acceleration**2, 0.5 * self.growth**2, self.initial_velocity_std)
         interval = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-        tracks = [smooth_track(track, times, motion) for track in boxes.tracks()]
+        tracks = smooth_tracks(boxes.tracks(), times, motion)
         seen = [track for track in tracks if track.seen.sum() * interval >= self.min_seen_time]
         arrivals = ArrivalModel(size, len(seen) / max(times[-1] - times[0], 1.0), self.max_gap_time)
         next_of = find_joins(seen, times, motion, arrivals)
         together = join(boxes, seen, next_of).tracks()
-        return Smoothed(ObjectsOverTime.of([smooth_track(track, times, motion) for track in together]))
+        return Smoothed(ObjectsOverTime.of(smooth_tracks(together, times, motion)))
 
     def messages(
         self,

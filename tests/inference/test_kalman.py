@@ -122,6 +122,22 @@ def test_frame_by_frame_is_the_same_as_all_at_once() -> None:
         np.testing.assert_allclose(states.covariance, filtered.covariance[t], rtol=1e-10, atol=1e-10)
 
 
+def test_points_with_times_of_their_own_are_as_one_by_one() -> None:
+    tracks = Tracks(2)
+    times = np.cumsum(np.random.default_rng(2).uniform(0.01, 0.3, (12, 37)), axis=0)
+    noise = tracks.acceleration
+    filtered = filter_tracks(tracks.prior, times, tracks.information, tracks.vector, noise)
+    smoothed = smooth(filtered, times, noise)
+    for point in range(0, 37, 6):
+        one = slice(point, point + 1)
+        prior = PointStates(tracks.prior.mean[one], tracks.prior.covariance[one])
+        measured = tracks.information[:, one], tracks.vector[:, one]
+        alone = filter_tracks(prior, times[:, point], *measured, noise[one])
+        alone = smooth(alone, times[:, point], noise[one])
+        np.testing.assert_allclose(smoothed.mean[:, one], alone.mean, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(smoothed.covariance[:, one], alone.covariance, rtol=1e-9, atol=1e-9)
+
+
 def test_measurements_of_one_direction_only() -> None:
     states = PointStates.at_rest([[10.0, 20.0]], 4.0, 3.0)
     along = np.array([0.6, 0.8])

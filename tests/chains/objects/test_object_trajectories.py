@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains import ObjectTrajectories
+from rsmcm.chains.objects import object_trajectories
 from rsmcm.chains.objects.object_trajectories import (
     ArrivalModel,
     Boxes,
@@ -14,7 +15,7 @@ from rsmcm.chains.objects.object_trajectories import (
     find_joins,
     join,
     messages_of,
-    smooth_track,
+    smooth_tracks,
 )
 from rsmcm.inference import BatchIncoming, CoordinateAscent, MultiChain, Port, Smoothed
 from rsmcm.models import Frame, ObjectBoxes
@@ -50,7 +51,7 @@ def walk(
 
 def test_smoothing_follows_a_straight_walk_through_gaps() -> None:
     seen = np.r_[5:40, 70:120]
-    track = smooth_track(walk(3, seen, (100, 200), (40, 10)), TIMES, MOTION)
+    (track,) = smooth_tracks([walk(3, seen, (100, 200), (40, 10))], TIMES, MOTION)
     truth = walk(3, np.arange(5, 120), (100, 200), (40, 10))
     found = track.boxes()
     assert (track.first, track.last, track.identity) == (5, 119, 3)
@@ -60,7 +61,7 @@ def test_smoothing_follows_a_straight_walk_through_gaps() -> None:
     hidden = found.variances[50 - 5]
     assert (hidden[:2] > 2 * found.variances[30 - 5][:2]).all()
     # in a longer gap it is not reported in the middle
-    track = smooth_track(walk(3, np.r_[5:40, 115:150], (100, 200), (40, 10)), TIMES, MOTION)
+    (track,) = smooth_tracks([walk(3, np.r_[5:40, 115:150], (100, 200), (40, 10))], TIMES, MOTION)
     reported = set(track.boxes().frames[track.reported()].tolist())
     assert {*range(5, 42), *range(113, 150)} <= reported
     assert not reported & set(range(70, 85))
@@ -71,7 +72,7 @@ def test_smoothing_takes_noise_away_and_says_how_much_is_left() -> None:
     for seed in range(20):
         seen = walk(seed, np.arange(0, 100), (100, 200), noise=3.0)
         truth = walk(seed, np.arange(0, 100), (100, 200))
-        found = smooth_track(seen, TIMES, MOTION).boxes()
+        found = smooth_tracks([seen], TIMES, MOTION)[0].boxes()
         errors.append(found.means - truth.means)
         raw.append(seen.means - truth.means)
         stated.append(found.variances)
@@ -80,9 +81,28 @@ def test_smoothing_takes_noise_away_and_says_how_much_is_left() -> None:
     assert 0.2 < nees < 1.2  # straight walks vary less than the model expects
 
 
+def test_tracks_smoothed_together_are_as_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = np.cumsum(np.random.default_rng(0).uniform(0.02, 0.06, 200))
+    spans = [(5, 120), (0, 200), (60, 61), (30, 90), (190, 200), (2, 117)]
+    tracks = [
+        walk(identity, [t for t in range(first, end) if t % 5 or t == first], (100, 200), noise=3.0)
+        for identity, (first, end) in enumerate(spans)
+    ]
+    alone = [smooth_tracks([track], times, MOTION)[0] for track in tracks]
+    for most in (10**6, 250):  # in one batch, and in four
+        monkeypatch.setattr(object_trajectories, "MOST_ROWS", most)
+        for one, other in zip(alone, smooth_tracks(tracks, times, MOTION), strict=True):
+            assert (one.first, one.last, one.identity) == (other.first, other.last, other.identity)
+            np.testing.assert_array_equal(one.seen, other.seen)
+            for states, same in ((one.feet, other.feet), (one.sizes, other.sizes)):
+                np.testing.assert_allclose(states.mean, same.mean, rtol=1e-9, atol=1e-9)
+                np.testing.assert_allclose(states.covariance, same.covariance, rtol=1e-9, atol=1e-9)
+    assert smooth_tracks([], times, MOTION) == []
+
+
 def test_who_is_lost_behind_something_is_the_same_afterwards() -> None:
     one, other = walk(1, range(20, 60), (100, 200)), walk(2, range(90, 150), (100, 200))
-    tracks = [smooth_track(track, TIMES, MOTION) for track in (one, other)]
+    tracks = smooth_tracks([one, other], TIMES, MOTION)
     next_of = find_joins(tracks, TIMES, MOTION, ARRIVALS)
     assert next_of == {0: 1}
     together = join(Boxes.together([one, other]), tracks, next_of)
@@ -100,7 +120,7 @@ def test_others_are_others() -> None:
         (lost, walk(5, range(150, 190), (100, 200))),  # after too long
         (left, walk(5, range(100, 150), (950, 300), (-90, 0))),  # somebody comes, fast, where he went
     ):
-        tracks = [smooth_track(each, TIMES, MOTION) for each in (track, new)]
+        tracks = smooth_tracks([track, new], TIMES, MOTION)
         assert find_joins(tracks, TIMES, MOTION, ARRIVALS) == {}
 
 
@@ -108,7 +128,7 @@ def test_two_who_are_hidden_at_once_are_told_apart() -> None:
     """Each alone could be either; together only one way is likely."""
     ends = [walk(1, range(0, 50), (100, 200)), walk(2, range(0, 50), (100, 226))]
     begins = [walk(3, range(70, 120), (100, 213)), walk(4, range(70, 120), (100, 232))]
-    tracks = [smooth_track(each, TIMES, MOTION) for each in (*ends, *begins)]
+    tracks = smooth_tracks([*ends, *begins], TIMES, MOTION)
     assert find_joins(tracks, TIMES, MOTION, ARRIVALS) == {0: 2, 1: 3}
 
 
@@ -127,9 +147,9 @@ def test_boxes_become_messages_and_back() -> None:
 
 @pytest.mark.parametrize("place", [(100, 200), (20, 200), (590, 200), (300, 62), (300, 399)])
 def test_the_edge_is_near_where_a_box_touches_it(place: tuple[float, float]) -> None:
-    track = smooth_track(walk(1, range(10), place, (0.0, 0.0)), TIMES, MOTION)
+    tracks = [walk(1, range(10), place, (0.0, 0.0)), walk(2, range(10), (100, 200), (0.0, 0.0))]
+    track, inside = smooth_tracks(tracks, TIMES, MOTION)
     assert ARRIVALS.at_edge(track, 0) == (place != (100, 200))
-    inside = smooth_track(walk(2, range(10), (100, 200), (0.0, 0.0)), TIMES, MOTION)
     assert ARRIVALS.log_new(track) >= ARRIVALS.log_new(inside)
     assert ARRIVALS.log_back(track) <= ARRIVALS.log_back(inside)
 
