@@ -140,10 +140,14 @@ class SmoothedTrack:
         return Boxes(frames, np.full(len(frames), self.identity), means, variances)
 
     def reported(self) -> NDArray[np.bool_]:
-        """Return `(n_frames,)` whether the object was seen or its place is known well enough."""
+        """Return `(n_frames,)` whether the object was seen or its place is known well enough.
+
+        Sizes that change at a constant rate may fall below 0 where an object is tiny: it has no box there.
+        """
         boxes = self.boxes()
         unsure = np.sqrt(boxes.variances[:, [FOOT_X, FOOT_Y]].max(axis=1))
-        return np.asarray(self.seen | (unsure < KNOWN * boxes.means[:, WIDTH]))
+        known = self.seen | (unsure < KNOWN * boxes.means[:, WIDTH])
+        return np.asarray(known & (boxes.means[:, [WIDTH, HEIGHT]] > 0).all(axis=1))
 
 
 MOST_ROWS = 100_000

@@ -81,6 +81,16 @@ def test_smoothing_takes_noise_away_and_says_how_much_is_left() -> None:
     assert 0.2 < nees < 1.2  # straight walks vary less than the model expects
 
 
+def test_what_comes_out_of_nothing_is_reported_from_its_first_pixel_on() -> None:
+    track = walk(1, range(60), (100, 200))
+    track.means[:, 2:] = np.maximum(np.outer(np.arange(60) - 10, [0.4, 1.0]), 0.1)
+    (smoothed,) = smooth_tracks([track], TIMES, MOTION)
+    assert smoothed.boxes().means[:, 2:].min() < 0
+    reported = smoothed.reported()
+    assert smoothed.boxes().only(reported).means[:, 2:].min() > 0
+    assert reported[15:].all()
+
+
 def test_tracks_smoothed_together_are_as_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     times = np.cumsum(np.random.default_rng(0).uniform(0.02, 0.06, 200))
     spans = [(5, 120), (0, 200), (60, 61), (30, 90), (190, 200), (2, 117)]
