@@ -24,15 +24,17 @@ ARMS = [JOINTS.index(f"{side}_{name}") for side in ("left", "right") for name in
 
 
 @cache
-def scene_of(seed: int, n_frames: int = 32) -> tuple[SignerScene, tuple[Frame, ...]]:
-    scene = signer(n_frames, seed, 0.2, 0.5, (320, 180))
+def scene_of(seed: int, n_frames: int, dropout: float) -> tuple[SignerScene, tuple[Frame, ...]]:
+    scene = signer(n_frames, seed, dropout, 0.5, (320, 180))
     return scene, tuple(scene)
 
 
 @cache
-def followed(seed: int, n_frames: int = 32, **detector: float | tuple[float, float] | None) -> Array:
+def followed(
+    seed: int, n_frames: int = 32, dropout: float = 0.2, **detector: float | tuple[float, float] | None
+) -> Array:
     """Head heights `(n_frames, 4)`: errors of elbows and hands in the image; no points without a detector."""
-    scene, frames = scene_of(seed, n_frames)
+    scene, frames = scene_of(seed, n_frames, dropout)
     body = scene.body
     images = [frame.image for frame in frames if frame.image is not None]
     parts = replace(BodyParts.learned(images, scene.detector), head_height=body.head_height)
@@ -63,5 +65,6 @@ def test_points_with_errors_misses_and_exchanged_sides_help() -> None:
 
 
 def test_a_detector_without_detections_changes_nothing() -> None:
-    alone, without = (followed(SEEDS[0], n_frames=8, **none) for none in ({}, {"missed": 1.0}))
+    # so few frames may have no face at all if some are missed
+    alone, without = (followed(SEEDS[0], 8, dropout=0.0, **none) for none in ({}, {"missed": 1.0}))
     np.testing.assert_array_equal(alone, without)
