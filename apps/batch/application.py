@@ -7,8 +7,7 @@ import shlex
 import sys
 import time
 from collections import Counter
-from collections.abc import Generator, Iterator, Mapping, Sequence
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, fields, replace
 from importlib import import_module
@@ -31,7 +30,7 @@ from ..options.job import Job
 from ..options.libraries import opencv_hint
 from ..runs.interruption import SIGNALLED, Interrupted, Interruption, Outcome
 from ..runs.output_folder import lock_of, was_cut_off
-from ..runs.parallel import Workers, as_they_end, chosen_workers, end_working, is_ending, working
+from ..runs.parallel import Workers, chosen_workers, end_working, is_ending, whatever_fails, working
 from ..runs.saved_run import STATE, about_of, check_source
 from ..view.film import FILM
 from .job import APPLICATIONS, INDEX, OWN, SUMMARY, Batch, Typed, job_of, typed, words_of
@@ -118,9 +117,18 @@ def run_batch(application: str, sources: Sequence[str], batch: Batch, options: A
         summary.write()
         ending = _SignalHandler(here=workers.dask is None)
         try:
-            statuses = _all_statuses(application, jobs, workers, ending)
-            with ending, working(workers), closing(statuses):
-                for source, status in statuses:
+            work = {source: (run_film, (application, job)) for source, job in jobs.items()}
+            ended = whatever_fails(
+                application,
+                work,
+                "films",
+                lambda: ending.signal is not None,
+                lambda source: was_cut_off(jobs[source].out),
+            )
+            with ending, working(workers), closing(ended):
+                for source, status in ended:
+                    if isinstance(status, Exception):
+                        status = _failed(status)
                     summary.tell(Line(source, jobs[source].out.name, status))
         except Interrupted as stop:
             ending.signal = stop.signal
@@ -208,47 +216,13 @@ def commands(application: str, sources: Sequence[str], batch: Batch, options: An
     return lines
 
 
-def _all_statuses(
-    application: str, jobs: Mapping[str, Job], workers: Workers, ending: Interruption
-) -> Generator[tuple[str, FilmStatus]]:
-    """Each film and what becomes of it, as films end; one that takes its process along stops no other.
-
-    When a process dies, all films that wait for it are given back. Those that were begun (all, where nothing
-    is known) run again one by one at the end; one that dies again was the cause.
-    """
-    waiting, suspects = list(jobs), list[str]()
-    while waiting and ending.signal is None:
-        given_back = []
-        for film, status in _statuses(application, jobs, waiting, ending):
-            if status is None:
-                given_back.append(film)
-            else:
-                yield film, status
-        begun = [film for film in given_back if was_cut_off(jobs[film].out)] or given_back
-        suspects += begun
-        waiting = [film for film in given_back if film not in begun]
-    with working(replace(workers, jobs=1)):
-        for suspect in suspects:
-            if ending.signal is None:
-                for film, status in _statuses(application, jobs, [suspect], ending):
-                    yield film, status or FilmStatus("failed", "its process was ended by the system, twice")
-
-
-def _statuses(
-    application: str, jobs: Mapping[str, Job], films: Sequence[str], ending: Interruption
-) -> Iterator[tuple[str, FilmStatus | None]]:
-    """Yield each film with its status; `None` where a process died that may have had it."""
-    work = [(run_film, (application, jobs[film])) for film in films]
-    for number, future in as_they_end(application, work, "films", lambda: ending.signal is not None):
-        status: FilmStatus | None = None
-        try:
-            status = future.result()
-        except BrokenProcessPool:
-            if ending.signal is not None:
-                continue
-        except Exception as error:
-            status = FilmStatus("failed", f"{type(error).__name__}: {one_line(error)}")
-        yield films[number], status
+def _failed(error: Exception) -> FilmStatus:
+    """An error that was expected says what is wrong; of another one the kind is said too."""
+    line = one_line(error) + opencv_hint(error)
+    if line.startswith("--resume: "):  # of results in the film's folder
+        line = f"{line.removeprefix('--resume: ')}: --overwrite begins anew"
+    expected = isinstance(error, ValueError | OSError)
+    return FilmStatus("failed", line if expected else f"{type(error).__name__}: {line}")
 
 
 def run_film(application: str, job: Job) -> FilmStatus:
@@ -266,11 +240,7 @@ def run_film(application: str, job: Job) -> FilmStatus:
         return FilmStatus("interrupted")
     except Exception as error:
         _log.info("%s", job.source, exc_info=error)
-        line = one_line(error) + opencv_hint(error)
-        if line.startswith("--resume: "):  # of results in the film's folder
-            line = f"{line.removeprefix('--resume: ')}: --overwrite begins anew"
-        expected = isinstance(error, ValueError | OSError)
-        return FilmStatus("failed", line if expected else f"{type(error).__name__}: {line}")
+        return _failed(error)
 
 
 def _run(application: str, job: Any) -> FilmStatus:

@@ -6,14 +6,15 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from logging import ERROR
-from typing import Any
+from typing import Any, TypeVar
 
 from joblib import cpu_count
 from joblib.externals.loky import ProcessPoolExecutor
@@ -25,6 +26,8 @@ from .progress import Progress, show_messages
 
 Task = tuple[Callable[..., Any], tuple[Any, ...]]
 """A function and its arguments, all of which can be sent to another process."""
+
+Name = TypeVar("Name")
 
 PATIENCE = 20.0
 """Seconds for which a cluster may have no worker."""
@@ -113,6 +116,51 @@ def as_they_end(
             if not future.cancelled():
                 yield futures[future], future
                 progress.update()
+
+
+def whatever_fails(
+    label: str,
+    work: Mapping[Name, Task],
+    unit: str,
+    stopping: Callable[[], bool] = lambda: False,
+    begun: Callable[[Name], bool] = lambda _: True,
+) -> Generator[tuple[Name, Any]]:
+    """Name of each task with its result, or the exception that it raised, in the order in which they end.
+
+    None stops another, not even one that takes its process along. When a process dies, all tasks that wait
+    for it are given back. Those that were `begun` (all, where nothing is known) run again one by one at the
+    end; one that dies again was the cause, and is a ChildProcessError. The rest is as of `as_they_end`.
+    """
+
+    def ended(names: Sequence[Name]) -> Iterator[tuple[Name, Any]]:
+        for number, future in as_they_end(label, [work[name] for name in names], unit, stopping):
+            try:
+                result = future.result()
+            except Exception as error:
+                if isinstance(error, BrokenProcessPool) and stopping():
+                    continue
+                result = error
+            yield names[number], result
+
+    waiting, suspects = list(work), list[Name]()
+    while waiting and not stopping():
+        given_back = []
+        for name, result in ended(waiting):
+            if isinstance(result, BrokenProcessPool):
+                given_back.append(name)
+            else:
+                yield name, result
+        suspected = [name for name in given_back if begun(name)] or given_back
+        suspects += suspected
+        waiting = [name for name in given_back if name not in suspected]
+    with working(replace(_chosen.get() or Workers(), jobs=1)):
+        for suspect in suspects:
+            for name, result in ended([] if stopping() else [suspect]):
+                died = isinstance(result, BrokenProcessPool)
+                yield (
+                    name,
+                    ChildProcessError("its process was ended by the system, twice") if died else result,
+                )
 
 
 @contextmanager
