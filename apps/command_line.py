@@ -289,6 +289,48 @@ def compare(
     return _ended(run_compare(job))
 
 
+@reproduce.command
+def films(
+    *folders: Path,
+    out: Figures = Path("results/films"),
+    whole_film: Flag = False,
+    seeds: int = 0,
+    config: Path | None = None,
+    jobs: int | None = None,
+    dask: str | None = None,
+) -> int:
+    """Compare feedback with feed-forward and other methods on any films with ground truth.
+
+    Of films with masks: F, precision and recall, also of OpenCV's MOG2 and KNN. Of films with boxes: MOTA,
+    IDF1 and HOTA with the boxes of the detector (det/det.txt), without them, and of plain association of
+    these boxes. Means over films, on how many each method is better, and p of Wilcoxon's signed-rank test.
+    Writes index.html, results.json, plots, and measured.json: run again, the command measures what is
+    missing or was measured with other code, films or parameters. A film that fails does not stop the others.
+
+    Parameters
+    ----------
+    folders
+        Folders of films, or of folders of films: CDnet's (input/, groundtruth/), or MOTChallenge's (img1/ or
+        a video, gt/gt.txt or gt.txt, det/det.txt or det.txt).
+    whole_film
+        Also run --engine coordinate-ascent.
+    seeds
+        Number of seeds of noise (one grey level in a thousandth of the pixels), of which mean and standard
+        deviation are given. Default: videos as they are.
+    config
+        TOML file with parameters of the chains.
+    jobs
+        Number of parallel processes. Default: the number of cores.
+    dask
+        Address of the scheduler of a Dask cluster to use instead.
+    """
+    from .experiments.films import run_films
+    from .runs.parallel import chosen_workers, working
+
+    with working(chosen_workers(jobs, dask)):
+        return run_films(folders, out, whole=whole_film, seeds=seeds, config=config)
+
+
 app.command(reproduce)
 for name, entry in EXPERIMENTS.items():
     reproduce.command(_experiment(name), name=name, help=entry.about)

@@ -25,9 +25,8 @@ from ...inference.engine import checkpoint
 from ...models.numerics.threads import thread_count
 from ..io.sources.open_source import fingerprint
 from ..io.sources.video_reader import without_password
-from ..options.complaints import one_line
+from ..options.complaints import one_line, reason
 from ..options.job import Job
-from ..options.libraries import opencv_hint
 from ..runs.interruption import SIGNALLED, Interrupted, Interruption, Outcome
 from ..runs.output_folder import lock_of, was_cut_off
 from ..runs.parallel import Workers, chosen_workers, end_working, is_ending, whatever_fails, working
@@ -217,12 +216,10 @@ def commands(application: str, sources: Sequence[str], batch: Batch, options: An
 
 
 def _failed(error: Exception) -> FilmStatus:
-    """An error that was expected says what is wrong; of another one the kind is said too."""
-    line = one_line(error) + opencv_hint(error)
+    line = reason(error)
     if line.startswith("--resume: "):  # of results in the film's folder
         line = f"{line.removeprefix('--resume: ')}: --overwrite begins anew"
-    expected = isinstance(error, ValueError | OSError)
-    return FilmStatus("failed", line if expected else f"{type(error).__name__}: {line}")
+    return FilmStatus("failed", line)
 
 
 def run_film(application: str, job: Job) -> FilmStatus:

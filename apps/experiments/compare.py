@@ -44,7 +44,7 @@ PICTURE_WIDTH = 240  # px
 class Model:
     """Multi-chain model with a name for tables; engine, parameters and camera are as of `build_model`.
 
-    `size` is `(width, height)` px of the pictures.
+    `size` is `(width, height)` px of the pictures, `state` that before the first frame.
     """
 
     def __init__(
@@ -54,10 +54,11 @@ class Model:
         size: tuple[int, int],
         parameters: Parameters | None = None,
         camera: Camera = "fixed",
+        state: RunState | None = None,
     ) -> None:
         self.name, self.tracks, self._size = name, engine != "stand-alone", size
         self._engine = RecursiveBP(build_model(engine, parameters, camera))
-        self._state = RunState()
+        self._state = RunState() if state is None else state
 
     def step(self, frame: Frame) -> FrameResult:
         """Process the next frame."""

@@ -1,7 +1,7 @@
 """Results of an experiment: printed tables, pictures, a record as JSON, and a page."""
 
 import textwrap
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -65,6 +65,11 @@ def noisy(frame: Frame, seed: int) -> Frame:
     changed = random.choice(len(image), len(image) // 1000, replace=False)
     image[changed] += random.choice(np.array([-1, 1], np.int16), len(changed))[:, None]
     return replace(frame, image=image.clip(0, 255).astype(np.uint8).reshape(frame.image.shape))
+
+
+def shaken(frames: Iterable[Frame], seed: int | None) -> Iterator[Frame]:
+    """Return the frames with the noise of a seed; as they are without one."""
+    return (frame if seed is None else noisy(frame, seed) for frame in frames)
 
 
 def in_words(values: Sequence[float], dash: str = "–") -> str:

@@ -13,22 +13,25 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...chains.objects.object_trajectories import ObjectsOverTime
+from ...inference.engine.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ..background.application import build_model
 from ..background.job import WHOLE_FILM, BackgroundJob, Engine
+from ..background.parameters import Parameters
 from ..background.whole_film import read_whole
 from ..evaluation.masks import ErrorClasses, error_classes, ratio
 from ..evaluation.tracks import TrackScores, evaluate_tracks
-from ..io.detections import Detections, read_detections, with_boxes
+from ..io.detections import Detections, given_boxes, with_boxes
 from ..io.ground_truth import BoxTruth, read_ground_truth
-from ..io.sources.open_source import open_source
+from ..io.sources.open_source import Source, open_source
 from ..runs.interruption import Interruption
 from ..runs.parallel import in_parallel
 from ..runs.progress import Progress
 from .baselines import CleanUp, KalmanHungarian, Setting, TrackerParameters
 from .compare import CHAINS, PRIORS, SHOWN_PRIOR, TRACKS, BaselineTracker, Gallery, Model, errors_plot
 from .datasets import data_folder
-from .experiment import Findings, by_seed, noisy
+from .experiment import Findings, by_seed, shaken
 from .record import Expectation, Table, over_seeds
 
 Tracks = NDArray[np.float64]  # `(n, 6)`: frame, identity, x, y, width, height (px)
@@ -57,22 +60,20 @@ class AnnotatedFilm:
         Raises
         ------
         ValueError, OSError
-            if a file is damaged, or that of the true boxes is not there.
+            if a file is damaged or not of this film, or that of the true boxes is not there.
         """
         boxes = read_ground_truth(truth)
         assert isinstance(boxes, BoxTruth)
         with open_source(str(source)) as film:
-            pictures = film.pictures
-        found = read_detections(detections, pictures=pictures) if detections.exists() else None
+            found = given_boxes(detections if detections.exists() else None, (), film, 1, None, 1)
         return cls(name, str(source), boxes, found)
 
-    def prepare(self, frames: Iterable[Frame], seed: int, every: int | None) -> Iterator[Frame]:
-        """Add noise and boxes to frames of an open source."""
-        shaken = (noisy(frame, seed) for frame in frames)
+    def prepare(self, frames: Iterable[Frame], seed: int | None, every: int | None) -> Iterator[Frame]:
+        """Add noise, if there is a seed, and boxes to frames of an open source."""
         if every is None:
-            return shaken
+            return shaken(frames, seed)
         assert self.detections is not None
-        return with_boxes(shaken, self.detections, every)
+        return with_boxes(shaken(frames, seed), self.detections, every)
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def cells(scores: Sequence[TrackScores]) -> list[str]:
     return found
 
 
-def online_tracks(film: AnnotatedFilm, make: Make, step: int, every: int | None, seed: int) -> Tracks:
+def online_tracks(film: AnnotatedFilm, make: Make, step: int, every: int | None, seed: int | None) -> Tracks:
     """Track with a method on every `step`-th frame, perhaps with the detector's boxes."""
     with open_source(film.source, step=step) as source:
         method = make(size=source.size)
@@ -131,12 +132,22 @@ def online_tracks(film: AnnotatedFilm, make: Make, step: int, every: int | None,
         )
 
 
-def whole_film_tracks(film: AnnotatedFilm, every: int | None, seed: int) -> Tracks:
+def read_film(
+    source: Source,
+    prepare: Callable[[Iterator[Frame]], Iterator[Frame]],
+    parameters: Parameters | None = None,
+) -> tuple[RunState, ObjectsOverTime]:
+    """Return the state before the first frame, and who was where, given the whole film."""
+    job = BackgroundJob(source.name, out=Path(), engine=WHOLE_FILM)  # nothing is written
+    return read_whole(job, source, build_model(job.engine, parameters), prepare, Interruption())
+
+
+def whole_film_tracks(
+    film: AnnotatedFilm, every: int | None, seed: int | None, parameters: Parameters | None = None
+) -> Tracks:
     """Track with the model of whole films, perhaps with the detector's boxes."""
-    job = BackgroundJob(film.source, out=Path(), engine=WHOLE_FILM)  # nothing is written
-    model, known = build_model(job.engine), partial(film.prepare, seed=seed, every=every)
     with open_source(film.source) as source:
-        _, objects = read_whole(job, source, model, known, Interruption())
+        _, objects = read_film(source, partial(film.prepare, seed=seed, every=every), parameters)
         count = source.n_frames
     assert count is not None
     return _table(
@@ -149,12 +160,12 @@ def _table(rows: Iterable[tuple[float, ...]]) -> Tracks:
 
 
 def associated(
-    film: AnnotatedFilm, every: int, quantile: float, parameters: TrackerParameters, seed: int = 0
+    film: AnnotatedFilm, every: int, quantile: float, parameters: TrackerParameters, _: int | None = None
 ) -> Tracks:
     """Track the detector's boxes on every `every`-th frame with Kalman filters and assignment.
 
     In between, tracks are where their filters predict them. `quantile` is the share of the boxes that is left
-    out, those with the lowest scores. The seed is not used: nothing is seen of the pictures.
+    out, those with the lowest scores. A seed of noise is not used: nothing is seen of the pictures.
     """
     found, tracker = film.detections, KalmanHungarian(*parameters)
     assert found is not None

@@ -22,6 +22,8 @@ from cyclopts import (
     convert,
 )
 
+from .libraries import opencv_hint
+
 TYPED = "cli"
 """Where a token is from that was typed; others are from a file, and name it."""
 
@@ -50,6 +52,12 @@ def one_line(error: Exception) -> str:
     else:
         message = str(error)
     return " ".join(message.split()) or type(error).__name__
+
+
+def reason(error: Exception) -> str:
+    """What went wrong, in one line; of an error that is no refusal of an input, its kind too."""
+    line = one_line(error) + opencv_hint(error)
+    return line if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {line}"
 
 
 def about_options(error: ValueError, *commands: Callable[..., object]) -> ValueError:

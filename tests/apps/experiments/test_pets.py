@@ -12,6 +12,7 @@ from rsmcm.apps.evaluation.tracks import evaluate_tracks, track_rows
 from rsmcm.apps.experiments import pets as trials
 from rsmcm.apps.experiments import run_experiment
 from rsmcm.apps.experiments.compare import Model
+from rsmcm.apps.experiments.experiment import noisy
 from rsmcm.apps.experiments.pets import (
     AnnotatedFilm,
     Trial,
@@ -19,7 +20,6 @@ from rsmcm.apps.experiments.pets import (
     cells,
     count_errors,
     detector_trials,
-    noisy,
     online_tracks,
     run_trials,
     score_trials,
@@ -114,13 +114,10 @@ def test_every_seed_of_a_trial_is_run(film: AnnotatedFilm) -> None:
     np.testing.assert_array_equal(tracks["plain"][0], associated(film, 1, 0.0, ONE_HIT))
 
 
-def test_a_film_as_a_whole_is_that_of_the_application(
-    film: AnnotatedFilm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_film_as_a_whole_is_that_of_the_application(film: AnnotatedFilm, tmp_path: Path) -> None:
     job = BackgroundJob(film.source, out=tmp_path / "out", engine="coordinate-ascent", masks="none")
     run_background(job)
-    monkeypatch.setattr(trials, "noisy", lambda frame, seed: frame)
-    tracks = whole_film_tracks(film, None, 0)
+    tracks = whole_film_tracks(film, None, None)
     assert len(tracks)
     written = track_rows(read_tracks(tmp_path / "out" / "tracks.txt"))
     np.testing.assert_allclose(tracks, written, atol=0.006)  # files have two digits
