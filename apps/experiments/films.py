@@ -4,6 +4,7 @@ import json
 import os
 import shlex
 import signal
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ from ..options.complaints import reason
 from ..runs.interruption import Interrupted
 from ..runs.output_folder import lock_of
 from ..runs.parallel import Task, whatever_fails
+from ..runs.session import versions
 from .baselines import CleanUp, Setting
 from .compare import CHAINS, TRACKS, Model
 from .experiment import Findings, Plot, publish, shaken
@@ -266,7 +268,7 @@ def run_films(
 
     Returns
     -------
-    1 if a film has failed, otherwise 0.
+    1 if a film has failed, which standard error says too, otherwise 0.
 
     Raises
     ------
@@ -295,6 +297,8 @@ def run_films(
         raise Interrupted(signal.SIGINT, how) from None
     finally:
         lock.release()
+    for name, why in failed.items():
+        print(f"rsmcm: {name}: {why}", file=sys.stderr)
     return int(bool(failed))
 
 
@@ -308,7 +312,7 @@ def _measure(
 ) -> dict[tuple[str, str], list[Measures]]:
     """Scores of each film and method, one for each seed; why films have `failed` is written there."""
     kept = _kept(path)
-    settings = [_code(), with_defaults(parameters)]
+    settings = [_code(), versions(), with_defaults(parameters)]
     keys: dict[Run, str] = {}
     work: dict[Run, Task] = {}
     for film in films:
