@@ -169,7 +169,8 @@ def find_films(folders: Iterable[Path]) -> list[TrueFilm]:
         if not inside:
             what = "holds no film with ground truth" if folder.is_dir() else "no such folder"
             raise ValueError(f"{folder}: {what}, {EXPECTED}")
-        found |= {each.resolve(): each for each in inside}
+        for each in inside:
+            found.setdefault(each.resolve(), each)
     names = folder_names([FilmSource(str(folder)) for folder in found.values()], {})
     return [TrueFilm(name, folder) for name, folder in zip(names, found.values(), strict=True)]
 

@@ -30,7 +30,7 @@ WHOLE_SCENE = ("events", "validity")
 
 NOT_RUN_BLOCKS = {
     "detectors": 1,  # networks of others
-    "figures": 1,  # the bench, which takes minutes
+    "figures": 2,  # data of others; the bench, which takes minutes
     "keypoints": 1,  # the same
     "running": 1,  # a camera
     "scale": 2,  # a cluster

@@ -114,6 +114,9 @@ def test_younger_records_are_collected(tmp_path: Path, capsys: pytest.CaptureFix
     older.write(folder / "results.json")
     collect(tmp_path / "results", kept)
     assert Record.read(kept / "first.json").made.commit == "0123456789"
+    replace(FIRST, name="films").write(folder / "results.json")  # of films that others do not have
+    collect(tmp_path / "results", kept)
+    assert [path.name for path in kept.iterdir()] == ["first.json"]
     assert capsys.readouterr().out == "first: 2026-11-22T10:00:00+00:00\n"
 
 
