@@ -3,7 +3,6 @@
 import json
 import os
 import shlex
-import signal
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -30,8 +29,6 @@ from ..io.ground_truth import common_frames
 from ..io.sources.open_source import Source, fingerprint, open_source
 from ..io.tables import digest
 from ..options.complaints import reason
-from ..runs.interruption import Interrupted
-from ..runs.output_folder import lock_of
 from ..runs.parallel import Task, whatever_fails
 from ..runs.session import versions
 from .baselines import CleanUp, Setting
@@ -49,7 +46,7 @@ from .pets import (
     read_film,
     whole_film_tracks,
 )
-from .record import ROOT, Table
+from .record import ROOT, TRACKING, Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,14 +86,21 @@ class Kind:
     """What is measured of films with one kind of truth."""
 
     name: str
-    measures: Sequence[str]
-    compared: Sequence[str]  # measures by which methods are compared; the last is drawn
-    ours: Sequence[str]  # methods that are compared with all others
-    plain: str  # from which the first of ours is drawn as a change
+    measures: Sequence[str]  # the first is drawn
+    pairs: Sequence[tuple[str, str]]  # of methods that are compared; the first pair is joined by a line
 
 
-MASKS = Kind("masks", ("F", "precision", "recall"), ("F",), (FEEDBACK, WHOLE), FEED_FORWARD)
-BOXES = Kind("tracks", ("MOTA", "IDF1", "HOTA"), ("MOTA", "IDF1", "HOTA"), (DETECTED, WHOLE_DETECTED), PLAIN)
+MASKS = Kind(
+    "masks",
+    ("F", "precision", "recall"),
+    [(our, other) for our in (FEEDBACK, WHOLE) for other in (FEED_FORWARD, *SUBTRACTORS)],
+)
+BOXES = Kind(
+    "tracks",
+    ("HOTA", "MOTA", "IDF1"),
+    [(our, other) for our in (DETECTED, WHOLE_DETECTED) for other in (PLAIN, BEST_PLAIN)]
+    + [(DETECTED, FEEDBACK), (WHOLE_DETECTED, WHOLE)],
+)
 
 # --- films and what is measured of them ---------------------------------------------------------------------
 
@@ -134,13 +138,7 @@ class TrueFilm:
         return [FEEDBACK, *[WHOLE] * whole, *(detected if self.detections.exists() else [])]
 
     def known_by(self) -> list[Any]:
-        """Return by which it shows whether the film or its truth is another one.
-
-        Raises
-        ------
-        OSError, ValueError
-            if a part is not there.
-        """
+        """Return by which it shows whether film or truth are others; OSError if a part is not there."""
         masks = [fingerprint(str(self.folder / "groundtruth"))] if self.kind is MASKS else []
         files = [self.folder / name for name in ABOUT]
         return [fingerprint(self.source), *masks, *(digest(each) for each in files if each.is_file())]
@@ -150,15 +148,17 @@ def _has_boxes(folder: Path) -> bool:
     return any((folder / name).is_file() for name in ("gt/gt.txt", "gt.txt"))
 
 
-def find_films(folders: Iterable[Path]) -> list[TrueFilm]:
+def find_films(folders: Sequence[Path]) -> list[TrueFilm]:
     """Return the films in folders and in those below, each once, by names that tell them apart.
 
     Raises
     ------
     ValueError
-        if a folder is not there or holds none; it says what was expected.
+        if there is no folder, or one is not there or holds none; it says what was expected.
     """
     found: dict[Path, Path] = {}
+    if not folders:
+        raise ValueError(f"films: got no folder, {EXPECTED}")
     for folder in folders:
         inside = []
         for path, below, _ in os.walk(folder.absolute(), followlinks=True):
@@ -176,14 +176,9 @@ def find_films(folders: Iterable[Path]) -> list[TrueFilm]:
 
 
 def score(film: TrueFilm, method: str, seed: int | None, parameters: Parameters) -> Measures:
-    """Return what a method reaches on a film, by the names of the film's measures.
+    """Return a film's measures with a method; `parameters` are those of our chains.
 
-    `parameters` are those of our chains.
-
-    Raises
-    ------
-    ValueError, OSError
-        whatever is wrong with the film, in one line.
+    It is a ValueError or OSError, in one line, if something is wrong with the film.
     """
     return (_score_masks if film.kind is MASKS else _score_tracks)(film, method, seed, parameters)
 
@@ -289,15 +284,7 @@ def run_films(
         scores = _measure(films, out / MEASURED, whole, tried, parameters, failed)
         return summarise(films, scores, failed)
 
-    out.mkdir(parents=True, exist_ok=True)
-    lock = lock_of(out)
-    try:
-        publish("films", command, out, run)
-    except KeyboardInterrupt:
-        how = "interrupted: the same command, run again, continues"
-        raise Interrupted(signal.SIGINT, how) from None
-    finally:
-        lock.release()
+    publish("films", command, out, run)
     for name, why in failed.items():
         print(f"rsmcm: {name}: {why}", file=sys.stderr)
     return int(bool(failed))
@@ -313,7 +300,8 @@ def _measure(
 ) -> dict[tuple[str, str], list[Measures]]:
     """Scores of each film and method, one for each seed; why films have `failed` is written there."""
     kept = _kept(path)
-    settings = [_code(), versions(), with_defaults(parameters)]
+    code = [digest(ROOT / package, "**/*.py") for package in (*TRACKING, "apps")]
+    settings = [code, versions(), with_defaults(parameters)]
     keys: dict[Run, str] = {}
     work: dict[Run, Task] = {}
     for film in films:
@@ -334,7 +322,8 @@ def _measure(
             if isinstance(result, Exception):
                 failed.setdefault(run[0], reason(result))
                 continue
-            kept[keys[run]] = {"film": run[0], "method": run[1], "seed": run[2], "measures": result}
+            finite = {name: value for name, value in result.items() if np.isfinite(value)}  # as JSON can have
+            kept[keys[run]] = {"film": run[0], "method": run[1], "seed": run[2], "measures": finite}
             write_json(path, kept)
     scores: dict[tuple[str, str], list[Measures]] = {}
     for (name, method, _), key in keys.items():
@@ -349,22 +338,11 @@ def _kept(path: Path) -> dict[str, Any]:
         return {}
     try:
         kept: dict[str, Any] = json.loads(read_text(path, "expected scores of films", MOST_TEXT))
-        for each in kept.values():  # JSON has no NaN
-            each["measures"] = {
-                name: np.nan if value is None else float(value) for name, value in each["measures"].items()
-            }
+        if any(not isinstance(each["measures"], dict) for each in kept.values()):
+            raise TypeError("measures")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{path}: got {error!r}, expected scores of an earlier call, or no file") from None
     return kept
-
-
-def _code() -> str:
-    """By which it shows whether the code is the same."""
-    whole = sha256()
-    for package in ("models", "inference", "chains", "apps"):
-        for path in sorted((ROOT / package).rglob("*.py")):
-            whole.update(path.read_bytes())
-    return whole.hexdigest()
 
 
 # --- what comes out -----------------------------------------------------------------------------------------
@@ -384,27 +362,30 @@ def summarise(
     for kind in (MASKS, BOXES):
         names = [film.name for film in films if film.kind is kind and film.name not in failed]
         methods = list(dict.fromkeys(method for name, method in scores if name in names))
-        if not methods:
-            continue
-        found = {measure: _of_seeds(scores, names, methods, measure) for measure in kind.measures}
-        for measure, (means, spreads) in found.items():
-            lines = [[name, *map(_cell, *of)] for name, *of in zip(names, means, spreads, strict=True)]
-            whole = means[np.isfinite(means).all(axis=1)]
-            if len(whole):
-                lines.append([f"mean of {len(whole)}", *whole.mean(axis=0).tolist()])
-            tables.append(Table(("film", *methods), lines, f"{measure} of {kind.name}."))
-        for measure in kind.compared:
-            column = dict(zip(methods, found[measure][0].T, strict=True))
-            comparisons += [
-                (measure, our, other, *compare(column[our], column[other]))
-                for our in kind.ours
-                for other in methods
-                if our in column and other not in kind.ours
+        for measure in kind.measures if methods else ():
+            columns = {  # mean and standard deviation of each film
+                method: np.array([_over_seeds(scores.get((name, method), ()), measure) for name in names]).T
+                for method in methods
+            }
+            lines: list[Sequence[object]] = [
+                [name, *(_cell(*column[:, row]) for column in columns.values())]
+                for row, name in enumerate(names)
             ]
-        plots.append(_plot(kind, names, methods, *found[kind.compared[-1]]))
+            means = np.array([column[0] for column in columns.values()])
+            known = np.isfinite(means).all(axis=0)
+            if known.any():
+                lines.append([f"mean of {known.sum()}", *means[:, known].mean(axis=1).tolist()])
+            tables.append(Table(("film", *methods), lines, f"{measure} of {kind.name}."))
+            comparisons += [
+                (measure, our, other, *compare(columns[our][0], columns[other][0]))
+                for our, other in kind.pairs
+                if our in columns and other in columns
+            ]
+            if measure == kind.measures[0]:
+                plots.append(_plot(kind, names, columns))
     caption = (
         "Methods compared over films: means, on how many films the first is better and worse, and p of "
-        "Wilcoxon's signed-rank test (two-sided)."
+        "Wilcoxon's signed-rank test (two-sided; of n films at least 2^(1 - n))."
     )
     header = ("measure", "method", "against", "films", "mean", "mean of the other", "better", "worse", "p")
     if comparisons:
@@ -414,23 +395,10 @@ def summarise(
     return Findings(f"Feedback on {len(films)} films", tables, [], plots)
 
 
-def _of_seeds(
-    scores: Mapping[tuple[str, str], Sequence[Measures]],
-    names: Sequence[str],
-    methods: Sequence[str],
-    measure: str,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean and standard deviation over seeds `(films, methods)`; NaN where there is none."""
-    means = np.full((len(names), len(methods)), np.nan)
-    spreads = means.copy()
-    for row, name in enumerate(names):
-        for place, method in enumerate(methods):
-            values = [each[measure] for each in scores.get((name, method), ())]
-            if values:
-                means[row, place] = np.mean(values)
-            if len(values) > 1:
-                spreads[row, place] = np.std(values, ddof=1)
-    return means, spreads
+def _over_seeds(scores: Sequence[Measures], measure: str) -> tuple[float, float]:
+    """Mean and standard deviation; NaN where there is none."""
+    values = [each.get(measure, np.nan) for each in scores] or [np.nan]
+    return float(np.mean(values)), float(np.std(values, ddof=1)) if len(values) > 1 else np.nan
 
 
 def _cell(mean: float, spread: float) -> object:
@@ -455,34 +423,35 @@ def compare(
     return len(difference), means[0], means[1], better, worse, p
 
 
-COLOURS = ("#e0a030", "#2f7fc1", "#7a9e3d", "#c1453b", "#8a6bbe", "#5a5f66")
-MARKERS = "oDs^vP"
+STYLES = {
+    FEED_FORWARD: ("o", "#e0a030"),
+    FEEDBACK: ("D", "#2f7fc1"),
+    WHOLE: ("s", "#2f7fc1"),
+    DETECTED: ("D", "#1b3f66"),
+    WHOLE_DETECTED: ("s", "#1b3f66"),
+    PLAIN: ("^", "#c1453b"),
+    BEST_PLAIN: ("v", "#c1453b"),
+    **dict(zip(SUBTRACTORS, (("^", "#7a9e3d"), ("v", "#7a9e3d")), strict=True)),
+}
+"""Marker and colour of each method."""
 
 
-def _plot(
-    kind: Kind,
-    names: Sequence[str],
-    methods: Sequence[str],
-    means: NDArray[np.float64],
-    spreads: NDArray[np.float64],
-) -> Plot:
-    """Every film's scores in a row; a line joins those with the first of our methods and the plain one."""
-    ends = [methods.index(each) if each in methods else 0 for each in (kind.plain, kind.ours[0])]
-    gain = means[:, ends[1]] - means[:, ends[0]]
-    order = np.argsort(gain)  # the greatest gain on top
+def _plot(kind: Kind, names: Sequence[str], columns: Mapping[str, NDArray[np.float64]]) -> Plot:
+    """Every film in a row, with `(2, films)` means and deviations; a line joins the first pair of methods."""
+    ends = [columns[each][0] for each in kind.pairs[0] if each in columns] or [np.full(len(names), np.nan)]
+    order = np.argsort(ends[0] - ends[-1])  # the greatest gain on top
 
     def draw(canvas: "Figure") -> None:
         axes: Axes = canvas.subplots()
         rows = np.arange(len(names))
-        for row, film in zip(rows, order, strict=True):
-            axes.plot(means[film, ends], [row, row], color="#9aa0a6", linewidth=2, zorder=1)
-        for place, method in enumerate(methods):
-            colour, marker = COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)]
-            spread = spreads[order, place]
-            axes.errorbar(means[order, place], rows, xerr=spread, fmt=marker, color=colour, label=method)
+        axes.plot([end[order] for end in ends], [rows] * len(ends), color="#9aa0a6", linewidth=2, zorder=1)
+        for method, (mean, spread) in columns.items():
+            marker, colour = STYLES[method]
+            axes.errorbar(mean[order], rows, xerr=spread[order], fmt=marker, color=colour, label=method)
         axes.set_yticks(rows, [names[film] for film in order])
-        axes.set_xlabel(kind.compared[-1])
+        axes.set_ylim(-0.6, len(names) - 0.4)
+        axes.set_xlabel(kind.measures[0])
         canvas.legend(loc="outside upper center", ncols=3)
 
-    size = (9, 1.6 + 0.3 * len(names))
-    return Plot(f"films-{kind.name}.png", draw, size, f"{kind.compared[-1]} of {kind.name}, film by film")
+    caption = f"{kind.measures[0]} of {kind.name}, film by film"
+    return Plot(f"films-{kind.name}.png", draw, (9, 1.6 + 0.3 * len(names)), caption)

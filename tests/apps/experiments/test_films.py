@@ -129,6 +129,8 @@ def test_a_folder_that_is_neither_is_refused_in_one_line(
     assert line.startswith(f"rsmcm: {folder}: {what}, expected input/ and groundtruth/ (CDnet), or img1/")
     assert code_of(folder, "--seeds", "-1") == 2
     assert capfd.readouterr().err == "rsmcm: --seeds: got -1, expected 0 or more\n"
+    assert code_of("--out", tmp_path / "out") == 2
+    assert capfd.readouterr().err.startswith("rsmcm: films: got no folder, expected input/ and groundtruth/")
     assert not (tmp_path / "out").exists()
 
 
@@ -283,6 +285,7 @@ def test_tables_have_means_over_seeds_and_films(street: TrueFilm, two: TrueFilm)
     }
     found = summarise([street, other, two], scores, {"two": "no reason"})
     compared, f, _, recall, failed = found.tables
+    assert [row[0] for row in compared.rows] == ["F", "precision", "recall"]
     assert f.rows[0] == ["street", "0.300 ± 0.141", "0.600 ± 0.141"]
     assert f.rows[2] == ["mean of 2", pytest.approx(0.3), pytest.approx(0.75)]
     assert len(recall.rows) == 2, "no mean of nothing"
@@ -351,7 +354,7 @@ def test_ctrl_c_keeps_what_is_measured(data: Path, tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     _, error = process.communicate()
     assert process.returncode == 130
-    assert error.endswith("rsmcm: interrupted: the same command, run again, continues\n")
+    assert error.endswith("rsmcm: interrupted\n")
     kept = json.loads((out / "measured.json").read_text())
     again = start(*arguments)
     again.communicate()
