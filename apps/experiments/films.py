@@ -385,7 +385,8 @@ def summarise(
                 plots.append(_plot(kind, names, columns))
     caption = (
         "Methods compared over films: means, on how many films the first is better and worse, and p of "
-        "Wilcoxon's signed-rank test (two-sided; of n films at least 2^(1 - n))."
+        "Wilcoxon's signed-rank test (two-sided; of n films at least 2^(1 - n)). Below, ± is the "
+        "standard deviation over seeds of noise."
     )
     header = ("measure", "method", "against", "films", "mean", "mean of the other", "better", "worse", "p")
     if comparisons:
