@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...inference.engine.protocols import Cavity, Incoming, Port
 from ...inference.kalman import kinematic
 from ...inference.sfm.factor_analysis.em import CameraPrior, estimate_cameras, homogeneous
-from ...inference.sfm.factor_analysis.factorisation import Factorisation, factorise, projected
+from ...inference.sfm.factor_analysis.factorisation import factorise_robustly, projected
 from ...models.core.checks import Positive, at_least, checked
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
@@ -452,8 +452,7 @@ LEAST_SEEN = 6  # points that a frame has to show to be kept
 LEAST_FRAMES = 3  # frames that have to show a point for it to be part of the first shape
 FIRST_FRAMES, MOST_FRAMES, STEP = 8, 32, 4  # frames that are kept at first, at most, and between attempts
 CLEAR = 4.0  # how far the shape's third direction must stand out of what noise alone would give for one
-UNEVEN = 3.0  # mean over usual squared error from which on there are outliers
-TRIMMINGS = 4  # rounds in which outliers are dropped, at most
+UNEVEN = 3.0  # mean over usual squared error from which on a fit is led by outliers
 ROUNDS = 100  # of learning the noise of the camera's motion
 
 
@@ -505,37 +504,44 @@ class Window:
 def first_structure(window: Window) -> Structure | None:
     """Return shape and camera after the last frame, or `None` if the points' motion does not determine them.
 
-    Of a static camera or a flat scene one of the shape's three directions comes from noise alone.
+    Of a static camera or a flat scene one of the shape's three directions comes from noise alone. A
+    `ValueError` says if frames fall into sets that share too few points.
     """
-    seen = window.variances > 0
-    points = seen.sum(axis=0) >= LEAST_FRAMES
-    frames = seen[:, points].sum(axis=1) >= LEAST_SEEN
-    if frames.sum() < FIRST_FRAMES:
+    frames, points = _enough(window.variances > 0)
+    if len(frames) < FIRST_FRAMES:
         return None
     chosen = np.ix_(frames, points)
-    positions, stated, seen = window.positions[chosen], window.variances[chosen], seen[chosen]
-    times = window.times[frames]
-    found, seen, is_clean = _factorised(positions, stated, seen)
-    if not is_clean and len(window.times) < MOST_FRAMES:
+    positions, stated = window.positions[chosen], window.variances[chosen]
+    weights = np.divide(1, stated, out=np.zeros_like(stated), where=stated > 0)
+    found = factorise_robustly(positions, weights)
+    fit = found.factorisation
+    squares = weights * ((positions - projected(fit.cameras, fit.shape)) ** 2).sum(axis=2)
+    usual = float(np.median(squares[found.trusted])) / MEDIAN
+    if fit.noise_variance > max(UNEVEN * usual, LEAST_SCALE) and len(window.times) < MOST_FRAMES:
         return None
-    weights = np.divide(1, stated, out=np.zeros_like(stated), where=seen)
-    scale = max(found.noise_variance, LEAST_SCALE)
-    linear = found.cameras[:, :, :3]
+    trusted_frames, trusted_points = _enough(found.trusted)
+    if len(trusted_frames) < FIRST_FRAMES:
+        return None
+    chosen = np.ix_(trusted_frames, trusted_points)
+    positions, stated, seen = positions[chosen], stated[chosen], found.trusted[chosen]
+    cameras, shape = fit.cameras[trusted_frames], fit.shape[trusted_points]
+    times, identities = window.times[frames][trusted_frames], window.identities[points][trusted_points]
+    weights = np.where(seen, weights[chosen], 0.0)
+    scale = max(fit.noise_variance, LEAST_SCALE)
+    linear = cameras[:, :, :3]
     per_frame, per_point = seen.sum() / seen.shape[0], seen.sum() / seen.shape[1]
     _, sizes, directions = np.linalg.svd(linear.reshape(-1, 3), full_matrices=False)
     third = np.sqrt(per_frame) * sizes[2]
     # a track that goes on at another point has a depth of its own, and nearly all of the sum of squares
-    depths = np.square(found.shape @ directions[2])
+    depths = np.square(shape @ directions[2])
     by_chance = np.sqrt(scale * stated[seen].mean()) * (np.sqrt(2 * per_point) + np.sqrt(per_frame))
     if not (third > CLEAR * by_chance and depths.sum() ** 2 > LEAST_SEEN * np.square(depths).sum()):
         return None
 
     extent = float(np.sqrt(0.5 * (linear**2).sum() / len(linear)))
     precisions = weights / scale
-    autocorrelation = _autocorrelation(found.cameras, found.shape, positions, seen)
-    shape, covariance = _intersected(
-        found.cameras, found.shape, positions, precisions, correlation_time(autocorrelation)
-    )
+    autocorrelation = _autocorrelation(cameras, shape, positions, seen)
+    shape, covariance = _intersected(cameras, shape, positions, precisions, correlation_time(autocorrelation))
     of_shape = np.einsum("tcj,ijk,tck->ti", linear, covariance, linear, optimize=True)
     points_and_one = homogeneous(shape)
     of_camera = [
@@ -555,7 +561,7 @@ def first_structure(window: Window) -> Structure | None:
         motion = motion.predict(now - float(times[-1]))
     last_seen = times[len(times) - 1 - np.argmax(seen[::-1], axis=0)]
     return Structure(
-        identities=window.identities[points],
+        identities=identities,
         shape=shape,
         shape_covariance=covariance,
         unseen=now - last_seen,
@@ -569,21 +575,10 @@ def first_structure(window: Window) -> Structure | None:
     )
 
 
-def _factorised(
-    positions: Array, stated: Array, seen: NDArray[np.bool_]
-) -> tuple[Factorisation, NDArray[np.bool_], bool]:
-    """Shape and cameras, which observations are inliers, and whether these have errors of one size."""
-    for last in (*[False] * (TRIMMINGS - 1), True):
-        weights = np.divide(1, stated, out=np.zeros_like(stated), where=seen)
-        found = factorise(positions, weights)
-        squares = weights * ((positions - projected(found.cameras, found.shape)) ** 2).sum(axis=2)
-        usual = float(np.median(squares[seen])) / MEDIAN
-        fits = seen & (squares <= GATE * usual)
-        enough = (fits.sum(axis=1) >= LEAST_SEEN).all() and (fits.sum(axis=0) >= LEAST_FRAMES).all()
-        if last or not enough or np.array_equal(fits, seen):
-            break
-        seen = fits
-    return found, seen, found.noise_variance <= max(UNEVEN * usual, LEAST_SCALE)
+def _enough(seen: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Frames and points that are seen often enough, of `(n_frames, n_points)`."""
+    points = seen.sum(axis=0) >= LEAST_FRAMES
+    return np.flatnonzero(seen[:, points].sum(axis=1) >= LEAST_SEEN), np.flatnonzero(points)
 
 
 def _autocorrelation(cameras: Array, shape: Array, positions: Array, seen: NDArray[np.bool_]) -> float:
@@ -692,7 +687,12 @@ class RecursiveStructure:
                 structure = self._remembered(add_points(structure, seen))
                 return replace(state, elapsed=0.0, structure=structure)
         window = state.window.lengthened(seen, state.time, self.max_points)
-        structure = first_structure(window) if window is not state.window and window.due else None
+        structure = None
+        if window is not state.window and window.due:
+            try:
+                structure = first_structure(window)
+            except ValueError:  # frames share too few points: another scene has begun
+                window = Window.empty()
         window = window if structure is None else Window.empty()
         return StructureState(state.time, 0.0, window, structure)
 

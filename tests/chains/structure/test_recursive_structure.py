@@ -348,6 +348,20 @@ def test_first_shape_is_right_but_for_an_affine_change() -> None:
     assert structure.autocorrelation < 0.2
 
 
+def test_another_scene_before_there_is_a_shape_begins_anew() -> None:
+    """All points of the first eight frames end: two sets of frames that share none."""
+    scene = cylinder(7, n_frames=40, p_loose=0.0)
+    frames = [
+        replace(frame, points=GivenPoints(scene.observed[t], np.arange(40) + 40 * (t >= 6)))
+        for t, frame in enumerate(scene.frames())
+    ]
+    run, _, _ = engine()
+    *_, last = run.run(frames)
+    structure = last.state.states["structure"].structure
+    assert structure is not None
+    np.testing.assert_array_equal(structure.identities, np.arange(40, 80))
+
+
 @pytest.mark.parametrize(("kind", "seed"), [("static", 2), ("shifted", 2), *(("flat", s) for s in range(8))])
 def test_no_shape_where_motion_does_not_determine_it(kind: str, seed: int) -> None:
     """Nor where tracks go on at other points, which have a depth of their own then."""
@@ -455,13 +469,17 @@ def test_scale_of_the_noise_is_learned() -> None:
 
 
 def test_outliers_do_little_harm() -> None:
-    """One position in ten is off by 40 px."""
+    """One position in ten is off by 40 px, from the first frame on.
+
+    In a run the median is 0.32 px, by 0.02, as without outliers; the mean of normalised errors, of which one
+    camera makes many, is 0.5 to 1.4.
+    """
     scene, random = cylinder(5), np.random.default_rng(0)
     bad = random.random((100, 40, 1)) < 0.1
     scene = replace(scene, observed=scene.observed + 40 * bad * random.standard_normal((100, 40, 2)))
     found, _ = follow(scene, begin=40)
-    assert np.sqrt(np.median(found.given_others)) < 1.0
-    assert 0.5 < found.others_normalised.mean() < 1.5
+    assert np.sqrt(np.median(found.given_others)) < 0.45
+    assert 0.3 < found.others_normalised.mean() < 2
 
 
 def test_an_observation_of_a_point_never_comes_back() -> None:
