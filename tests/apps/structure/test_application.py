@@ -185,7 +185,8 @@ def test_one_coordinate_of_a_position_is_used(
     # medians: of points with few observations some may be far off
     assert np.median(off[seen, point]) < 2
     assert np.median(off) < 1.0
-    assert observed.sum() == np.isfinite(lines).all(axis=2).sum()
+    whole = np.isfinite(lines).all(axis=2).sum()
+    assert 0.97 * whole < observed.sum() <= whole  # one in 200 is taken for an outlier
     # what is not made for it says so
     assert "expected both coordinates or none" in Command("shape").complaint(
         capfd, source, "--bases", "2", "--out", tmp_path / "shape"

@@ -118,7 +118,8 @@ def test_what_is_expected_holds_a_patch_on_an_edge() -> None:
     expected = PlacePrior(places + wrong, np.tile(np.eye(2) / 0.3**2, (200, 1, 1)))
     held = align_patches(other, patches, places + wrong, 2.0, expected)
     errors = held.position - places
-    assert np.abs(errors @ along).max() < 0.5
+    # with a picture of error s an error of 0.09 s / (0.09 + s^2) stays, 0.15 at the most
+    assert np.sqrt(np.square(errors @ along).mean()) < 0.15 * (1 + 4 / np.sqrt(400))
     assert (np.abs((free.position - places) @ along) > 0.5).mean() > 0.3
     assert np.sqrt(np.square(errors @ across).mean()) < 0.1
     # what is expected is no part of what the picture says

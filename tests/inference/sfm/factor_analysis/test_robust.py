@@ -43,13 +43,19 @@ def test_outliers_are_told_from_right_positions(coherence: bool) -> None:
 
 
 def test_a_mismatch_in_two_frames_is_seen() -> None:
-    """Three of its four numbers go into the point: what is left is judged by what that leaves free."""
+    """Three of its four numbers go into the point: what is left is judged by what that leaves free.
+
+    The second one shows the point that is farthest from the first one's epipolar line.
+    """
     positions = np.full((*SCENE.positions.shape[:2], 2), np.nan)
     positions[:] = SCENE.observed
     positions = np.concatenate([positions, np.full((24, 8, 2), np.nan)], axis=1)
     for k in range(8):
-        positions[3 * k, 60 + k] = SCENE.positions[3 * k, k]
-        positions[3 * k + 1, 60 + k] = SCENE.positions[3 * k + 1, k + (8 if k < 4 else 0)]
+        one, other = SCENE.positions[3 * k : 3 * k + 2]
+        pairs = np.concatenate([one - one.mean(axis=0), other - other.mean(axis=0)], axis=1)
+        line = np.linalg.svd(pairs)[2][3]  # affine views of one point are in a plane
+        farthest = np.abs(pairs[k, :2] @ line[:2] + pairs[:, 2:] @ line[2:]).argmax()
+        positions[3 * k, 60 + k], positions[3 * k + 1, 60 + k] = one[k], other[farthest if k < 4 else k]
     found = factorise_robustly(positions, coherence=True)
     right = found.consistent[60:]
     assert right[4:].all()
