@@ -165,15 +165,15 @@ def alone(places: NDArray[np.float64], least: float, few: int = 4) -> list[int]:
 
 
 def test_a_click_on_a_point_selects_it(shown: ViewPage, found: Reconstruction) -> None:
-    said = set()
-    for index in (0, 9, N_FRAMES - 1):
-        shown.show(index)
-        inside = (found.places[index] > 0).all(axis=1) & (found.places[index] < np.array(SIZE) - 1).all(
-            axis=1
-        )
-        for point in alone(found.places[index], 3.0, 15):
-            if not inside[point]:
-                continue
+    inside = (found.places > 0).all(axis=2) & (found.places < np.array(SIZE) - 1).all(axis=2)
+    free = np.zeros_like(inside)
+    for index, places in enumerate(found.places):
+        free[index, alone(places, 3.0, len(places))] = True
+    for kind in (found.observed, ~found.observed):
+        some = np.argwhere(free & inside & kind)
+        assert len(some) > 8
+        for index, point in some[:: len(some) // 8].tolist():
+            shown.show(index)
             shown.click(found.places[index, point])
             assert shown.selected == f"point {point}"
             np.testing.assert_allclose(shown.numbers("place"), found.places[index, point], atol=0.06)
@@ -185,8 +185,6 @@ def test_a_click_on_a_point_selects_it(shown: ViewPage, found: Reconstruction) -
                 assert shown.numbers("residual")[0] == pytest.approx(size, abs=0.03)
             times = np.count_nonzero(found.observed[:, point])
             np.testing.assert_array_equal(shown.numbers("seen in"), [times, N_FRAMES])
-            said.add(seen)
-    assert said == {True, False}
     shown.click((0, 0))
     assert shown.selected is None
 

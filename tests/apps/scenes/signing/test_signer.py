@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import signer
-from rsmcm.apps.scenes.signing.faults import BOX_NOISE, FACE_BELOW, FACE_BOX, MISSING, bursts
+from rsmcm.apps.scenes.signing.faults import BOX_NOISE, FACE_BELOW, FACE_BOX, MISSING, bursts, false_skin
 from rsmcm.apps.scenes.signing.shape import tube
 from rsmcm.models.core.frame import Frame
 
@@ -93,15 +93,18 @@ def test_detector_of_another_scene_and_of_no_picture():
 
 
 def test_false_skin_comes_as_often_as_asked_for():
+    """Bursts of 12 frames on the mean, deviation 5, and pauses with one of 0.29 of their mean."""
     assert signer(200, 1, clutter=0.0).distractors == ()
+    n_frames, size, head = 20_000, (640, 360), 80.0
     for clutter in (0.5, 2.0):
-        scene = signer(2000, 1, clutter=clutter)
-        there = np.zeros(2000, bool)
-        for thing in scene.distractors:
+        there, share = np.zeros(n_frames, bool), 0.15 * clutter
+        for thing in false_skin(np.full((n_frames, 2), 150.0), head, size, clutter, 1):
             there[thing.first : thing.last + 1] = True
-            assert ((thing.start > 0) & (thing.start < scene.size)).all()
-            assert 0.1 < thing.radius / scene.body.head_height < 0.35
-        assert there.mean() == pytest.approx(0.15 * clutter, abs=0.03)
+            assert ((thing.start > 0) & (thing.start < size)).all()
+            assert 0.1 < thing.radius / head < 0.35
+        cycle, pause = 12 / share, 12 * (1 - share) / share
+        variance = ((1 - share) * 5) ** 2 + (share * 0.29 * pause) ** 2  # of a burst's share of its cycle
+        assert there.mean() == pytest.approx(share, abs=5 * np.sqrt(variance / (cycle * n_frames)))
 
 
 # Pictures
