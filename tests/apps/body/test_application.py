@@ -166,7 +166,7 @@ def test_answers_are_of_the_posterior(finished: Path) -> None:
 
 
 def test_the_body_is_followed(finished: Path, scene: SignerScene) -> None:
-    """Not how well, which is tested elsewhere, but that it is this film's body, in a picture of seven heads."""
+    """Not how well, which is tested elsewhere, but that it is this film's body: to a head of seven."""
     for name in ("head", "neck", "left_shoulder", "right_shoulder"):
         assert np.median(apart(finished, scene, JOINTS.index(name))) < scene.body.head_height
 

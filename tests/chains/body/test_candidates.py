@@ -12,7 +12,7 @@ from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 BODY = UpperBody.from_head(90.0)
 SIZE = (360, 640)
 DT = 0.04
-RUNS = 12
+RUNS = 24
 
 
 def past_of(seed: int) -> Ancestors:
