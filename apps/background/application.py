@@ -123,13 +123,14 @@ def read_frame_result(
     pixels: PixelMessage = belief["pixels"]
     foreground = pixels.foreground()
     tracks: list[Any] = belief["blobs"].tracks() if "blobs" in belief.states else []
+    if pixels.view is not None:
+        foreground = pixels.view.map.warp_to_frame(foreground)
+        view = belief["camera"].view  # of the states, which is not that of messages where a scene begins
+        tracks = [track.seen_by(view) for track in tracks]
     if region is not None:
         foreground &= region
         tracks = inside(region, tracks)
-    if pixels.view is None:
-        return FrameResult(foreground, tracks)
-    view = pixels.view
-    return FrameResult(view.map.warp_to_frame(foreground), [track.seen_by(view) for track in tracks])
+    return FrameResult(foreground, tracks)
 
 
 def run_background(job: BackgroundJob) -> Outcome:

@@ -131,10 +131,18 @@ class BlobTracker:
         if not len(blobs):
             return view
         is_seen = incoming.evidence(PixelLabels).image is not None
+        if state.detecting and pixels.view is not None:
+            is_seen = False  # what pixels alone show may be the camera's doing: near things, what it now sees
         return view * detections.box_message(select_whole(blobs), state.detecting, is_seen)
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Update all objects by the frame: register, learn, merge, split, delete and create."""
+        state, view = self._updated(state, incoming), incoming[PixelLabels].view
+        if view is None or view.begins is None:
+            return state
+        return replace(state, blobs=state.blobs.seen_by(view))
+
+    def _updated(self, state: BlobState, incoming: Incoming) -> BlobState:
         pixels, boxes = incoming[PixelLabels], incoming.get(ObjectBoxes)
         blobs, newborn, layers = self._placed(state, incoming)
         if boxes is not None and boxes.association is not None:

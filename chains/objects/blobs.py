@@ -135,6 +135,14 @@ class Blob:
         box_mean = self.box_mean - self.detected * np.array([shift[1], shift[0], 0, 0])
         return self.changed(position=self.position + shift, box_mean=box_mean)
 
+    def resampled(self, shape: Sequence[int]) -> Self:
+        """Return the blob with a patch of `shape` (columns, rows)."""
+        mask = cv2.resize(self.mask, shape, interpolation=cv2.INTER_LINEAR)
+        planes = [cv2.resize(plane, shape, interpolation=cv2.INTER_NEAREST) for plane in self.appearance]
+        return self.changed(
+            np.asarray(mask, np.float32), np.array(planes, np.float32).reshape(-1, *mask.shape)
+        )
+
     def changed(self, mask: Map | None = None, appearance: Map | None = None, **values: Any) -> Self:
         """Return the blob with other pixels, or other values of fields; a new mask is measured."""
         record = np.array([self.record])[0] if mask is None else measured(mask, self.record)
@@ -285,6 +293,34 @@ class Blobs:
     def select(self, which: NDArray[np.intp] | Mask) -> Self:
         """Return some of the blobs, by index or by whether to take them."""
         return replace(self, words=self.words[which])
+
+    def seen_by(self, view: View) -> Self:
+        """Return the blobs in the px of the frame that a camera shows by `view`; masks are resampled."""
+        table, scale, linear = self.table.copy(), view.map.scale, view.map.matrix[:, :2]
+        corners, sides = table["position"][:, ::-1], np.column_stack([table["columns"], table["rows"]])
+        boxes = np.hstack([corners, np.zeros_like(corners)]) + table["box_mean"]
+        unsure = view.box_variances(boxes)
+        boxes = view.map.boxes(boxes)
+        patches = view.map.boxes(np.hstack([corners + sides * [0.5, 1.0], sides]))
+        shapes = np.maximum(np.rint(patches[:, 2:]), 1.0)
+        corners = patches[:, :2] - 0.5 * (patches[:, 2:] * [0, 1] + shapes)
+        x, y, *lengths = table["origin"].T
+        origins = view.map.boxes(np.column_stack([x + 0.5 * lengths[0], y + lengths[1], *lengths]))
+        table["position"], table["velocity"] = corners[:, ::-1], table["velocity"] @ linear[::-1, ::-1].T
+        table["covariance"] *= scale.prod()
+        table["covariance"][:, 0, 0] += unsure[:, :WIDTH].mean(axis=1)
+        table["size"] *= scale[::-1]
+        table["box_mean"] = boxes - np.hstack([corners, np.zeros_like(corners)])
+        table["box_variance"] *= np.tile(scale**2, 2)
+        table["box_variance"][:, WIDTH:] += unsure[:, WIDTH:]
+        table["origin"] = origins - origins[:, [WIDTH, HEIGHT, WIDTH, WIDTH]] * [0.5, 1.0, 0, 0]
+        moved = self.with_table(table)
+        if (shapes == sides).all():
+            return moved
+        return self.of(
+            [blob.resampled(shape) for blob, shape in zip(moved, shapes.astype(int).tolist(), strict=True)],
+            self.channels,
+        )
 
     def concatenate(self, blobs: Sequence[Blob]) -> Self:
         """Return the blobs followed by new ones."""

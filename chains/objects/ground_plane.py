@@ -14,12 +14,14 @@ both together predict every object's box, from the past alone.
 """
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...inference.engine.protocols import Incoming, Port
 from ...inference.kalman import kinematic
+from ...models.camera.moving_camera import View
 from ...models.core.checks import Positive, Share, checked
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
@@ -84,6 +86,30 @@ class GroundState:
     def expected_height(self, foot_y: ArrayLike) -> tuple[Array, Array]:
         """Return mean and standard deviation px of a new object's height, with feet in these rows."""
         return self.newcomers().height(foot_y)
+
+    def seen_by(self, view: View) -> Self:
+        """Return the state in the px of the frame that a camera shows by `view`."""
+        down, linear = float(view.map.scale[1]), view.map.matrix[:, :2]
+        feet = linear @ self.feet
+        feet[:, :, 0] = view.map.points(self.feet[:, :, 0] - 0.5) + 0.5
+        unsure = view.box_variances(np.hstack([self.feet[:, :, 0], np.zeros((len(feet), 2))]))
+        spread = self.feet_covariance * (view.map.scale**2)[:, None, None]
+        spread[:, :, 0, 0] += unsure[:, :WIDTH]
+        # rows of the picture, in its middle column, are moved and scaled, and heights are scaled
+        middle = np.array([[0.5 * self.size[1], self.middle, 0.0, 0.0]])
+        below = (self.middle - view.map.boxes(middle)[0, FOOT_Y]) / linear[1, 1]
+        change = np.eye(len(self.scene))
+        change[:2, :2] = down * np.array([[1.0, below], [0.0, 1 / linear[1, 1]]])
+        scene, covariance = change @ self.scene, change @ self.scene_covariance @ change.T
+        covariance[0, 0] += scene[1] ** 2 * view.box_variances(middle)[0, FOOT_Y]
+        return replace(
+            self,
+            scene=scene,
+            scene_covariance=covariance,
+            feet=feet,
+            feet_covariance=spread,
+            heights=down * self.heights,
+        )
 
     def design(self, below: Array, places: NDArray[np.intp], own: Array) -> Array:
         """Return the design `(n, 2 + n_objects)` of heights by `scene`, for feet `below` the middle row.
@@ -219,6 +245,12 @@ class GroundPlane:
     def update(self, state: GroundState, incoming: Incoming) -> GroundState:
         """Return perspective and objects given the boxes of `incoming`."""
         message = incoming[ObjectBoxes]
+        state = self._updated(state, message)
+        if message.view is None or message.view.begins is None:
+            return state
+        return state.seen_by(message.view)
+
+    def _updated(self, state: GroundState, message: BoxMessage) -> GroundState:
         identities, boxes, covariances = message.objects.moments
         state = self._with_births_and_deaths(state, identities, boxes)
         if not len(identities):

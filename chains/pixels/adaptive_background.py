@@ -15,11 +15,14 @@ first frame on, m_k is unknown. Where things are seen to sway, p(L_k | B_k = 1) 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Cavity, Incoming, Port
+from ...models.camera.moving_camera import AffineMap
 from ...models.core.checks import NotNegative, Positive, PositiveOrInfinite, Probability, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
@@ -28,7 +31,7 @@ from ...models.pixels.background import EmptyScene
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
 from .background_prediction import BackgroundPrediction, fixed_point, stored_planes
 from .empty_scene import empty_scene
-from .gaussians import Gaussians
+from .gaussians import MEAN_STEPS, Gaussians
 from .light import LightField, light_grid, share_of_blocks, track_light
 from .second_colours import SETTLED, SecondColours, Settling, learn_second_colours, update_behind
 from .sway import Sway, sway_reach, update_rates
@@ -85,14 +88,33 @@ class BackgroundState:
         """Return the scene's colours, `(channels, height, width)` float32 grey levels."""
         return stored_planes(self.mean, self.size).grey_levels()
 
-    def picture(self) -> NDArray[np.uint8]:
-        """Return the empty scene under today's light: grey `(height, width)` or BGR `(height, width, 3)`."""
-        height, width = self.size
+    def lit_planes(self) -> Planes:
+        """Return the scene's colours under today's light, `(channels, height, width)` float32 grey levels."""
         rows, position = LightField(self.light, self.size).along_rows
         above = position.astype(np.intp)
         share = (position - above)[:, None]
-        light = rows[above] * (1 - share) + rows[above + 1] * share
-        return colour.to_image((self.planes() * light).reshape(-1, height * width), (height, width))
+        return np.asarray(self.planes() * (rows[above] * (1 - share) + rows[above + 1] * share))
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Return the empty scene under today's light: grey `(height, width)` or BGR `(height, width, 3)`."""
+        return colour.to_image(self.lit_planes().reshape(-1, self.size[0] * self.size[1]), self.size)
+
+    def seen_by(self, view: AffineMap, known: NDArray[np.bool_], fresh: Self) -> Self:
+        """Return the state in the px of a frame; `fresh` where nothing is `known` `(height, width)` of it."""
+        where = view.warp_to_frame(known.astype(np.uint8)).reshape(-1) > 0
+        means = np.stack([view.warp_to_frame(plane, cv2.INTER_LINEAR) for plane in self.lit_planes()])
+        mean = np.rint(MEAN_STEPS * means).reshape(fresh.mean.shape).clip(-32768, 32767).astype(np.int16)
+        variance, noise = (
+            view.warp_to_frame(plane.reshape(self.size)).reshape(-1) for plane in (self.variance, self.noise)
+        )
+        return replace(
+            fresh,
+            mean=np.where(where, mean, fresh.mean),
+            variance=np.where(where, variance, fresh.variance),
+            noise=np.where(where, noise, fresh.noise),
+            age=self.age,
+            frames=self.frames,
+        )
 
 
 @short_repr
@@ -168,8 +190,16 @@ class AdaptiveBackground:
         """Update the background by the frame, each pixel weighted by r = P(B=1 | everything).
 
         With prediction N(R; m, s), d = I - m and K = s / (s + noise) the mean becomes m + r K d and the
-        variance (1 - r K) s + r (1 - r) K^2 d^2.
+        variance (1 - r K) s + r (1 - r) K^2 d^2. Where a new scene begins, it is known as far as this frame
+        shows it, or it is behind objects.
         """
+        state, message = self._updated(state, incoming), incoming[PixelLabels]
+        if message.view is None or message.view.begins is None:
+            return state
+        fresh = self.initial(Frame(message.view.begins, 0.0, 1))
+        return state.seen_by(message.view.map, message.are_known(), fresh)
+
+    def _updated(self, state: BackgroundState, incoming: Incoming) -> BackgroundState:
         image = incoming.evidence(PixelLabels).image
         if image is None:
             return state

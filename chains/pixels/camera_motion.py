@@ -31,6 +31,14 @@ the picture is, so that what errors of many frames have in common would move it.
 
 FIRST_VARIANCE = 1e-6  # px^2: the first frame is the scene's picture, by definition
 
+BEYOND = 2.0  # standard deviations of the camera's motion, which it exceeds only by leaving the scene
+
+WORN, FIT_TIME = 0.8, 0.3
+"""Share of its best correlation below which frames no longer resemble a scene, and s over which it is
+averaged: blur comes and goes within that time."""
+
+LOST_TIME = 3.0  # s, after which a scene in which no frame is found is given up, as hidden objects are
+
 
 @short_repr
 @dataclass(frozen=True, eq=False)
@@ -38,9 +46,15 @@ class CameraState:
     """Map from scene to frame, and the scene's picture."""
 
     where: LinearGaussianState  # of one thing, the map from scene to frame
-    # (height, width[, 3]): the scene under today's light, in the first frame's places
+    # (height, width[, 3]): the scene under today's light, in the places of the frame with which it began
     picture: NDArray[np.float32]
+    unknown: NDArray[np.bool_]  # (height, width): where objects have hidden the scene since it began
     elapsed: float  # s since the last frame with an image
+    unseen: float  # s since a frame was found in the scene
+    fit: float  # usual correlation of frames with the scene, of late
+    best_fit: float  # its highest value since the scene began
+    first: NDArray[np.float64]  # (6,) px: map from the first frame to the scene
+    first_covariance: NDArray[np.float64]  # (6, 6) px^2, of these
 
     @property
     def mean(self) -> NDArray[np.float64]:
@@ -52,14 +66,28 @@ class CameraState:
         """`(6, 6)` px^2, of these."""
         return np.asarray(self.where.covariance[0])
 
+    @property
+    def view(self) -> View:
+        """The map from scene to frame."""
+        return View.predicted(self.mean, self.covariance, self.picture)
+
+    @property
+    def view_of_first(self) -> View:
+        """The map from the first frame to this one; errors of all scenes in between add."""
+        size = self.picture.shape[:2]
+        whole = AffineMap(self.mean, size).after(AffineMap(self.first, size))
+        return View.predicted(whole.parameters, self.covariance + self.first_covariance, self.picture)
+
 
 @checked
 @short_repr
 @dataclass(frozen=True)
 class CameraMotion:
-    """Chain of a camera that shakes, turns or slowly drifts around its view in the first frame.
+    """Chain of a camera that shakes or turns around a view of the scene, and moves on to the next one.
 
-    The scene is limited to the view of the first frame: a camera that pans away from it loses it.
+    A scene is what a frame shows. When the camera leaves it (by more than twice `reach`), or frames no
+    longer resemble it (near things move against far ones), or none is found in it for some seconds, the frame
+    of that moment begins the next scene. All other chains map their states to its px, with what is unsure.
 
     Parameters
     ----------
@@ -78,7 +106,10 @@ class CameraMotion:
     def initial(self, frame: Frame) -> CameraState:
         """Return a camera at rest, with the first image as the image of the scene."""
         picture = frame.required_image().astype(np.float32)
-        return CameraState(self._motion(picture).initial(frame), picture, 0.0)
+        still = np.zeros(UNKNOWNS)
+        where = self._motion(picture).initial(frame)
+        unknown = np.zeros(picture.shape[:2], np.bool_)
+        return CameraState(where, picture, unknown, 0.0, 0.0, 0.0, 0.0, still, np.diag(still))
 
     def _motion(self, picture: NDArray[np.float32]) -> LinearGaussianChain:
         """The map's own chain, an Ornstein-Uhlenbeck process."""
@@ -96,22 +127,49 @@ class CameraMotion:
     def predict(self, state: CameraState, dt: float) -> CameraState:
         """Return the map `dt` seconds on."""
         where = self._motion(state.picture).predict(state.where, dt)
-        return replace(state, where=where, elapsed=state.elapsed + dt)
+        return replace(state, where=where, elapsed=state.elapsed + dt, unseen=state.unseen + dt)
 
     def message(self, state: CameraState, feature: ScenePixels, incoming: Incoming) -> PixelMessage:
         """Return the density of the map, with the image of the scene (mu_{C -> F})."""
-        return PixelMessage(view=View.predicted(state.mean, state.covariance, state.picture))
+        worn = state.fit < WORN * state.best_fit
+        room = 0.0 if worn else BEYOND * self.reach * math.hypot(*state.picture.shape[:2]) / 2
+        lost = state.unseen > LOST_TIME
+        return PixelMessage(
+            view=View.predicted(state.mean, state.covariance, state.picture, state.unknown, room, lost=lost)
+        )
 
     def update(self, state: CameraState, incoming: Incoming) -> CameraState:
         """Return the map given the registration, and the image of the scene updated by background pixels."""
         found = incoming.evidence(ScenePixels)
         if found.image is None:
             return state
-        where, picture = state.where, state.picture.copy()
-        seen = np.asarray(incoming[ScenePixels].foreground() == 0, np.uint8)
+        seen = incoming[ScenePixels].foreground() == 0
         if found.view is not None:
-            where = self._motion(picture).condition(where, found.view.where)
-            seen[~AffineMap(where.mean[0], found.view.size).shown] = 0
+            state = self._registered(state, found.view)
+            if found.view.begins is not None:
+                return self._next_scene(state, found.view.begins, ~seen)
+            seen &= state.view.map.shown
+        picture, revealed = state.picture.copy(), seen & state.unknown
         share = -math.expm1(-state.elapsed / PICTURE_TIME)
-        cv2.accumulateWeighted(found.image, picture, share, mask=seen)
-        return CameraState(where, picture, 0.0)
+        cv2.accumulateWeighted(found.image, picture, share, mask=seen.astype(np.uint8))
+        picture[revealed] = found.image[revealed]
+        return replace(state, picture=picture, unknown=state.unknown & ~seen, elapsed=0.0)
+
+    def _registered(self, state: CameraState, found: View) -> CameraState:
+        if not len(found.where):
+            return state
+        where = self._motion(state.picture).condition(state.where, found.where)
+        share = -math.expm1(-state.elapsed / FIT_TIME) if state.best_fit else 1.0
+        fit = state.fit + share * (found.correlation - state.fit)
+        return replace(state, where=where, unseen=0.0, fit=fit, best_fit=max(fit, state.best_fit))
+
+    def _next_scene(
+        self, state: CameraState, image: NDArray[np.uint8], hidden: NDArray[np.bool_]
+    ) -> CameraState:
+        """The state in the scene that an image begins; `hidden` `(height, width)` was foreground before."""
+        return replace(
+            self.initial(Frame(image, 0.0, 1)),
+            unknown=state.view.map.warp_to_frame(hidden.astype(np.uint8)) > 0,
+            first=state.view_of_first.map.parameters,
+            first_covariance=state.first_covariance + state.covariance,
+        )

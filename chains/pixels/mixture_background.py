@@ -11,12 +11,13 @@ of a pixel slows its learning, so that objects that they track do not become bac
 """
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Incoming, Port
+from ...models.camera.moving_camera import AffineMap
 from ...models.core.checks import Count, NotNegative, Positive, Probability, Share, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
@@ -294,6 +295,17 @@ class MixtureState:
     mixture: Mixture
     elapsed: float
 
+    def seen_by(self, view: AffineMap, known: NDArray[np.bool_], fresh: Self) -> Self:
+        """Return the state in the px of a frame; `fresh` where nothing is `known` `(height, width)` of it."""
+        where = view.warp_to_frame(known.astype(np.uint8)).reshape(-1) > 0
+
+        def merged(old: Planes, new: Planes) -> Planes:
+            planes = [view.warp_to_frame(plane) for plane in old.reshape(-1, *self.size)]
+            return np.where(where, np.stack(planes).reshape(old.shape), new)
+
+        pairs = zip(self.mixture, fresh.mixture, strict=True)
+        return replace(fresh, mixture=Mixture(*(merged(*pair) for pair in pairs)))
+
     def picture(self) -> NDArray[np.uint8]:
         """Return the empty scene in its usual colours: grey `(height, width)` or BGR `(height, width, 3)`."""
         return colour.to_image(self.mixture.means[0], self.size)
@@ -361,8 +373,16 @@ class MixtureBackground:
 
         It is `rate` times r / P(B=1), where r = P(B=1 | everything else). That factor is 1 without other
         chains. If others are certain of background with a different colour (an object of the first image has
-        left), the colour is learned at once.
+        left), the colour is learned at once. Where a new scene begins, it is known as far as this frame shows
+        it, or it is behind objects.
         """
+        state, message = self._updated(state, incoming), incoming[PixelLabels]
+        if message.view is None or message.view.begins is None:
+            return state
+        fresh = self.initial(Frame(message.view.begins, 0.0, 1))
+        return state.seen_by(message.view.map, message.are_known(), fresh)
+
+    def _updated(self, state: MixtureState, incoming: Incoming) -> MixtureState:
         image = incoming.evidence(PixelLabels).image
         if image is None:
             return state

@@ -21,7 +21,7 @@ from ..numerics.compiled import compiled
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Image = NDArray[np.uint8]
-Value = TypeVar("Value", np.uint8, np.float32)
+Value = TypeVar("Value", np.uint8, np.uint16, np.float32)
 
 STEP_UNKNOWNS = 7  # the six of an affine map, and the contrast
 
@@ -197,10 +197,9 @@ class AffineMap:
         seen = cv2.warpAffine(mask.astype(np.uint8), self.matrix, self.size[::-1], flags=flags)
         return np.asarray(seen, np.bool_)
 
-    def warp_to_frame(self, mask: NDArray[Value]) -> NDArray[Value]:
+    def warp_to_frame(self, mask: NDArray[Value], flags: int = cv2.INTER_NEAREST) -> NDArray[Value]:
         """Warp a map of the scene `(height, width)` to the frame; 0 outside of the scene."""
-        seen = cv2.warpAffine(mask, self.matrix, self.size[::-1], flags=cv2.INTER_NEAREST)
-        return np.asarray(seen, mask.dtype)
+        return np.asarray(cv2.warpAffine(mask, self.matrix, self.size[::-1], flags=flags), mask.dtype)
 
 
 POINTS = 3000  # points by which pictures are registered on each level, at most
@@ -225,8 +224,13 @@ class Level:
     gradients: Floats
 
     @classmethod
-    def of(cls, picture: Floats, scale: float, size: tuple[int, int]) -> Self:
-        """Return the points of a band-passed picture, `scale` times as small as one of `size`."""
+    def of(
+        cls, picture: Floats, scale: float, size: tuple[int, int], without: NDArray[np.bool_] | None
+    ) -> Self:
+        """Return the points of a band-passed picture, `scale` times as small as one of `size`.
+
+        There are none where `without`, of this size, is true.
+        """
         across, down = (
             cv2.Sobel(picture, cv2.CV_32F, dx, dy, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
             for dx, dy in ((1, 0), (0, 1))
@@ -235,6 +239,9 @@ class Level:
         cell = max(int(np.ceil(np.sqrt(height * width / POINTS))), 3)
         places = np.empty((height * width // cell**2 + 1, 2), np.float32)
         places = places[: strongest(across, down, cell, 2, places)]
+        if without is not None:
+            x, y = np.rint(scale * places).T.astype(np.intp)
+            places = places[~without[np.minimum(y, size[0] - 1), np.minimum(x, size[1] - 1)]]
         x, y = places.T.astype(np.intp)
         whole = AffineMap.identity(size)
         about = ((scale * places - np.array(whole.middle)) / whole.radius).astype(np.float32)
@@ -267,10 +274,11 @@ class Registration:
 class ScenePicture:
     """Picture of the scene, prepared for the registration of frames.
 
-    `grey` is `(height, width)` uint8 or float32. Raises `ValueError` if it is too thin.
+    `grey` is `(height, width)` uint8 or float32; where `without`, of the same shape, is true, something moves
+    by itself. Raises `ValueError` if it is too thin.
     """
 
-    def __init__(self, grey: NDArray[np.uint8] | Floats) -> None:
+    def __init__(self, grey: NDArray[np.uint8] | Floats, without: NDArray[np.bool_] | None = None) -> None:
         self.size = (grey.shape[0], grey.shape[1])
         if is_thin(self.size):
             raise ValueError(
@@ -280,7 +288,9 @@ class ScenePicture:
         self._bands = _pyramid(grey)
         # halves of odd sizes are rounded up, and keep the places of every other pixel
         finest = 2.0 ** round(np.log2(max(self.size) / max(self._bands[0].shape)))
-        self._levels = [Level.of(band, finest * 2.0**k, self.size) for k, band in enumerate(self._bands)]
+        self._levels = [
+            Level.of(band, finest * 2.0**k, self.size, without) for k, band in enumerate(self._bands)
+        ]
 
     def register(self, grey: NDArray[np.uint8], start: AffineMap) -> Registration:
         """Estimate the map of a frame, within about 40 px of `start`."""
@@ -389,23 +399,63 @@ _CAMERA = np.zeros(1, np.int64)  # identity of the camera in Gaussian messages
 class View:
     """Gaussian message over the parameters of the map from the scene to the frame.
 
-    `size` is `(height, width)` px; `where` is uniform without information; `scene` `(height, width[, 3])`
-    float32 is the picture of the scene, from the chain that models the camera.
+    A frame that is farther away than `room`, or that nothing is known of while the camera is `lost`, begins a
+    new scene: its own view. The chains of this scene take part by mapping their states to it at the end of
+    their update (`begins`).
+
+    Parameters
+    ----------
+    size
+        `(height, width)` px.
+    where
+        of the map; uniform without information.
+    scene
+        `(height, width[, 3])` float32: picture of the scene, from the chain that models the camera.
+    unknown
+        `(height, width)` bool: where objects have hidden the scene until now.
+    room
+        px, root mean square displacement beyond which a frame is no view of this scene.
+    lost
+        whether the scene is given up if the frame is not found in it.
+    correlation
+        of frame and scene; 0 without a frame.
+    begins
+        the frame's own image, if it is the scene from now on.
     """
 
     size: tuple[int, int]
     where: GaussianMessage
     scene: NDArray[np.float32] | None = None
+    unknown: NDArray[np.bool_] | None = None
+    room: float = np.inf
+    lost: bool = False
+    correlation: float = 0.0
+    begins: Image | None = None
 
     @classmethod
-    def predicted(cls, mean: Array, covariance: Array, scene: NDArray[np.float32]) -> Self:
+    def predicted(
+        cls,
+        mean: Array,
+        covariance: Array,
+        scene: NDArray[np.float32],
+        unknown: NDArray[np.bool_] | None = None,
+        room: float = np.inf,
+        *,
+        lost: bool = False,
+    ) -> Self:
         """Return a density of the map, with the scene for the registration."""
         where = GaussianMessage.from_moments(_CAMERA, mean[None], covariance[None])
-        return cls((scene.shape[0], scene.shape[1]), where, scene)
+        return cls((scene.shape[0], scene.shape[1]), where, scene, unknown, room, lost)
 
     def __mul__(self, other: Self) -> Self:
-        scene = self.scene if other.scene is None else other.scene
-        return replace(self, where=self.where * other.where, scene=scene)
+        return replace(
+            self,
+            where=self.where * other.where,
+            scene=self.scene if other.scene is None else other.scene,
+            unknown=self.unknown if other.unknown is None else other.unknown,
+            correlation=max(self.correlation, other.correlation),
+            begins=self.begins if other.begins is None else other.begins,
+        )
 
     @cached_property
     def map(self) -> AffineMap:
@@ -434,23 +484,29 @@ class View:
         """Pixels of the scene that the frame does not show, `(height, width)`."""
         return ~self.map.shown
 
-    def register(self, image: Image) -> tuple[Self, Image]:
+    def register(self, image: Image, without: NDArray[np.bool_] | None = None) -> tuple[Self, Image]:
         """Return the likelihood of the map, and the image warped to the scene.
 
         The likelihood is Laplace's approximation, 1 at its peak; uniform if the frame does not correlate with
         the scene. The image is warped by the most likely map, prediction included; the scene fills what the
-        frame does not show. Raises `ValueError` without a scene.
+        frame does not show. Nothing is compared `without` `(height, width)`. Raises `ValueError` without a
+        scene.
         """
         if self.scene is None:
             raise ValueError("view: got no scene, expected one by which frames are found")
         grey = self.scene if self.scene.ndim == 2 else cv2.cvtColor(self.scene, cv2.COLOR_BGR2GRAY)
-        found = ScenePicture(np.asarray(grey, np.float32)).register(grey_of(image), self.map)
-        where = GaussianMessage.uniform(UNKNOWNS)
-        if found.correlation >= LEAST_CORRELATION:
+        if self.unknown is not None:
+            without = self.unknown if without is None else without | self.unknown
+        found = ScenePicture(np.asarray(grey, np.float32), without).register(grey_of(image), self.map)
+        where, is_found = GaussianMessage.uniform(UNKNOWNS), found.correlation >= LEAST_CORRELATION
+        leaves = found.map.displacement > self.room if is_found else self.lost
+        if is_found:
             information = np.linalg.inv(found.covariance).astype(np.float64)
             vector = information @ found.map.parameters
             log_scale = np.array([-0.5 * vector @ found.map.parameters])
             where = GaussianMessage(_CAMERA, information[None], vector[None], log_scale)
-        likelihood = replace(self, where=where, scene=None)
+        likelihood = replace(
+            self, where=where, scene=None, correlation=found.correlation, begins=image if leaves else None
+        )
         beyond = np.clip(np.rint(self.scene), 0, 255).astype(np.uint8)
         return likelihood, (self * likelihood).map.warp_to_scene(image, beyond)

@@ -343,6 +343,13 @@ class LayerStack:
             self._regions[key] = tuple(_regions(composed))
         return self._regions.get(key, ())
 
+    def cover(self, size: tuple[int, int]) -> NDArray[np.float32]:
+        """Return `(height, width)` float32: probability that a pixel is covered, whatever it shows."""
+        covered = np.zeros(size, np.float32)
+        for region in self.composed(None, size):
+            covered[region.window] = 1 - region.clear
+        return covered
+
     def _compose(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> Composition:
         tables = [sheet.table for sheet in self.factors]
         table = tables[0] if len(tables) == 1 else np.concatenate(tables)

@@ -21,6 +21,7 @@ from .layers import NO_LAYERS, ComposedLayers, LayerStack, Region
 
 Map = NDArray[np.float32]
 
+EVEN = 0.5  # probability of being covered above which a pixel shows no scene
 NEVER = -80.0  # log odds of background that leave nothing of it
 
 Window = tuple[slice, slice]
@@ -84,11 +85,8 @@ class PixelMessage:
         tables = [sheet.table for message in (self, other) for sheet in message.layers.factors]
         rows = max((int((table["top"] + table["rows"]).max()) for table in tables), default=0)
         columns = max((int((table["left"] + table["columns"]).max()) for table in tables), default=0)
-        clear = np.ones((2, max(rows, 1), max(columns, 1)), np.float32)
-        for message, its in zip((self, other), clear, strict=True):
-            for region in message.layers.composed(None, its.shape):
-                its[region.window] = region.clear
-        return float(np.abs(clear[0] - clear[1]).max())
+        size = max(rows, 1), max(columns, 1)
+        return float(np.abs(self.layers.cover(size) - other.layers.cover(size)).max())
 
     @property
     def size(self) -> tuple[int, int]:
@@ -127,6 +125,10 @@ class PixelMessage:
             odds = out[window] * np.float32(1 / ODDS_STEPS) + part.shift
             mask[window] = np.where(odds < 0, 255, 0)
         return mask
+
+    def are_known(self) -> NDArray[np.bool_]:
+        """Return `(height, width)` bool: pixels that show background, or that the layers cover."""
+        return np.asarray((self.foreground() == 0) | (self.layers.cover(self.size) > EVEN), np.bool_)
 
     def background_probability(self) -> Map:
         """Return `(height, width)` float32: P(B=1) of every pixel."""
@@ -302,8 +304,17 @@ class ScenePixels(PixelLabels):
     searches = True
 
     def evidence(self, frame: Frame, prior: PixelMessage) -> PixelMessage:
-        """Return the image registered to the scene, and the likelihood of the map."""
+        """Return the image registered to the scene, and the likelihood of the map.
+
+        What other chains expect to be covered, or a detector finds, is not compared with the scene.
+        """
         if frame.image is None or prior.view is None:
             return PixelMessage(image=frame.image)
-        view, image = prior.view.register(frame.image)
+        covered = prior.layers.cover(prior.view.size) > EVEN
+        if frame.boxes is not None:
+            shown = np.zeros(covered.shape, np.bool_)
+            for left, top, right, bottom in np.rint(np.maximum(frame.boxes.xyxy, 0)).astype(int).tolist():
+                shown[top:bottom, left:right] = True
+            covered |= prior.view.map.mask_to_scene(shown)
+        view, image = prior.view.register(frame.image, covered)
         return PixelMessage(image=image, view=view)
