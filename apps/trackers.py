@@ -34,11 +34,13 @@ from ..chains.body.start import (
 from ..chains.face.gflow import GFlow
 from ..chains.face.recovery import DetectedFace
 from ..chains.face.start import FaceStart, find_face, start_from_box, start_from_landmarks
+from ..chains.pixels.camera_motion import CameraMotion, CameraState
 from ..chains.points import point_tracker
 from ..chains.structure.recursive_structure import RecursiveStructure
 from ..inference import Belief, MultiChain, RecursiveBP, RunState
 from ..inference.engine import checkpoint
 from ..inference.engine.graph import require_later
+from ..models.camera.moving_camera import View
 from ..models.core.checks import Bound, Count, Positive, Shape, checked, shown
 from ..models.core.frame import BoundingBox, Frame, GivenBoxes, GivenKeypoints, GivenPoints
 from ..models.core.short_repr import short_repr
@@ -218,10 +220,14 @@ class Objects:
         one per object, as in `belief["blobs"].tracks()`.
     foreground
         `(height, width)` uint8, 255 for foreground, 0 for background.
+    view
+        map from the first image to this one, with its covariance (`view.map.inverse` maps back to the first
+        image); `None` for a fixed camera.
     """
 
     tracks: Sequence[TrackedObject]
     foreground: Image
+    view: View | None = None
 
     def __len__(self) -> int:
         return len(self.tracks)
@@ -280,7 +286,7 @@ class ObjectTracker(Tracker[None, Objects]):
     Parameters
     ----------
     camera
-        `"fixed"`, or `"moving"` for one that shakes, turns or drifts a little.
+        `"fixed"`, or `"moving"` for one that shakes, turns, zooms or walks.
     parameters
         of the chains, by section and name, as in the file of `--config`.
     frame_rate
@@ -326,7 +332,8 @@ class ObjectTracker(Tracker[None, Objects]):
         belief = self._step(self._frame(image, time, boxes=found))
         height, width = (belief.state.shape or (0, 0))[:2]
         objects = read_frame_result(belief, (width, height))
-        return Objects(objects.tracks, objects.foreground)
+        camera: CameraState | None = belief.states.get(CameraMotion.name)
+        return Objects(objects.tracks, objects.foreground, None if camera is None else camera.view_of_first)
 
     def _build(self, start: None) -> RecursiveBP:
         return self._objects

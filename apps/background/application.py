@@ -15,7 +15,9 @@ from ...chains.objects.object_trajectories import ObjectsOverTime
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...inference.engine.recursive_bp import RunState
 from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
+from ...models.camera.moving_camera import UNKNOWNS
 from ...models.core.checks import checked
+from ...models.files import write_text
 from ..evaluation.predictions import FILE, write_predictions
 from ..evaluation.scoring import Scoring, scoring_of
 from ..events.page import ZoneEvents
@@ -35,7 +37,7 @@ from ..view.overlay import Draw, TracksOverlay
 from ..view.page import Page
 from .job import WHOLE_FILM, BackgroundJob, Camera
 from .job import Engine as EngineName
-from .moving_camera import MOVES, CameraWatch
+from .moving_camera import FIRST_FRAME, MOVES, CameraWatch, in_first_frame
 from .page import RunRecord, background_page, view_row_of
 from .parameters import SECTIONS, Parameters, build_chain, other_chains, read_parameters
 from .predictions import Predictions
@@ -71,7 +73,7 @@ def build_model(
         Chains of other packages are in the section `chains`, by the names of their entry points, and are
         connected to the features of their ports.
     camera
-        `"moving"`: a chain follows the camera, and all others work in scene coordinates.
+        `"moving"`: a chain follows the camera, and all others work in the coordinates of its present scene.
 
     Raises
     ------
@@ -172,6 +174,7 @@ class Background(Application[BackgroundJob]):
         }
         more = [FILE] if self.predicts else []
         more += [EVENTS] if self.job.zones else []
+        more += [FIRST_FRAME] if self.job.first_frame else []
         return ["tracks.txt", TABLE, "background.png", *masks[self.job.masks], *more]
 
     @property
@@ -254,10 +257,15 @@ class Background(Application[BackgroundJob]):
         events = () if self._events is None else self._events.add(frame.number, frame.time, objects)
         seen = frame.image is not None
         due = seen and len(self._log) % EVIDENCE_EVERY == 0
+        camera = belief.states.get("camera")
+        moved = {} if self.job.camera == "fixed" else {"camera": np.zeros(UNKNOWNS)}
+        if camera is not None:
+            moved["camera"] = camera.view_of_first.map.parameters
         return Columns(
             {
                 "foreground": np.count_nonzero(foreground) / foreground.size if seen else np.nan,
                 "log_evidence": belief.log_evidence / foreground.size if due else np.nan,
+                **moved,
             },
             objects,
             pictures={"mask": foreground},
@@ -315,6 +323,14 @@ class Background(Application[BackgroundJob]):
             write_predictions(out, self._predictions.records())
         if states:
             write_image(out / "background.png", states["background"].picture())
+        if self.job.first_frame:
+            size = self._start.source.size[::-1]
+            lines = [HEADER]
+            for row, objects in log.frames():
+                if objects:
+                    objects = in_first_frame(objects, row["camera"], size)
+                lines += table_lines(int(row["number"]), float(row["time"]), objects)
+            write_text(out / FIRST_FRAME, "".join(f"{line}\n" for line in lines))
         if self._events is not None:
             self._events.end(int(log["number"][-1]) if len(log) else 0)
             write_events(out / EVENTS, self._events.events)

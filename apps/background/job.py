@@ -29,8 +29,10 @@ class BackgroundJob(FilmJob):
         once; background and tracks use all frames. The source is read four times, so it cannot be a camera or
         stream.
     camera
-        fixed, or moving: the camera shakes, turns or drifts a little around its first view, and every frame
-        is registered to that view. Outside of it, there are no results.
+        fixed, or moving: the camera shakes, turns, zooms or walks. Every frame is registered to a view of the
+        scene; a camera that leaves it begins the next one.
+    first_frame
+        With --camera moving, also write the tracks in coordinates of the first frame: tracks-first-frame.csv.
     warm_up
         Seconds at the beginning from which the background is estimated before the first result, so that
         people in the first frame are not part of it. These frames are held in memory.
@@ -64,6 +66,7 @@ class BackgroundJob(FilmJob):
 
     engine: Engine = "recursive-bp"
     camera: Camera = "fixed"
+    first_frame: Annotated[bool, Parameter(negative="")] = False
     warm_up: float | None = None
     roi: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     masks: Masks = "png"
@@ -89,6 +92,8 @@ class BackgroundJob(FilmJob):
         super().__post_init__()
         if self.classes and self.detections is None:
             raise ValueError("--classes: got it without --detections, expected both")
+        if self.first_frame and (self.camera == "fixed" or self.engine == "stand-alone"):
+            raise ValueError("--first-frame: got it without tracks of --camera moving, expected both")
 
     @property
     def class_names(self) -> list[str]:
@@ -101,9 +106,9 @@ class BackgroundJob(FilmJob):
         from .parameters import read_parameters, with_defaults
 
         settings = self.plain(
-            (*self.OF_RUNS, "engine", "camera", "warm_up", "roi", "masks", "ground_truth", "detections")
+            (*self.OF_RUNS, "engine", "camera", "first_frame", "warm_up", "roi", "masks", "ground_truth")
         )
-        settings |= {"classes": self.class_names, **self.plain(("zones",))}
+        settings |= {"classes": self.class_names, **self.plain(("detections", "zones"))}
         for name in ("detections", "zones"):
             if (path := getattr(self, name)) is not None:
                 settings[name] = {"file": settings[name], "sha256": digest(path)}

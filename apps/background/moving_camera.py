@@ -1,8 +1,9 @@
-"""Notice that a camera moves which is taken to stand still."""
+"""Notice that a camera moves which is taken to stand still, and tracks of one that is known to move."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import inf
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,21 @@ MOST = 0.5
 
 LEAST_MOTION = 0.4
 """px, root mean square over the picture, below which a map is no motion that matters."""
+
+
+FIRST_FRAME = "tracks-first-frame.csv"
+
+
+def in_first_frame(
+    objects: Mapping[str, NDArray[Any]], parameters: NDArray[np.float64], size: tuple[int, int]
+) -> dict[str, NDArray[Any]]:
+    """Return columns of a frame's objects in px of the first frame, from which the map to it is given."""
+    back = AffineMap(parameters, size).inverse
+    x, y, width, height, vx, vy = (objects[name] for name in ("x", "y", "width", "height", "vx", "vy"))
+    foot_x, foot_y, width, height = back.boxes(np.column_stack([x + width / 2, y + height, width, height])).T
+    vx, vy = back.matrix[:, :2] @ np.stack([vx, vy])
+    places = {"x": foot_x - width / 2, "y": foot_y - height, "width": width, "height": height}
+    return {**objects, **places, "vx": vx, "vy": vy}
 
 
 class CameraWatch:

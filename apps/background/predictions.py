@@ -88,6 +88,8 @@ class PixelScores:
             return
         layers = self._predicted(self._blobs, before, frame.time).layers
         seen: PixelMessage = belief["pixels"]
+        if seen.image is None:  # a moving camera has not found the scene
+            return
         among = _covered(layers, seen.size)
         if seen.view is not None:
             among &= ~seen.view.hidden

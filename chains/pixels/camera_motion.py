@@ -1,9 +1,12 @@
-"""A camera that shakes about where it looks, as a chain: by which map each frame shows the scene.
+"""A camera that turns, walks and shakes, as a chain: by which map each frame shows the scene.
 
-Of the map p_t (six numbers, px; see `AffineMap`) and the scene's picture:
+Of the map p_t = c_t + s_t (six numbers, px; see `AffineMap`) and the scene's picture:
 
-    p(p_t | p_t-1) = N(p_t; e^(-dt / time) p_t-1, (1 - e^(-2 dt / time)) reach^2)   (Ornstein-Uhlenbeck)
+    dc/dt = v, dv = -v / turn_time dt + noise of standard deviation speed in the long run
+    p(s_t | s_t-1) = N(s_t; e^(-dt / shake_time) s_t-1, (1 - e^(-2 dt / shake_time)) shake^2)
     mu_{C -> F}(p) = N(p; predicted), together with the picture by which the frame is found
+
+v and s are Ornstein-Uhlenbeck processes: where no frame is found, the camera goes on as it went for a while.
 
 The pixels' evidence registers the frame with that picture and returns the likelihood of the map; with it
 the image is the scene's, so that all other chains of the pixels see a camera that stands still. The
@@ -19,9 +22,11 @@ from numpy.typing import NDArray
 
 from ...inference.engine.generic_chains import LinearGaussianChain, LinearGaussianState
 from ...inference.engine.protocols import Incoming, Port
+from ...inference.kalman import ornstein_uhlenbeck_velocity
 from ...models.camera.moving_camera import UNKNOWNS, AffineMap, View
 from ...models.core.checks import Positive, checked
 from ...models.core.frame import Frame
+from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.pixels.pixel_labels import PixelMessage, ScenePixels
 
@@ -31,13 +36,20 @@ the picture is, so that what errors of many frames have in common would move it.
 
 FIRST_VARIANCE = 1e-6  # px^2: the first frame is the scene's picture, by definition
 
-BEYOND = 2.0  # standard deviations of the camera's motion, which it exceeds only by leaving the scene
+MAP = np.kron([[1.0, 0.0, 1.0]], np.eye(UNKNOWNS))  # from c, v and s to the map
+
+STILL = GaussianMessage.from_moments(
+    np.zeros(1, np.int64), np.zeros((1, UNKNOWNS)), FIRST_VARIANCE * np.eye(UNKNOWNS)[None]
+)
+"""The map of the frame with which a scene begins."""
+
+ROOM = 0.1  # of half the diagonal: a frame that is farther away is another scene, of which half may be new
 
 WORN, FIT_TIME = 0.8, 0.3
 """Share of its best correlation below which frames no longer resemble a scene, and s over which it is
 averaged: blur comes and goes within that time."""
 
-LOST_TIME = 3.0  # s, after which a scene in which no frame is found is given up, as hidden objects are
+LOST_TIME = 1.0  # s, after which a scene in which no frame is found is given up: the camera may be anywhere
 
 
 @short_repr
@@ -45,12 +57,11 @@ LOST_TIME = 3.0  # s, after which a scene in which no frame is found is given up
 class CameraState:
     """Map from scene to frame, and the scene's picture."""
 
-    where: LinearGaussianState  # of one thing, the map from scene to frame
+    where: LinearGaussianState  # of one thing: c, v and s of the map from scene to frame, (18,)
     # (height, width[, 3]): the scene under today's light, in the places of the frame with which it began
     picture: NDArray[np.float32]
     unknown: NDArray[np.bool_]  # (height, width): where objects have hidden the scene since it began
     elapsed: float  # s since the last frame with an image
-    unseen: float  # s since a frame was found in the scene
     fit: float  # usual correlation of frames with the scene, of late
     best_fit: float  # its highest value since the scene began
     first: NDArray[np.float64]  # (6,) px: map from the first frame to the scene
@@ -59,12 +70,12 @@ class CameraState:
     @property
     def mean(self) -> NDArray[np.float64]:
         """`(6,)` px: parameters of the map from scene to frame."""
-        return np.asarray(self.where.mean[0])
+        return np.asarray(MAP @ self.where.mean[0])
 
     @property
     def covariance(self) -> NDArray[np.float64]:
         """`(6, 6)` px^2, of these."""
-        return np.asarray(self.where.covariance[0])
+        return np.asarray(MAP @ self.where.covariance[0] @ MAP.T)
 
     @property
     def view(self) -> View:
@@ -85,20 +96,28 @@ class CameraState:
 class CameraMotion:
     """Chain of a camera that shakes or turns around a view of the scene, and moves on to the next one.
 
-    A scene is what a frame shows. When the camera leaves it (by more than twice `reach`), or frames no
-    longer resemble it (near things move against far ones), or none is found in it for some seconds, the frame
-    of that moment begins the next scene. All other chains map their states to its px, with what is unsure.
+    A scene is what a frame shows. When the camera leaves it, or frames no longer resemble it (near things
+    move against far ones), or none is found in it for some seconds, the frame of that moment begins the next
+    scene. All other chains map their states to its px, with what is unsure.
+
+    Lengths are relative to half the diagonal of the image.
 
     Parameters
     ----------
-    reach
-        standard deviation of the motion of image positions, as a share of half the diagonal of the image.
-    time
-        s, time constant with which the camera returns to its mean view.
+    speed
+        1/s, standard deviation of the velocity with which the image moves as the camera turns or walks.
+    turn_time
+        s, time constant with which this velocity changes.
+    shake
+        standard deviation of the shake of a hand.
+    shake_time
+        s, time constant of the shake.
     """
 
-    reach: Positive = 0.05
-    time: Positive = 1.0
+    speed: Positive = 0.3
+    turn_time: Positive = 1.0
+    shake: Positive = 0.01
+    shake_time: Positive = 0.15
     name: str = "camera"
 
     ports = (Port(ScenePixels, sole="camera"),)
@@ -106,34 +125,50 @@ class CameraMotion:
     def initial(self, frame: Frame) -> CameraState:
         """Return a camera at rest, with the first image as the image of the scene."""
         picture = frame.required_image().astype(np.float32)
-        still = np.zeros(UNKNOWNS)
-        where = self._motion(picture).initial(frame)
+        still, motion = np.zeros(UNKNOWNS), self._motion(picture)
         unknown = np.zeros(picture.shape[:2], np.bool_)
-        return CameraState(where, picture, unknown, 0.0, 0.0, 0.0, 0.0, still, np.diag(still))
+        where = motion.condition(motion.initial(frame), STILL)
+        return CameraState(where, picture, unknown, 0.0, 0.0, 0.0, still, np.diag(still))
 
     def _motion(self, picture: NDArray[np.float32]) -> LinearGaussianChain:
-        """The map's own chain, an Ornstein-Uhlenbeck process."""
-        variance = (self.reach * math.hypot(*picture.shape[:2]) / 2) ** 2
+        """The map's own chain."""
+        radius = math.hypot(*picture.shape[:2]) / 2
+        speed, shake = (self.speed * radius) ** 2, (self.shake * radius) ** 2
+
+        def blocks(turn: NDArray[np.float64], shaken: float) -> NDArray[np.float64]:
+            each = np.zeros((3, 3))
+            each[:2, :2], each[2, 2] = turn, shaken
+            return np.asarray(np.kron(each, np.eye(UNKNOWNS)), np.float64)
+
+        def transition(dt: float) -> NDArray[np.float64]:
+            turn = ornstein_uhlenbeck_velocity(dt, self.turn_time).transition
+            return blocks(turn, math.exp(-dt / self.shake_time))
+
+        def noise(dt: float) -> NDArray[np.float64]:
+            turn = speed * ornstein_uhlenbeck_velocity(dt, self.turn_time).noise
+            return blocks(turn, -shake * math.expm1(-2 * dt / self.shake_time))
+
         return LinearGaussianChain(
-            lambda dt: math.exp(-dt / self.time) * np.eye(UNKNOWNS),
-            lambda dt: -math.expm1(-2 * dt / self.time) * variance * np.eye(UNKNOWNS),
-            None,
+            transition,
+            noise,
+            MAP,
             None,
             features=ScenePixels,
-            initial_covariance=FIRST_VARIANCE * np.eye(UNKNOWNS),
+            # where it looks is not known but by the first frame, which is the scene's picture
+            initial_covariance=blocks(np.diag([radius**2, speed]), shake),
             identities=(0,),
         )
 
     def predict(self, state: CameraState, dt: float) -> CameraState:
         """Return the map `dt` seconds on."""
         where = self._motion(state.picture).predict(state.where, dt)
-        return replace(state, where=where, elapsed=state.elapsed + dt, unseen=state.unseen + dt)
+        return replace(state, where=where, elapsed=state.elapsed + dt)
 
     def message(self, state: CameraState, feature: ScenePixels, incoming: Incoming) -> PixelMessage:
         """Return the density of the map, with the image of the scene (mu_{C -> F})."""
         worn = state.fit < WORN * state.best_fit
-        room = 0.0 if worn else BEYOND * self.reach * math.hypot(*state.picture.shape[:2]) / 2
-        lost = state.unseen > LOST_TIME
+        room = 0.0 if worn else ROOM * math.hypot(*state.picture.shape[:2]) / 2
+        lost = bool(state.where.unseen[0] > LOST_TIME)
         return PixelMessage(
             view=View.predicted(state.mean, state.covariance, state.picture, state.unknown, room, lost=lost)
         )
@@ -141,13 +176,14 @@ class CameraMotion:
     def update(self, state: CameraState, incoming: Incoming) -> CameraState:
         """Return the map given the registration, and the image of the scene updated by background pixels."""
         found = incoming.evidence(ScenePixels)
+        if found.view is not None:
+            state = self._registered(state, found.view)
+            if found.view.begins is not None:
+                return self._next_scene(state, found.view.begins, incoming[ScenePixels].foreground() > 0)
         if found.image is None:
             return state
         seen = incoming[ScenePixels].foreground() == 0
         if found.view is not None:
-            state = self._registered(state, found.view)
-            if found.view.begins is not None:
-                return self._next_scene(state, found.view.begins, ~seen)
             seen &= state.view.map.shown
         picture, revealed = state.picture.copy(), seen & state.unknown
         share = -math.expm1(-state.elapsed / PICTURE_TIME)
@@ -161,14 +197,18 @@ class CameraMotion:
         where = self._motion(state.picture).condition(state.where, found.where)
         share = -math.expm1(-state.elapsed / FIT_TIME) if state.best_fit else 1.0
         fit = state.fit + share * (found.correlation - state.fit)
-        return replace(state, where=where, unseen=0.0, fit=fit, best_fit=max(fit, state.best_fit))
+        return replace(state, where=where, fit=fit, best_fit=max(fit, state.best_fit))
 
     def _next_scene(
         self, state: CameraState, image: NDArray[np.uint8], hidden: NDArray[np.bool_]
     ) -> CameraState:
         """The state in the scene that an image begins; `hidden` `(height, width)` was foreground before."""
+        mean = state.where.mean.copy()
+        mean[0, :UNKNOWNS] -= state.mean  # its velocity and its shake go on
+        where = self._motion(state.picture).condition(replace(state.where, mean=mean), STILL)
         return replace(
             self.initial(Frame(image, 0.0, 1)),
+            where=where,
             unknown=state.view.map.warp_to_frame(hidden.astype(np.uint8)) > 0,
             first=state.view_of_first.map.parameters,
             first_covariance=state.first_covariance + state.covariance,

@@ -177,7 +177,7 @@ class AffineMap:
         middles = self.points(boxes[:, :2] - up * boxes[:, 2:] - 0.5) + 0.5
         return np.hstack([middles + up * sides, sides])
 
-    def warp_to_scene(self, image: Image, beyond: Image) -> Image:
+    def warp_to_scene(self, image: NDArray[Value], beyond: NDArray[Value]) -> NDArray[Value]:
         """Warp a frame's image to the scene; `beyond` fills what the frame does not show."""
         out = beyond.copy()
         flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
@@ -285,12 +285,16 @@ class ScenePicture:
                 f"camera: got pictures of {self.size[1]}x{self.size[0]} px, expected wider and higher ones "
                 f"(neither side below {THINNEST} px when the longer one is {FINEST})"
             )
-        self._bands = _pyramid(grey)
+        bands = _pyramid(grey)
         # halves of odd sizes are rounded up, and keep the places of every other pixel
-        finest = 2.0 ** round(np.log2(max(self.size) / max(self._bands[0].shape)))
-        self._levels = [
-            Level.of(band, finest * 2.0**k, self.size, without) for k, band in enumerate(self._bands)
-        ]
+        finest = 2.0 ** round(np.log2(max(self.size) / max(bands[0].shape)))
+        self._levels = [Level.of(band, finest * 2.0**k, self.size, without) for k, band in enumerate(bands)]
+        self._coarsest = bands[-1]
+        if without is not None:
+            hidden = cv2.resize(
+                without.astype(np.float32), bands[-1].shape[::-1], interpolation=cv2.INTER_AREA
+            )
+            self._coarsest = np.asarray(bands[-1] * (hidden == 0), np.float32)
 
     def register(self, grey: NDArray[np.uint8], start: AffineMap) -> Registration:
         """Estimate the map of a frame, within about 40 px of `start`."""
@@ -308,11 +312,13 @@ class ScenePicture:
         return Registration(AffineMap(parameters, self.size), covariance, explained, correlation)
 
     def _nearest(self, bands: list[Floats], start: Array) -> Array:
-        """Return the better one of `start` and a phase-correlated shift on the coarsest level."""
+        """Return the better one of `start` and a phase-correlated shift from it on the coarsest level."""
         level, band = self._levels[-1], bands[-1]
         window = cv2.createHanningWindow(band.shape[::-1], cv2.CV_32F)
-        shift, _ = cv2.phaseCorrelate(self._bands[-1], band, window)
-        shifted = np.array([shift[0], 0, 0, shift[1], 0, 0]) * level.scale
+        size = (band.shape[0], band.shape[1])
+        by_start = AffineMap(start / level.scale, size).warp_to_scene(band, np.zeros_like(band))
+        shift, _ = cv2.phaseCorrelate(self._coarsest, by_start, window)
+        shifted = start + np.array([shift[0], 0, 0, shift[1], 0, 0]) * level.scale
         costs = []
         for parameters in (start, shifted):
             refined, _ = _refined(band, level, parameters)
@@ -463,6 +469,11 @@ class View:
         return AffineMap(self.where.marginal(0)[0], self.size)
 
     @property
+    def is_found(self) -> bool:
+        """Whether the frame resembles the scene."""
+        return self.correlation >= LEAST_CORRELATION
+
+    @property
     def covariance(self) -> Array:
         """Covariance of the map's parameters, `(6, 6)` px^2."""
         return self.where.marginal(0)[1]
@@ -498,15 +509,18 @@ class View:
         if self.unknown is not None:
             without = self.unknown if without is None else without | self.unknown
         found = ScenePicture(np.asarray(grey, np.float32), without).register(grey_of(image), self.map)
-        where, is_found = GaussianMessage.uniform(UNKNOWNS), found.correlation >= LEAST_CORRELATION
-        leaves = found.map.displacement > self.room if is_found else self.lost
-        if is_found:
+        likelihood = replace(
+            self, where=GaussianMessage.uniform(UNKNOWNS), scene=None, correlation=found.correlation
+        )
+        leaves = self.lost
+        if likelihood.is_found:
+            leaves = found.map.displacement > self.room
             information = np.linalg.inv(found.covariance).astype(np.float64)
             vector = information @ found.map.parameters
             log_scale = np.array([-0.5 * vector @ found.map.parameters])
             where = GaussianMessage(_CAMERA, information[None], vector[None], log_scale)
-        likelihood = replace(
-            self, where=where, scene=None, correlation=found.correlation, begins=image if leaves else None
-        )
+            likelihood = replace(likelihood, where=where)
+        if leaves:
+            likelihood = replace(likelihood, begins=image)
         beyond = np.clip(np.rint(self.scene), 0, 255).astype(np.uint8)
         return likelihood, (self * likelihood).map.warp_to_scene(image, beyond)

@@ -127,7 +127,12 @@ class PixelMessage:
         return mask
 
     def are_known(self) -> NDArray[np.bool_]:
-        """Return `(height, width)` bool: pixels that show background, or that the layers cover."""
+        """Return `(height, width)` bool: pixels that show background, or that the layers cover.
+
+        Nothing is known without an image.
+        """
+        if self.image is None:
+            return np.zeros(self.size, np.bool_)
         return np.asarray((self.foreground() == 0) | (self.layers.cover(self.size) > EVEN), np.bool_)
 
     def background_probability(self) -> Map:
@@ -306,7 +311,8 @@ class ScenePixels(PixelLabels):
     def evidence(self, frame: Frame, prior: PixelMessage) -> PixelMessage:
         """Return the image registered to the scene, and the likelihood of the map.
 
-        What other chains expect to be covered, or a detector finds, is not compared with the scene.
+        What other chains expect to be covered, or a detector finds, is not compared with the scene. Pixels of
+        a frame that is not found in the scene say nothing.
         """
         if frame.image is None or prior.view is None:
             return PixelMessage(image=frame.image)
@@ -317,4 +323,4 @@ class ScenePixels(PixelLabels):
                 shown[top:bottom, left:right] = True
             covered |= prior.view.map.mask_to_scene(shown)
         view, image = prior.view.register(frame.image, covered)
-        return PixelMessage(image=image, view=view)
+        return PixelMessage(image=image if view.is_found else None, view=view)

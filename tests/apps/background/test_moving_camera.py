@@ -83,6 +83,36 @@ def test_it_is_said_once_on_standard_error_and_in_the_summary(
     assert note.startswith(MOVES)
 
 
+def test_tracks_in_the_first_frame_are_those_of_the_frames_mapped_back(
+    shaking: tuple[ShakenFilm, Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    film, folder = shaking
+    boxes = tmp_path / "boxes.csv"
+    lines = ["frame,x,y,width,height,score"]
+    for index, view in enumerate(film.views):  # of something that stands
+        ((x, y, width, height),) = view.boxes(np.array([[60.0, 80.0, 24.0, 50.0]]))
+        lines.append(f"{index + 1},{x - width / 2:.3f},{y - height:.3f},{width:.3f},{height:.3f},1.0")
+    boxes.write_text("\n".join(lines) + "\n")
+    options = ("--camera", "moving", "--first-frame", "--masks", "none", "--detections", boxes)
+    assert Command("background")(folder, *options, "--out", tmp_path / "out") == 0
+    frames, first = (
+        np.genfromtxt(tmp_path / "out" / name, delimiter=",", names=True)
+        for name in ("tracks.csv", "tracks-first-frame.csv")
+    )
+    assert len(frames) == len(first) > 40
+    np.testing.assert_array_equal(frames["id"], first["id"])
+    # 3 px of shake, and what is left of it: registration, 0.25 px, and what a box's size does to its foot
+    assert np.std(frames["x"][10:]) > 1.0
+    assert np.std(first["x"][10:]) < 0.5
+    assert np.abs(first["x"][10:] - 48).max() < 2
+    assert np.abs(first["y"][10:] - 30).max() < 2
+
+
+def test_the_first_frame_needs_a_moving_camera(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert Command("background")("film.avi", "--first-frame", "--out", tmp_path / "out") == 2
+    assert "--first-frame: got it without tracks of --camera moving" in capfd.readouterr().err
+
+
 @pytest.mark.slow
 def test_a_camera_that_is_followed_gives_masks_and_tracks_of_the_frames(
     shaking: tuple[ShakenFilm, Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]

@@ -63,3 +63,26 @@ def test_who_is_seen_and_who_is_only_predicted(
     assert track.position_covariance == (
         ((4.0, 0.0), (0.0, 4.0)) if unfound is None else ((5.0, 0.0), (0.0, 8.0))
     )
+
+
+def test_in_the_next_scene_tracks_are_where_the_camera_saw_them() -> None:
+    parameters = np.array([6.0, 12.0, -3.0, -4.0, 3.0, 12.0])  # with a zoom by an eighth
+    view = View.predicted(parameters, 0.25 * np.eye(6), np.zeros((120, 160), np.float32))
+    box = {"detected": 1, "box_mean": (12.0, 27.0, 14.0, 24.0), "box_variance": (4.0, 4.0, 2.0, 3.0)}
+    blobs = Blobs.of([known(velocity=(3.0, -8.0), **box), known(identity=2, whole=2)], 1)
+
+    def tracks(those: Blobs) -> list[Track]:
+        return BlobState(those, 2, (120, 160), 0.0, 0.3, detecting=False).tracks()
+
+    seen = [track.seen_by(view) for track in tracks(blobs)]
+    moved = blobs.seen_by(view)
+    for one, other in zip(tracks(moved), seen, strict=True):
+        np.testing.assert_allclose(one.velocity, other.velocity, atol=1e-9)
+        # boxes of masks are whole pixels, of which resampling moves one
+        np.testing.assert_allclose(one.box, other.box, atol=1e-9 if one.identity == 1 else 1.0)
+    # a place has one variance along both axes, and the height of a box counts a quarter
+    np.testing.assert_allclose(
+        tracks(moved)[0].position_covariance, seen[0].position_covariance, rtol=0.1, atol=0.2
+    )
+    assert [blob.mask.shape for blob in moved] == [(34, 22), (34, 22)]
+    assert moved[0].mask.mean() == pytest.approx(blobs[0].mask.mean(), rel=0.02)

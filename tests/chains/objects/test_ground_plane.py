@@ -7,6 +7,7 @@ from rsmcm.chains import GroundPlane
 from rsmcm.chains.objects.ground_plane import HALF_HIDDEN, MIN_ASPECT_STD, GroundState
 from rsmcm.inference.engine.protocols import Incoming
 from rsmcm.models import Frame, ObjectBoxes
+from rsmcm.models.camera.moving_camera import View
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.objects.box_message import FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage, LogOdds
 
@@ -240,3 +241,25 @@ def test_who_is_gone_is_forgotten_after_a_while() -> None:
         state = ground.update(ground.predict(state, 0.1), Incoming({OBJECTS: UNIFORM}))
     assert not len(state.identities)
     assert not len(ground.message(state, OBJECTS, only_second).objects)
+
+
+def test_in_the_next_scene_people_stand_where_the_camera_saw_them_and_look_as_large() -> None:
+    state = people(np.random.default_rng(4))
+    zoom = np.array([7.0, 80.0, 0.0, -30.0, 0.0, 80.0])  # by a fifth of half the diagonal, 400 px
+    sure, unsure = (
+        View.predicted(zoom, deviation**2 * np.eye(6), np.zeros(state.size, np.float32))
+        for deviation in (1e-6, 3.0)
+    )
+    moved = state.seen_by(sure)
+    before, after = (each.boxes(0.05, 0.03).moments for each in (state, moved))
+    np.testing.assert_allclose(after[1], sure.map.boxes(before[1]), rtol=1e-9)
+    np.testing.assert_allclose(after[2], 1.2**2 * before[2], rtol=1e-6, atol=1e-6)
+    rows = np.array([150.0, 300.0, 470.0])
+    there = sure.map.boxes(np.stack([np.full(3, 320.0), rows, rows, rows], axis=1))[:, FOOT_Y]
+    np.testing.assert_allclose(moved.expected_height(there), 1.2 * np.array(state.expected_height(rows)))
+    # by a row that is unsure, heights are so by the slope
+    wider = state.seen_by(unsure).scene_covariance - moved.scene_covariance
+    middle = np.array([[320.0, 240.0, 0.0, 0.0]])
+    assert wider[0, 0] == pytest.approx(
+        moved.scene[1] ** 2 * unsure.box_variances(middle)[0, FOOT_Y], rel=1e-4
+    )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import ShakenFilm, shaken, sleeping_man
-from rsmcm.chains import AdaptiveBackground, BlobTracker, CameraMotion
+from rsmcm.chains import AdaptiveBackground, BlobTracker, CameraMotion, MixtureBackground
 from rsmcm.inference import Belief, Incoming, MultiChain, RecursiveBP
 from rsmcm.models import Frame, PixelLabels, ScenePixels
 from rsmcm.models.camera.moving_camera import UNKNOWNS, AffineMap, View
@@ -48,13 +48,16 @@ def test_it_knows_where_a_shaking_camera_looks(shaking: tuple[ShakenFilm, list[B
     assert errors(*shaking).max() < 0.25
 
 
-def test_what_it_predicts_is_a_density_and_forgets_at_its_own_pace() -> None:
+def test_what_it_predicts_is_a_density_of_a_place_that_grows_vague_at_its_own_pace() -> None:
     state = CAMERA.initial(film(1)[0])
     for seconds in (0.04, 0.5, 100.0):
         later = CAMERA.predict(state, seconds)
         assert CAMERA.message(later, PIXELS, Incoming({})).log_mass == pytest.approx(0.0, abs=1e-9)
-    widest = CAMERA.reach * np.hypot(136, 192) / 2
-    np.testing.assert_allclose(np.sqrt(np.diag(later.covariance)), widest, rtol=1e-6)
+    # the way of a velocity with correlation time T, the shake now, and that of the first frame
+    radius = np.hypot(136, 192) / 2
+    way = 2 * CAMERA.turn_time * (seconds - CAMERA.turn_time) * CAMERA.speed**2
+    widest = radius * np.sqrt(way + 2 * CAMERA.shake**2)
+    np.testing.assert_allclose(np.sqrt(np.diag(later.covariance)), widest, rtol=1e-4)
 
 
 def test_update_is_that_of_a_kalman_filter() -> None:
@@ -111,3 +114,31 @@ def test_what_the_frame_does_not_show_counts_as_pixels_of_any_colour() -> None:
         assert int(view.hidden.sum()) == n_hidden
         if n_hidden == 2400:
             assert message.log_mass == pytest.approx(-2400 * 3 * np.log(256), rel=1e-5)
+
+
+@pytest.mark.parametrize("background", [AdaptiveBackground(), MixtureBackground()])
+def test_in_the_next_scene_the_background_is_moved_and_begins_anew_where_it_was_not_seen(background) -> None:
+    random = np.random.default_rng(2)
+    image, frame = (random.integers(80, 120, (40, 60, 3)).astype(np.uint8) for _ in range(2))
+    known = np.ones((40, 60), np.bool_)
+    known[:, 40:] = False
+    state, fresh = (background.initial(Frame(each, 0.0, 1)) for each in (image, frame))
+    shift = AffineMap(np.array([-8.0, 0, 0, 4.0, 0, 0]), (40, 60))
+    picture = state.seen_by(shift, known, fresh).picture()
+    np.testing.assert_allclose(picture[4:, :32], image[:36, 8:40], atol=1)
+    np.testing.assert_allclose(picture[:4], frame[:4], atol=1)
+    np.testing.assert_allclose(picture[:, 32:], frame[:, 32:], atol=1)
+
+
+def test_a_new_scene_begins_where_the_camera_has_gone_and_its_velocity_goes_on() -> None:
+    random = np.random.default_rng(5)
+    wide = random.integers(40, 220, (30, 100)).astype(np.float32)
+    wide = np.kron(wide, np.ones((6, 6), np.float32)).astype(np.uint8)
+    images = [wide[:, 5 * k : 5 * k + 240] for k in range(40)]
+    beliefs = list(RecursiveBP(model(following=True)).run(images))
+    begun = [k for k, belief in enumerate(beliefs) if belief["pixels"].view.begins is not None]
+    assert 3 < begun[0] < 8  # beyond a tenth of 150 px
+    for k in (begun[0], begun[-1], 39):
+        state = beliefs[k]["camera"]
+        np.testing.assert_allclose(state.view_of_first.map.parameters[[0, 3]], [-5 * k, 0], atol=0.5)
+        np.testing.assert_allclose(state.where.mean[0, 6], -125.0, rtol=0.25)  # px/s, at 25 frames/s
