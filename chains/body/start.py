@@ -213,21 +213,27 @@ def fit_lengths(start: BodyStart, joints: Array) -> BodyStart:
 
 
 def follow_person(keypoints: FilmKeypoints, first: int, head: Array | None = None) -> Array:
-    """Return joints of one person in some frames: of the person nearest to the head's last position.
+    """Return joints of one person in some frames: of the one nearest to the last points, by their median.
 
     `keypoints`: of the film; `first`: number of the first frame; `head` `(2,)` px: the person's head there,
     of the largest person if `None`. Returns `(n, 8, 2)` px, NaN where a joint was not detected.
     """
-    own = []
+    own, last = [], None
     for number, given in keypoints.frames():
         if number < first:
             continue
-        places = head_places(given, 0.0)
-        apart = np.full(len(given), np.inf) if head is None else np.linalg.norm(places - head, axis=1)
+        if last is not None:
+            distances = np.sort(np.linalg.norm(given.positions - last, axis=2), axis=1)  # NaN last
+            apart = distances[range(len(given)), (np.isfinite(distances).sum(axis=1) - 1) // 2]
+        elif head is not None:
+            apart = np.linalg.norm(head_places(given, 0.0) - head, axis=1)
+        else:
+            apart = np.where(np.arange(len(given)) == largest(given), 0.0, np.inf)
         apart = np.where(np.isnan(apart), np.inf, apart)
-        person = largest(given) if head is None else int(apart.argmin())
-        if head is None or np.isfinite(apart[person]):
+        person = int(apart.argmin())
+        if np.isfinite(apart[person]):
             own.append(GivenKeypoints(given.positions[person, None], given.scores[person, None]))
-            head = places[person] if np.isfinite(places[person]).all() else head
+            places = given.positions[person]
+            last = places if last is None else np.where(np.isnan(places), last, places)
     chosen = np.unique(np.linspace(0, len(own) - 1, min(len(own), MOST_FRAMES)).round().astype(int))
     return np.concatenate([np.zeros((0, 8, 2)), *(joints_of(own[number]) for number in chosen)])

@@ -133,13 +133,13 @@ def test_a_run_that_is_saved_and_restored_goes_on_with_the_same_bytes(case: Case
 
 @pytest.fixture(scope="module")
 def detected() -> tuple[ObjectTracker, Any, Any]:
-    """A tracker after 30 images with a detector's boxes, the last objects, and the next image."""
-    scene, tracker = sleeping_man(31, size=(160, 120), enter=0), ObjectTracker()
-    for index in range(30):
+    """A tracker after 45 images with a detector's boxes, the last objects, and the next image."""
+    scene, tracker = sleeping_man(46, size=(160, 120), enter=0), ObjectTracker()
+    for index in range(45):
         boxes = np.array([truth.box for truth in scene.boxes(index)], np.float64).reshape(-1, 4)
         boxes[:, 2:] += boxes[:, :2]
         objects = tracker.update(scene.image(index), boxes=boxes)
-    return tracker, objects, scene.image(30)
+    return tracker, objects, scene.image(45)
 
 
 def test_objects_are_the_tracks_of_the_belief(detected: Any) -> None:
