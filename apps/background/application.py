@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, get_args
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,8 +42,6 @@ from .page import RunRecord, background_page, view_row_of
 from .parameters import SECTIONS, Parameters, build_chain, other_chains, read_parameters
 from .predictions import Predictions
 from .whole_film import read_whole, warmed_up
-
-ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 
 CHANNELS = 3
 """Bytes of a pixel in a picture that is held."""

@@ -95,7 +95,7 @@ def _factor(seen, own, i, j, planes, covers, other, free, terms):
 
 
 @compiled
-def _agreement(start, step, every, patch, rivals, whole, sprite):
+def agreement(start, step, every, patch, rivals, whole, sprite):
     """Sum of log{[M f + (1 - M) b] / b} over the rows of a sprite at `start` in the patch, `step` px apart.
 
     Only `every` row of the sprite, one or two, is looked at. `rivals` is 1 / b, what pixels are without the
@@ -190,7 +190,7 @@ def search(reach, expected, likelihood_power, step, patch, rivals, whole, sprite
                 prior = -0.5 * expected.precision * ((y - expected.y) ** 2 + (x - expected.x) ** 2)
                 if known[reach + y, reach + x] == _NOT_YET:
                     start = (reach + y) * rivals.shape[1] + reach + x
-                    known[reach + y, reach + x] = likelihood_power * _agreement(
+                    known[reach + y, reach + x] = likelihood_power * agreement(
                         start, step, every, patch, rivals, whole, sprite
                     )
                 score = known[reach + y, reach + x] + prior

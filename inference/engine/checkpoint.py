@@ -13,6 +13,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from functools import singledispatch
 from pathlib import Path
 from types import GenericAlias, NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -101,6 +102,7 @@ def load(file: str | Path | Contents, kinds: Mapping[str, Any]) -> dict[str, Any
         raise ValueError(f"{contents.path}: {error}") from error
 
 
+@singledispatch
 def parameters_of(value: Any) -> Any:
     """Return the parameters of a chain or feature node as plain JSON; arrays by digest, functions by name."""
     if isinstance(value, np.generic):
@@ -112,8 +114,6 @@ def parameters_of(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         own = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
         value = {"class": type(value).__name__, **own}
-    if isinstance(chains := getattr(value, "chains", None), Mapping):  # of a model inside a chain
-        value = {**chains, **value.features}
     if isinstance(value, Mapping):
         return {str(key): parameters_of(item) for key, item in value.items()}
     if isinstance(value, tuple | list):

@@ -205,7 +205,7 @@ class MultiChain:
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters of all chains and feature nodes by name, as plain JSON."""
-        return dict(parameters_of(self))
+        return {name: parameters_of(node) for name, node in {**self.chains, **self.features}.items()}
 
     def components(self) -> list[list[str]]:
         """Return the groups of features that remain connected without the cut edges."""
@@ -326,6 +326,12 @@ class MultiChain:
                             ((sender, other), (chain, feature)) for sender in senders if sender != chain
                         )
         return needs
+
+
+@parameters_of.register
+def _(model: MultiChain) -> Any:
+    """Of a model inside a chain."""
+    return model.parameters()
 
 
 @contextmanager

@@ -49,7 +49,7 @@ def camera_moments(cameras: Array, covariance: Array | None = None) -> Array:
     return moments
 
 
-class Sums:
+class ObservationSums:
     """Weighted sums over observations by frame, of `n_points` points.
 
     Products with sparse matrices, or with full ones where most points are seen. Where all are, with a
@@ -276,7 +276,7 @@ def expectation_maximisation(
     bound at each iteration that counts, before its update of the points; it never falls.
     """
     by_frame = observations.by_frame
-    sums = Sums(by_frame, observations.n_points)
+    sums = ObservationSums(by_frame, observations.n_points)
     log_weight = float(np.log(by_frame.weight).sum())
     count = 0.5 * observations.numbers  # what is filled in adds as much to the error as to what is divided by
     shape, covariance = posterior.shape, posterior.shape_covariance
@@ -320,7 +320,7 @@ def expectation_maximisation(
     return Posterior(kept.cameras, spread[0], plain, spread[1], noise, prior), history
 
 
-def _camera_error(sums: Sums, covariance: Array, shape: Array) -> float:
+def _camera_error(sums: ObservationSums, covariance: Array, shape: Array) -> float:
     """Expected squared error that comes of the cameras' covariances."""
     information, _ = sums.of_frames(shape, shape_moments(shape))
     return 2 * float(np.sum(information * covariance))

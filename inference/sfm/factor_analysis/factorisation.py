@@ -19,8 +19,8 @@ from ...optimisation import Anderson, Damping, levenberg_marquardt
 from .em import (
     LEAST_VARIANCE,
     CameraPrior,
+    ObservationSums,
     Posterior,
-    Sums,
     camera_moments,
     expectation_maximisation,
     first_prior,
@@ -74,7 +74,7 @@ def variable_projection(
         2 for a flat shape, whose third axis is 0.
     """
     by_frame = observations.by_frame
-    sums = Sums(by_frame, observations.n_points)
+    sums = ObservationSums(by_frame, observations.n_points)
     points = np.diff(observations.by_point.edges) > 0
 
     def linearised(at: LeastSquares) -> Callable[[float], LeastSquares | None]:
@@ -114,7 +114,9 @@ def variable_projection(
 ROUNDING = 1e-13  # share of a point's information below which a direction of it is rounding
 
 
-def eliminate_points(by_frame: SparseObservations, sums: Sums, cameras: Array) -> tuple[Array, Array, float]:
+def eliminate_points(
+    by_frame: SparseObservations, sums: ObservationSums, cameras: Array
+) -> tuple[Array, Array, float]:
     """Return the best points for given cameras, inverses of their information, and the squared error.
 
     `(n_points, 3)` and `(n_points, 3, 3)`. Directions that only rounding determines stay at 0.
@@ -142,7 +144,12 @@ def _camera_gradient(by_frame: SparseObservations, cameras: Array, shape: Array)
 
 
 def _reduced_step(
-    sums: Sums, at: LeastSquares, information: Array, preconditioner: Array, gradient: Array, damping: float
+    sums: ObservationSums,
+    at: LeastSquares,
+    information: Array,
+    preconditioner: Array,
+    gradient: Array,
+    damping: float,
 ) -> Array:
     """The Gauss-Newton step of cameras `(n_frames, 2, 4)`, points eliminated, by conjugate gradients.
 
@@ -153,17 +160,12 @@ def _reduced_step(
     n_frames, points = len(gradient), homogeneous(at.shape)
     rows = at.cameras[..., :RANK]
     turned = np.ascontiguousarray(rows.transpose(0, 2, 1))
-    step, residual, direction = np.zeros(gradient.shape), -gradient, np.zeros(gradient.shape)
-    before = first = 1.0
-    for turn in range(MOST_PRODUCTS):
-        solved = residual @ preconditioner
-        length = float(np.sum(solved * residual))
-        if turn == 0:
-            first, before = length, np.inf
+    step, residual = np.zeros(gradient.shape), -gradient
+    direction = residual @ preconditioner
+    length = first = float(np.sum(direction * residual))
+    for _ in range(MOST_PRODUCTS):
         if not length > ACCURACY**2 * first:  # NaN as well
             break
-        direction = solved + length / before * direction
-        before = length
         of_points = (sums.transposed @ (turned @ direction).reshape(n_frames, -1)).reshape(-1, RANK, 4)
         solutions = np.einsum("ijk,ikl,il->ij", at.inverses, of_points, points, optimize=True)
         pulls = (solutions[:, :, None] * points[:, None, :]).reshape(len(points), -1)
@@ -175,6 +177,9 @@ def _reduced_step(
         stride = length / curvature
         step += stride * direction
         residual -= stride * product
+        solved = residual @ preconditioner
+        before, length = length, float(np.sum(solved * residual))
+        direction = solved + length / before * direction
     return step
 
 
@@ -250,7 +255,9 @@ def around_optimum(observations: Observations, part: Observations, optimum: Leas
     cameras, shape = optimum.cameras, optimum.shape
     noise = max(optimum.error / max(freedom(part), 1.0), LEAST_VARIANCE**2)
     points, frames = np.diff(part.by_point.edges) > 0, np.diff(part.by_frame.edges) > 0
-    information, _, _ = Sums(part.by_frame, part.n_points).of_points(cameras, camera_moments(cameras))
+    information, _, _ = ObservationSums(part.by_frame, part.n_points).of_points(
+        cameras, camera_moments(cameras)
+    )
     good = points
     for _ in range(2):  # the first spread is that of points which may be anywhere
         mean, change = whitening(shape[good])
@@ -267,7 +274,7 @@ def around_optimum(observations: Observations, part: Observations, optimum: Leas
     turned = np.einsum("tcj,tck->tjk", rows, rows)[by_frame.own]
     leverages = by_frame.weight * np.einsum("njk,njk->n", turned, covariance[by_frame.other]) / (2 * noise)
     others = by_frame._replace(weight=by_frame.weight * (1 - np.minimum(leverages, 1.0)))
-    information, _ = Sums(others, part.n_points).of_frames(shape, shape_moments(shape))
+    information, _ = ObservationSums(others, part.n_points).of_frames(shape, shape_moments(shape))
     camera_covariance, _ = invert_information(information, np.full(4, LEAST_VARIANCE), 1 / noise)
     posterior = Posterior(cameras, camera_covariance, shape, covariance, noise, prior)
     return _completed(observations, posterior, frames, points)
@@ -280,14 +287,16 @@ def _completed(observations: Observations, posterior: Posterior, frames: Mask, p
     noise = max(posterior.noise, LEAST_VARIANCE)  # or the prior would be lost in rounding
     if not frames.all():
         seen = observations.only(~frames, points).by_frame
-        information, vector = Sums(seen, len(shape)).of_frames(shape, shape_moments(shape, covariance))
+        information, vector = ObservationSums(seen, len(shape)).of_frames(
+            shape, shape_moments(shape, covariance)
+        )
         spread, _ = invert_information(information, 1 / posterior.prior.numbers, 1 / noise)
         camera_covariance[~frames] = spread[~frames]
         cameras[~frames] = (spread @ vector / noise)[~frames].transpose(0, 2, 1)
     if not points.all():
         seen = observations.only(frames, ~points).by_frame
         moments = camera_moments(cameras, camera_covariance)
-        information, pull, _ = Sums(seen, len(shape)).of_points(cameras, moments)
+        information, pull, _ = ObservationSums(seen, len(shape)).of_points(cameras, moments)
         spread, _ = invert_information(information, np.ones(RANK), 1 / noise)
         covariance[~points] = spread[~points]
         shape[~points] = np.einsum("ijk,ik->ij", spread, pull)[~points] / noise
@@ -478,7 +487,7 @@ def _beginning(
 def _with_points(part: Observations, cameras: Array) -> tuple[Array, Array]:
     """Given cameras with the points that fit them best; translations may become frames' middles."""
     listed = part.by_frame
-    sums = Sums(listed, part.n_points)
+    sums = ObservationSums(listed, part.n_points)
     counts = np.maximum(np.diff(listed.edges), 1)
     middles = [np.bincount(listed.own, values, part.n_frames) / counts for values in (listed.x, listed.y)]
     centred = np.concatenate([cameras[..., :3], np.stack(middles, axis=1)[..., None]], axis=2)

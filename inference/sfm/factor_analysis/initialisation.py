@@ -9,7 +9,7 @@ from scipy.sparse.linalg import svds
 from .em import (
     LEAST_NOISE,
     CameraPrior,
-    Sums,
+    ObservationSums,
     camera_moments,
     estimate_cameras,
     first_prior,
@@ -207,7 +207,7 @@ def _clearness(observations: Observations, first: int, length: int, members: Ind
 def _resect(observations: Observations, partial: _PartialStructure, terms: "_Terms") -> bool:
     """Add frames whose camera the known points determine about as well as that of the best one left."""
     part = observations.only(~partial.frames, partial.points)
-    sums = Sums(part.by_frame, part.n_points)
+    sums = ObservationSums(part.by_frame, part.n_points)
     information, vector = sums.of_frames(partial.shape, shape_moments(partial.shape))
     strength = np.linalg.eigvalsh(information)[:, 0]
     strength[np.diff(part.by_frame.edges) < terms.points] = 0
@@ -220,7 +220,7 @@ def _resect(observations: Observations, partial: _PartialStructure, terms: "_Ter
 def _intersect(observations: Observations, partial: _PartialStructure, terms: "_Terms") -> bool:
     """Add points that known cameras determine well enough."""
     part = observations.only(partial.frames, ~partial.points)
-    sums = Sums(part.by_frame, part.n_points)
+    sums = ObservationSums(part.by_frame, part.n_points)
     information, vector, _ = sums.of_points(partial.cameras, camera_moments(partial.cameras))
     strength = np.linalg.eigvalsh(information)[:, 0]
     chosen = (np.diff(part.by_point.edges) >= VIEWS) & (strength * terms.spread**2 > partial.noise)
@@ -237,7 +237,7 @@ def _refine(observations: Observations, partial: _PartialStructure, rounds: int)
     all_frames = np.ones(len(partial.cameras), bool)
     views = part.by_frame if partial.prior is None else observations.only(all_frames, partial.points).by_frame
     resected = np.diff(views.edges) >= LEAST_POINTS
-    of_views, of_part = Sums(views, part.n_points), Sums(part.by_frame, part.n_points)
+    of_views, of_part = ObservationSums(views, part.n_points), ObservationSums(part.by_frame, part.n_points)
     for _ in range(rounds):
         cameras, shape = whitened(partial.cameras, partial.shape, points)
         information, vector = of_views.of_frames(shape, shape_moments(shape))

@@ -111,7 +111,7 @@ BEHIND = 1e6  # px^2, that stands for a point behind a camera, and the largest t
 GAUGE = 7  # numbers of a shape's place, turn and size, which no film shows
 
 
-class Sums(NamedTuple):
+class NormalEquations(NamedTuple):
     """Normal equations at given weights: sums of w J^T J and of w J^T r, by blocks.
 
     The unknowns of a camera are a turn w (R <- exp([w]x) R), log a, and u of `PerspectiveCameras`; of all
@@ -211,10 +211,10 @@ def adjust(
 
     def linearised(at: Bundle) -> Callable[[float], Bundle | None]:
         squares = squares_of(listed, at.cameras, at.shape)
-        sums = sums_of(listed, at.noise.weights(squares, listed.weight), at.cameras, at.shape)
+        equations = normal_equations(listed, at.noise.weights(squares, listed.weight), at.cameras, at.shape)
 
         def step(damping: float) -> Bundle | None:
-            moved = _moved(listed, sums, damping, at, focal_known)
+            moved = _moved(listed, equations, damping, at, focal_known)
             if moved is None:
                 return None
             squares = squares_of(listed, *moved)
@@ -286,7 +286,9 @@ def _sums_of_points(listed: SparseObservations) -> csr_array:
     return csr_array((np.ones(n), np.arange(n), listed.edges), shape=(len(listed.edges) - 1, n))
 
 
-def sums_of(listed: SparseObservations, weights: Array, cameras: PerspectiveCameras, shape: Array) -> Sums:
+def normal_equations(
+    listed: SparseObservations, weights: Array, cameras: PerspectiveCameras, shape: Array
+) -> NormalEquations:
     """Return normal equations at the weights `(n,)` of observations."""
     by_camera, by_place, by_focal, seen = _jacobians(cameras.of(listed.other), shape[listed.own])
     errors = np.array([listed.x, listed.y]).T - seen
@@ -300,7 +302,7 @@ def sums_of(listed: SparseObservations, weights: Array, cameras: PerspectiveCame
     mixed = by_place.mT @ weighted
     by_place_weighted = weights[:, None, None] * by_place
     squares = by_place_weighted.mT @ by_place
-    return Sums(
+    return NormalEquations(
         cameras=blocks[:, :last, :last],
         camera_vector=vectors[:, :last],
         border=blocks[:, :last, last],
@@ -314,36 +316,36 @@ def sums_of(listed: SparseObservations, weights: Array, cameras: PerspectiveCame
 
 
 def reduced(
-    listed: SparseObservations, sums: Sums, damping: float, *, focal_known: bool
+    listed: SparseObservations, equations: NormalEquations, damping: float, *, focal_known: bool
 ) -> tuple[Array, Array, Array]:
     """Return the reduced normal equations of cameras and q `(6 n_frames + 1, ...)`, points eliminated."""
-    n_frames = len(sums.cameras)
+    n_frames = len(equations.cameras)
     matrix, vector = np.zeros((CAMERA * n_frames + 1,) * 2), np.zeros(CAMERA * n_frames + 1)
     blocks = matrix[:-1, :-1].reshape(n_frames, CAMERA, n_frames, CAMERA)
-    blocks[np.arange(n_frames), :, np.arange(n_frames)] = sums.cameras
-    matrix[-1, :-1] = sums.border.reshape(-1)
-    matrix[-1, -1] = sums.corner
-    vector[:-1], vector[-1] = sums.camera_vector.reshape(-1), sums.corner_vector
+    blocks[np.arange(n_frames), :, np.arange(n_frames)] = equations.cameras
+    matrix[-1, :-1] = equations.border.reshape(-1)
+    matrix[-1, -1] = equations.corner
+    vector[:-1], vector[-1] = equations.camera_vector.reshape(-1), equations.corner_vector
     matrix[np.diag_indices_from(matrix)] *= 1 + damping
-    points = sums.points.copy()
+    points = equations.points.copy()
     size = np.einsum("ijj->i", points)
     # a point of one frame has no depth: rounding must not decide on it
     points[:, range(3), range(3)] += damping * points[:, range(3), range(3)] + 1e-12 * size[:, None] + 1e-30
     inverses = np.ascontiguousarray(np.linalg.inv(points))
-    mixed_border = sums.mixed_border
+    mixed_border = equations.mixed_border
     if focal_known:
         mixed_border = np.zeros_like(mixed_border)
         matrix[-1, :] = 0
         matrix[-1, -1], vector[-1] = 1, 0
-    eliminate_points(listed, inverses, sums.mixed, mixed_border, sums.point_vector, matrix, vector)
+    eliminate_points(listed, inverses, equations.mixed, mixed_border, equations.point_vector, matrix, vector)
     return matrix, vector, inverses
 
 
 def _moved(
-    listed: SparseObservations, sums: Sums, damping: float, at: Bundle, focal_known: bool
+    listed: SparseObservations, equations: NormalEquations, damping: float, at: Bundle, focal_known: bool
 ) -> tuple[PerspectiveCameras, Array] | None:
     """Cameras and shape after a step; `None` if the normal equations are not positive definite."""
-    matrix, vector, inverses = reduced(listed, sums, damping, focal_known=focal_known)
+    matrix, vector, inverses = reduced(listed, equations, damping, focal_known=focal_known)
     diagonal = np.diag(matrix)
     if diagonal.min() <= 0:
         return None
@@ -363,8 +365,8 @@ def _moved(
         shifts=cameras.shifts + by_camera[:, 4:],
         curvature=cameras.curvature + float(step[-1]),
     )
-    pull = np.einsum("kim,km->ki", sums.mixed, by_camera[listed.other])
-    left = sums.point_vector - step[-1] * sums.mixed_border - _sums_of_points(listed) @ pull
+    pull = np.einsum("kim,km->ki", equations.mixed, by_camera[listed.other])
+    left = equations.point_vector - step[-1] * equations.mixed_border - _sums_of_points(listed) @ pull
     return moved, at.shape + np.einsum("ijk,ik->ij", inverses, left)
 
 
@@ -403,24 +405,24 @@ def covariance_of(
     # on the whole as Huber has it; an outlier, whose position depends on nothing, does not inform cameras
     counted = bundle.noise.weights(squares, listed.weight)
     counted *= precision * listed.weight.mean() / counted.mean()
-    sums = sums_of(listed, counted, bundle.cameras, bundle.shape)
-    sums = sums._replace(points=sums.points + np.linalg.inv(prior))
-    whole, inverses = _of_cameras(listed, sums, bundle.cameras, focal_known=focal_known)
+    equations = normal_equations(listed, counted, bundle.cameras, bundle.shape)
+    equations = equations._replace(points=equations.points + np.linalg.inv(prior))
+    whole, inverses = _of_cameras(listed, equations, bundle.cameras, focal_known=focal_known)
 
     n_frames, n_points = len(bundle.cameras.scales), len(bundle.shape)
     columns = CAMERA * listed.other[:, None] + np.arange(CAMERA)
     rows = 3 * listed.own[:, None] + np.arange(3)
     where = (
-        np.broadcast_to(rows[:, :, None], sums.mixed.shape).reshape(-1),
-        np.broadcast_to(columns[:, None, :], sums.mixed.shape).reshape(-1),
+        np.broadcast_to(rows[:, :, None], equations.mixed.shape).reshape(-1),
+        np.broadcast_to(columns[:, None, :], equations.mixed.shape).reshape(-1),
     )
-    mixed = csr_array((sums.mixed.reshape(-1), where), shape=(3 * n_points, CAMERA * n_frames))
-    reach = (mixed @ whole[:-1] + sums.mixed_border.reshape(-1, 1) * whole[-1]).reshape(n_points, 3, -1)
+    mixed = csr_array((equations.mixed.reshape(-1), where), shape=(3 * n_points, CAMERA * n_frames))
+    reach = (mixed @ whole[:-1] + equations.mixed_border.reshape(-1, 1) * whole[-1]).reshape(n_points, 3, -1)
     inside = np.zeros((n_points, 3, 3))
     np.add.at(
-        inside, listed.own, np.einsum("kim,kmj->kij", sums.mixed, reach[listed.own[:, None], :, columns])
+        inside, listed.own, np.einsum("kim,kmj->kij", equations.mixed, reach[listed.own[:, None], :, columns])
     )
-    inside += sums.mixed_border[:, :, None] * reach[:, None, :, -1]
+    inside += equations.mixed_border[:, :, None] * reach[:, None, :, -1]
     points = inverses + inverses @ inside @ inverses
 
     frames = CAMERA * np.arange(n_frames)[:, None] + np.arange(CAMERA)
@@ -433,12 +435,14 @@ def covariance_of(
 
 
 def _of_cameras(
-    listed: SparseObservations, sums: Sums, cameras: PerspectiveCameras, *, focal_known: bool
+    listed: SparseObservations, equations: NormalEquations, cameras: PerspectiveCameras, *, focal_known: bool
 ) -> tuple[Array, Array]:
     """Covariance of all cameras and 1 / focal length, and of points given those."""
-    matrix, _, inverses = reduced(listed, sums, 0.0, focal_known=focal_known)
+    matrix, _, inverses = reduced(listed, equations, 0.0, focal_known=focal_known)
     matrix = np.tril(matrix) + np.tril(matrix, -1).T
-    of_points_known = np.append(np.einsum("tjj->tj", sums.cameras), 1.0 if focal_known else sums.corner)
+    of_points_known = np.append(
+        np.einsum("tjj->tj", equations.cameras), 1.0 if focal_known else equations.corner
+    )
     size = np.sqrt(of_points_known)
     gauge, _ = np.linalg.qr(size[:, None] * gauge_of(cameras))
     values, axes = np.linalg.eigh(matrix / size[:, None] / size + HELD * gauge @ gauge.T)

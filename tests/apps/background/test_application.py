@@ -6,13 +6,13 @@ import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.background.application import ENGINES, build_model, run_background
-from rsmcm.apps.background.job import BackgroundJob
+from rsmcm.apps.background.application import build_model, run_background
+from rsmcm.apps.background.job import BackgroundJob, Engine
 from rsmcm.apps.background.parameters import SECTIONS, read_parameters, with_defaults
 from rsmcm.apps.demo import write_scene
 from rsmcm.apps.evaluation.scoring import Scoring
@@ -166,7 +166,7 @@ def test_frames_of_another_size_end_the_run_with_results_until_there(scene: Path
     assert count_frames(tmp_path / "out" / "film.mp4") == 11
 
 
-@pytest.mark.parametrize(("engine", "masks"), [*zip(ENGINES, itertools.cycle(["none", "video"]))])
+@pytest.mark.parametrize(("engine", "masks"), [*zip(get_args(Engine), itertools.cycle(["none", "video"]))])
 def test_other_engines_and_forms_of_masks(engine: Any, masks: Any, scene: Path, tmp_path: Path) -> None:
     run_background(
         BackgroundJob(str(scene / "input"), out=tmp_path, engine=engine, stop=25, step=2, masks=masks)

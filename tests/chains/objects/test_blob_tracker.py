@@ -173,8 +173,8 @@ def test_where_something_was_from_the_start_there_is_no_ghost_for_long():
     shown = np.abs(beliefs[-1]["background"].picture().astype(float) - SCENE)[place]
     assert shown.mean() < 5
     # what has left is a track until it is out
-    mover = max(tracks_of(beliefs[49]), key=lambda track: track.box[2] * track.box[3])
-    assert mover.box == pytest.approx((left + 60 * 1.56, 50, 16, 40), abs=4)
+    there = pytest.approx((left + 60 * 1.56, 50, 16, 40), abs=4)
+    assert any(track.box == there for track in tracks_of(beliefs[49]))
 
 
 def test_missing_frames_are_bridged_by_the_motion(walk):

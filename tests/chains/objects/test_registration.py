@@ -31,22 +31,45 @@ def registration(channels, down, right, reach=8, size=(40, 21)):
     return patch, rng.uniform(0.5, 2, shape).astype(F4), sprite(mask, appearance)
 
 
-def searched(reach, expected, step, patch, rivals, blob):
-    """What `search` finds, with room around the patch as for whole vectors and rows that are multiplied."""
+def prepared(reach, step, patch, rivals, blob):
+    """The same with room around the patch, as for whole vectors and rows that are multiplied."""
     scratch = np.full(100_000, np.nan, F4)
     packed, rest = kernels.packed(blob, (0, 0, *blob.mask.shape), step, scratch)
     rows, columns = 2 * reach + step * packed.mask.shape[0], 2 * reach + packed.mask.shape[1]
     room = (0, max(rows - rivals.shape[0], 0)), (0, columns - rivals.shape[1])
     wide = Patch(np.pad(patch.planes, ((0, 0), *room)), *(np.pad(each, room) for each in patch[1:]))
     whole = bool(np.isin(patch.free, (0, 1)).all())
-    others = np.pad(rivals * patch.free if whole else rivals, room)
-    return kernels.search(reach, expected, F4(0.15), step, wide, others, whole, packed, rest)
+    return wide, np.pad(rivals * patch.free if whole else rivals, room), whole, packed, rest
 
 
-@pytest.mark.parametrize(
+def searched(reach, expected, step, patch, rivals, blob):
+    return kernels.search(reach, expected, F4(0.15), step, *prepared(reach, step, patch, rivals, blob))
+
+
+CASES = pytest.mark.parametrize(
     ("channels", "size", "step", "open_"),
     [(1, (40, 21), 1, 0.5), (3, (40, 21), 1, 0.0), (3, (30, 32), 3, 0.5), (3, (21, 50), 3, 0.0)],
 )
+
+
+@CASES
+@pytest.mark.parametrize("place", [(10, 7), (10, 8), (3, 14)])
+def test_agreement_is_the_stated_sum(channels, size, step, open_, place):
+    """Where colours fit, nearly, and not at all, which is where outliers count."""
+    patch, rivals, blob = registration(channels, 2, -1, size=size)
+    patch.free[:, :9] = open_
+    box = tuple(slice(at, at + side, by) for at, side, by in zip(place, size, (step, 1), strict=True))
+    density = density_of(patch.planes[:, *box], blob.appearance[:, ::step])
+    factors = 1 + blob.mask[::step].astype(float) * (density * rivals[box] - 1)
+    expected = step * (patch.free[box] * np.log(factors)).sum()
+    wide, others, whole, packed, _ = prepared(8, step, patch, rivals, blob)
+    start = place[0] * others.shape[1] + place[1]
+    found = kernels.agreement(start, step, 1, wide, others, whole, packed)
+    # logarithms and exponentials are right to 2e-5 each
+    assert found == pytest.approx(expected, rel=1e-4, abs=4e-5 * step * factors.size)
+
+
+@CASES
 def test_search_maximises_the_stated_sum(channels, size, step, open_):
     """Its variances and sub-pixel place are those of the scores in plain float64."""
     patch, rivals, blob = registration(channels, 2, -1, size=size)

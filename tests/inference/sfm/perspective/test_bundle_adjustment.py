@@ -10,10 +10,10 @@ from rsmcm.inference.sfm.perspective.bundle_adjustment import (
     Bundle,
     about,
     adjust,
+    normal_equations,
     reduced,
     retriangulated,
     squares_of,
-    sums_of,
 )
 from rsmcm.models.camera.perspective_camera import PerspectiveCameras
 from rsmcm.models.numerics.rotations import exponential
@@ -71,7 +71,7 @@ def small() -> PerspectiveFilm:
 def test_normal_equations_are_those_of_finite_differences(small: PerspectiveFilm) -> None:
     listed = listed_of(small)
     weights = np.random.default_rng(0).uniform(0.5, 2, len(listed.x))
-    sums = sums_of(listed, weights, small.cameras, small.shape)
+    equations = normal_equations(listed, weights, small.cameras, small.shape)
     jacobian = dense_jacobian(listed, small.cameras, small.shape)
     twice = np.concatenate([weights, weights])
     whole = jacobian.T @ (twice[:, None] * jacobian)
@@ -82,16 +82,22 @@ def test_normal_equations_are_those_of_finite_differences(small: PerspectiveFilm
         np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-6 * np.abs(wanted).max())
 
     for t in range(len(small.cameras.scales)):
-        assert_same(sums.cameras[t], whole[6 * t : 6 * t + 6, 6 * t : 6 * t + 6])
-    assert_same(sums.border.reshape(-1), whole[n, :n])
-    assert_same(np.array(sums.corner), whole[n, n])
-    assert_same(sums.points[4], whole[n + 13 : n + 16, n + 13 : n + 16])
-    assert_same(sums.mixed_border.reshape(-1), whole[n, n + 1 :])
+        assert_same(equations.cameras[t], whole[6 * t : 6 * t + 6, 6 * t : 6 * t + 6])
+    assert_same(equations.border.reshape(-1), whole[n, :n])
+    assert_same(np.array(equations.corner), whole[n, n])
+    assert_same(equations.points[4], whole[n + 13 : n + 16, n + 13 : n + 16])
+    assert_same(equations.mixed_border.reshape(-1), whole[n, n + 1 :])
     for k in range(len(listed.x)):
         i, t = listed.own[k], listed.other[k]
-        assert_same(sums.mixed[k], whole[n + 1 + 3 * i : n + 4 + 3 * i, 6 * t : 6 * t + 6])
+        assert_same(equations.mixed[k], whole[n + 1 + 3 * i : n + 4 + 3 * i, 6 * t : 6 * t + 6])
     assert_same(
-        np.concatenate([sums.camera_vector.reshape(-1), [sums.corner_vector], sums.point_vector.reshape(-1)]),
+        np.concatenate(
+            [
+                equations.camera_vector.reshape(-1),
+                [equations.corner_vector],
+                equations.point_vector.reshape(-1),
+            ]
+        ),
         vector,
     )
 
@@ -99,8 +105,8 @@ def test_normal_equations_are_those_of_finite_differences(small: PerspectiveFilm
 @pytest.mark.parametrize("focal_known", [False, True])
 def test_elimination_leaves_the_schur_complement(small: PerspectiveFilm, focal_known: bool) -> None:
     listed = listed_of(small)
-    sums = sums_of(listed, np.ones(len(listed.x)), small.cameras, small.shape)
-    matrix, vector, _ = reduced(listed, sums, 0.0, focal_known=focal_known)
+    equations = normal_equations(listed, np.ones(len(listed.x)), small.cameras, small.shape)
+    matrix, vector, _ = reduced(listed, equations, 0.0, focal_known=focal_known)
     jacobian = dense_jacobian(listed, small.cameras, small.shape)
     n = 6 * len(small.cameras.scales) + (not focal_known)
     kept = np.r_[:n, 6 * len(small.cameras.scales) + 1 : jacobian.shape[1]]
