@@ -12,6 +12,9 @@ BACKGROUND = {"gaussian": 300, "mixture": 400}
 STRUCTURE, STRUCTURE_FRAME = 220, 6
 """Bytes per pixel, and per pixel of each frame, all of which are held."""
 
+STRUCTURE_POINTS = 720_000
+"""Bytes per frame: normal equations of 800 points that trackers and matches follow, 900 bytes each."""
+
 FACE, EXPERT = 40, 200_000
 """Bytes per pixel, and per expert."""
 

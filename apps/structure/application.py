@@ -30,7 +30,7 @@ from ..io.point_files import frames_of_tracks, read_track_file
 from ..io.sources.open_source import DEFAULT_RATE, Selection, open_source
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.loop import run_film
-from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, check_memory
+from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, STRUCTURE_POINTS, check_memory
 from ..runs.progress import Progress
 from ..runs.saved_run import STATE, about_of, check_source
 from ..runs.session import OVERLAY, Session
@@ -292,7 +292,8 @@ def _images(job: StructureJob) -> Film:
         if source.live and job.stop is None:
             raise ValueError(f"{source.name}: has no end, expected one, or --stop")
         n_frames = source.n_frames or job.stop or 1
-        check_memory(source.name, source.size, STRUCTURE + n_frames * STRUCTURE_FRAME)
+        per_pixel = STRUCTURE + n_frames * STRUCTURE_FRAME
+        check_memory(source.name, source.size, per_pixel, n_frames * STRUCTURE_POINTS)
         frames = []
         with Progress("reading", source.n_frames) as progress:
             for frame in source:
