@@ -193,11 +193,12 @@ class AdaptiveBackground:
         variance (1 - r K) s + r (1 - r) K^2 d^2. Where a new scene begins, it is known as far as this frame
         shows it, or it is behind objects.
         """
-        state, message = self._updated(state, incoming), incoming[PixelLabels]
-        if message.view is None or message.view.begins is None:
-            return state
-        fresh = self.initial(Frame(message.view.begins, 0.0, 1))
-        return state.seen_by(message.view.map, message.are_known(), fresh)
+        after, view = self._updated(state, incoming), incoming[PixelLabels].view
+        if view is None or view.begins is None:
+            return after
+        message = incoming[PixelLabels] * PixelMessage(background=self._predicted(state, incoming))
+        fresh = self.initial(Frame(view.begins, 0.0, 1))
+        return after.seen_by(view.map, message.are_known(), fresh)
 
     def _updated(self, state: BackgroundState, incoming: Incoming) -> BackgroundState:
         image = incoming.evidence(PixelLabels).image

@@ -49,6 +49,8 @@ WORN, FIT_TIME = 0.8, 0.3
 """Share of its best correlation below which frames no longer resemble a scene, and s over which it is
 averaged: blur comes and goes within that time."""
 
+BLURRED = 0.5  # share of the usual correlation below which a frame is blurred or hidden
+
 LOST_TIME = 1.0  # s, after which a scene in which no frame is found is given up: the camera may be anywhere
 
 
@@ -170,7 +172,15 @@ class CameraMotion:
         room = 0.0 if worn else ROOM * math.hypot(*state.picture.shape[:2]) / 2
         lost = bool(state.where.unseen[0] > LOST_TIME)
         return PixelMessage(
-            view=View.predicted(state.mean, state.covariance, state.picture, state.unknown, room, lost=lost)
+            view=View.predicted(
+                state.mean,
+                state.covariance,
+                state.picture,
+                state.unknown,
+                room,
+                BLURRED * state.fit,
+                lost=lost,
+            )
         )
 
     def update(self, state: CameraState, incoming: Incoming) -> CameraState:

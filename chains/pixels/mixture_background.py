@@ -376,11 +376,12 @@ class MixtureBackground:
         left), the colour is learned at once. Where a new scene begins, it is known as far as this frame shows
         it, or it is behind objects.
         """
-        state, message = self._updated(state, incoming), incoming[PixelLabels]
-        if message.view is None or message.view.begins is None:
-            return state
-        fresh = self.initial(Frame(message.view.begins, 0.0, 1))
-        return state.seen_by(message.view.map, message.are_known(), fresh)
+        after, view = self._updated(state, incoming), incoming[PixelLabels].view
+        if view is None or view.begins is None:
+            return after
+        message = incoming[PixelLabels] * PixelMessage(background=incoming.once(self._prediction, state))
+        fresh = self.initial(Frame(view.begins, 0.0, 1))
+        return after.seen_by(view.map, message.are_known(), fresh)
 
     def _updated(self, state: MixtureState, incoming: Incoming) -> MixtureState:
         image = incoming.evidence(PixelLabels).image

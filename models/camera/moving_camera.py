@@ -24,6 +24,7 @@ Image = NDArray[np.uint8]
 Value = TypeVar("Value", np.uint8, np.uint16, np.float32)
 
 STEP_UNKNOWNS = 7  # the six of an affine map, and the contrast
+ALL, SHIFTS = np.arange(STEP_UNKNOWNS), np.array([0, 3, 6])  # of these
 
 
 @compiled
@@ -205,6 +206,7 @@ class AffineMap:
 POINTS = 3000  # points by which pictures are registered on each level, at most
 COARSEST, FINEST = 48, 640  # px: sides of the coarsest and the finest level; accuracy falls with the latter
 THINNEST = 16  # px: shortest side of the finest level that can be registered
+SHIFTED = 0.2  # of the picture: how far off a frame is looked for along either axis
 LOCAL_MEAN = 15  # px: side of the square whose mean is subtracted
 STEPS, SMALL = 12, 0.01  # most Gauss-Newton steps on each level, and px of a step that ends them
 LEAST_NOISE = 1.0  # grey levels: least standard deviation of residuals; rounding alone makes a third
@@ -300,7 +302,8 @@ class ScenePicture:
         """Estimate the map of a frame, within about 40 px of `start`."""
         bands = _pyramid(grey)
         parameters = self._nearest(bands, start.parameters)
-        for band, level in zip(reversed(bands), reversed(self._levels), strict=True):
+        finer = max(len(bands) - 1, 1)  # on the coarsest level, little speaks of more than the shift
+        for band, level in zip(bands[:finer][::-1], self._levels[:finer][::-1], strict=True):
             parameters, information = _refined(band, level, parameters)
         places = self._levels[0]
         found, before = (_residuals(bands[0], places, each) for each in (parameters, np.zeros(UNKNOWNS)))
@@ -312,16 +315,18 @@ class ScenePicture:
         return Registration(AffineMap(parameters, self.size), covariance, explained, correlation)
 
     def _nearest(self, bands: list[Floats], start: Array) -> Array:
-        """Return the better one of `start` and a phase-correlated shift from it on the coarsest level."""
+        """Return the better one of `start` and a cross-correlated shift from it on the coarsest level."""
         level, band = self._levels[-1], bands[-1]
-        window = cv2.createHanningWindow(band.shape[::-1], cv2.CV_32F)
         size = (band.shape[0], band.shape[1])
         by_start = AffineMap(start / level.scale, size).warp_to_scene(band, np.zeros_like(band))
-        shift, _ = cv2.phaseCorrelate(self._coarsest, by_start, window)
-        shifted = start + np.array([shift[0], 0, 0, shift[1], 0, 0]) * level.scale
+        rows, columns = (round(SHIFTED * side) for side in size)
+        middle = self._coarsest[rows : size[0] - rows, columns : size[1] - columns]
+        agreement = cv2.matchTemplate(by_start, middle, cv2.TM_CCORR_NORMED)
+        down, right = np.unravel_index(np.argmax(agreement), agreement.shape)
+        shifted = start + np.array([right - columns, 0, 0, down - rows, 0, 0]) * level.scale
         costs = []
         for parameters in (start, shifted):
-            refined, _ = _refined(band, level, parameters)
+            refined, _ = _refined(band, level, parameters, SHIFTS)
             costs.append((_cost(_residuals(band, level, refined)), refined))
         return min(costs, key=lambda each: each[0])[1]
 
@@ -347,8 +352,8 @@ def _band_passed(grey: Floats) -> Floats:
     return np.asarray(fine - cv2.blur(fine, side), np.float32)
 
 
-def _refined(band: Floats, level: Level, start: Array) -> tuple[Array, Array]:
-    """Return parameters after Gauss-Newton steps on a level, and their information."""
+def _refined(band: Floats, level: Level, start: Array, free: NDArray[np.intp] = ALL) -> tuple[Array, Array]:
+    """Return parameters after Gauss-Newton steps of those that are `free`, and the information of all."""
     parameters, contrast = start.copy(), 1.0
     information, vector = np.empty((7, 7)), np.empty(7)
     for _ in range(STEPS):
@@ -356,7 +361,8 @@ def _refined(band: Floats, level: Level, start: Array) -> tuple[Array, Array]:
         variance = _variance(off)
         normal_equations(off, level.values, level.gradients, level.about, variance, information, vector)
         information[np.diag_indices(7)] += 1e-3  # keeps a picture without texture regular
-        step = np.linalg.solve(information, vector)
+        step = np.zeros(STEP_UNKNOWNS)
+        step[free] = np.linalg.solve(information[np.ix_(free, free)], vector[free])
         parameters -= level.scale * step[:UNKNOWNS]
         contrast = float(np.clip(contrast - step[UNKNOWNS], 0.5, 2.0))
         if np.abs(step[:UNKNOWNS]).max() < SMALL:
@@ -421,6 +427,8 @@ class View:
         `(height, width)` bool: where objects have hidden the scene until now.
     room
         px, root mean square displacement beyond which a frame is no view of this scene.
+    least
+        correlation from which on a frame is found.
     lost
         whether the scene is given up if the frame is not found in it.
     correlation
@@ -434,6 +442,7 @@ class View:
     scene: NDArray[np.float32] | None = None
     unknown: NDArray[np.bool_] | None = None
     room: float = np.inf
+    least: float = 0.0
     lost: bool = False
     correlation: float = 0.0
     begins: Image | None = None
@@ -446,12 +455,13 @@ class View:
         scene: NDArray[np.float32],
         unknown: NDArray[np.bool_] | None = None,
         room: float = np.inf,
+        least: float = 0.0,
         *,
         lost: bool = False,
     ) -> Self:
         """Return a density of the map, with the scene for the registration."""
         where = GaussianMessage.from_moments(_CAMERA, mean[None], covariance[None])
-        return cls((scene.shape[0], scene.shape[1]), where, scene, unknown, room, lost)
+        return cls((scene.shape[0], scene.shape[1]), where, scene, unknown, room, least, lost)
 
     def __mul__(self, other: Self) -> Self:
         return replace(
@@ -471,7 +481,7 @@ class View:
     @property
     def is_found(self) -> bool:
         """Whether the frame resembles the scene."""
-        return self.correlation >= LEAST_CORRELATION
+        return self.correlation >= max(self.least, LEAST_CORRELATION)
 
     @property
     def covariance(self) -> Array:

@@ -142,3 +142,17 @@ def test_a_new_scene_begins_where_the_camera_has_gone_and_its_velocity_goes_on()
         state = beliefs[k]["camera"]
         np.testing.assert_allclose(state.view_of_first.map.parameters[[0, 3]], [-5 * k, 0], atol=0.5)
         np.testing.assert_allclose(state.where.mean[0, 6], -125.0, rtol=0.25)  # px/s, at 25 frames/s
+
+
+@pytest.mark.parametrize("background", [AdaptiveBackground(), MixtureBackground()])
+def test_a_scene_that_is_found_no_more_is_given_up_for_what_the_camera_shows(background) -> None:
+    random = np.random.default_rng(7)
+    here, there = np.kron(random.integers(40, 220, (2, 20, 30)), np.ones((6, 6))).astype(np.uint8)
+    pixels = ScenePixels()
+    made = MultiChain().connect(background, pixels).connect(CAMERA, pixels)
+    beliefs = list(RecursiveBP(made).run([here] * 5 + [there] * 35))
+    begun = [k for k, belief in enumerate(beliefs) if belief["pixels"].view.begins is not None]
+    assert begun[0] in (29, 30)  # 5 frames, and a second without being found
+    assert beliefs[20]["camera"].covariance[0, 0] > 100 * beliefs[4]["camera"].covariance[0, 0]
+    np.testing.assert_allclose(beliefs[39]["background"].picture(), there, atol=1)
+    assert (beliefs[39]["pixels"].foreground() == 0).all()
