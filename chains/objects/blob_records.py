@@ -34,6 +34,8 @@ RECORD = np.dtype(
         ("parting", np.float64),  # s for which it has seemed to be two beside each other
         ("size", np.float64, (2,)),  # px, its usual height and width
         ("existence", np.float64),  # log odds that it is one of those that the detector is made to find
+        # of a candidate, if it is no such object: log odds of an error that stays or moves, over nothing
+        ("errors", np.float64, (2,)),
         ("noticed", np.float64),  # log odds that the detector finds it at present, if it is in sight
         ("detected", np.int64),  # 1 if the detector has found it; else the next three mean nothing
         ("box_mean", np.float64, (4,)),  # px: foot x and y from the patch's corner, width, height

@@ -106,14 +106,16 @@ class BlobTracker:
         """Return a state without objects: objects in the first frame are background until they move."""
         image = frame.required_image()
         channels = 1 if image.ndim == 2 else image.shape[2]
-        return BlobState(Blobs.none(channels), 0, image.shape[:2], 0.0, self.confirmation_time)
+        none = Blobs.none(channels)
+        return BlobState(none, 0, image.shape[:2], 0.0, self.confirmation_time, candidates=none)
 
     def predict(self, state: BlobState, dt: float) -> BlobState:
         """Predict all blobs `dt` seconds ahead: constant velocity with white acceleration."""
-        blobs = state.blobs
-        if len(blobs):
-            blobs = detections.predict(blobs, dt, self.acceleration, state.detecting)
-        return replace(state, blobs=blobs, elapsed=state.elapsed + dt)
+        blobs, candidates = (
+            detections.predict(each, dt, self.acceleration, state.detecting)
+            for each in (state.blobs, state.candidates)
+        )
+        return replace(state, blobs=blobs, candidates=candidates, elapsed=state.elapsed + dt)
 
     @overload
     def message(self, state: BlobState, feature: PixelLabels, incoming: Incoming) -> PixelMessage: ...
@@ -124,31 +126,38 @@ class BlobTracker:
     ) -> PixelMessage | BoxMessage:
         """Return the message of all objects to a feature (mu_{S -> F})."""
         if isinstance(feature, PixelLabels):
-            return PixelMessage(layers=self._placed(state, incoming)[2])
+            return PixelMessage(layers=self._placed(state, incoming)[3])
         pixels = incoming[PixelLabels]
         blobs, _ = incoming.once(self._registered, state, pixels)
         view = BoxMessage(view=pixels.view)
-        if not len(blobs):
+        if not len(blobs) and not len(state.candidates):
             return view
         is_seen = incoming.evidence(PixelLabels).image is not None
         if state.detecting and pixels.view is not None:
             is_seen = False  # what pixels alone show may be the camera's doing: near things, what it now sees
-        return view * detections.box_message(select_whole(blobs), state.detecting, is_seen)
+        blobs = select_whole(blobs)
+        return view * detections.box_message(blobs, state.candidates, state.detecting, is_seen)
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Update all objects by the frame: register, learn, merge, split, delete and create."""
         state, view = self._updated(state, incoming), incoming[PixelLabels].view
         if view is None or view.begins is None:
             return state
-        return replace(state, blobs=state.blobs.seen_by(view))
+        return replace(state, blobs=state.blobs.seen_by(view), candidates=state.candidates.seen_by(view))
 
     def _updated(self, state: BlobState, incoming: Incoming) -> BlobState:
         pixels, boxes = incoming[PixelLabels], incoming.get(ObjectBoxes)
-        blobs, newborn, layers = self._placed(state, incoming)
+        blobs, newborn, candidates, layers = self._placed(state, incoming)
         if boxes is not None and boxes.association is not None:
             blobs = blobs.select(detections.are_kept(blobs, boxes, state.size))
-            all_blobs, born = blobs.concatenate(newborn), state.born + len(newborn)
-            state = replace(state, blobs=all_blobs, born=born, detecting=True)
+            identities = [*candidates.table["identity"], *(each.identity for each in newborn)]
+            state = replace(
+                state,
+                blobs=blobs.concatenate(newborn),
+                candidates=candidates,
+                born=int(max([state.born, *identities])),
+                detecting=True,
+            )
         if pixels.subtraction is None:
             return state
         scene = BlobScene(pixels, layers, boxes, state.elapsed)
@@ -169,27 +178,29 @@ class BlobTracker:
                 kept = kept.concatenate([new.changed(past_views=inherited_evidence(new, kept))])
         return replace(state, blobs=kept, born=next(numbers) - 1, elapsed=0.0)
 
-    def _placed(self, state: BlobState, incoming: Incoming) -> tuple[Blobs, list[Blob], LayerStack]:
-        """Registered and corrected blobs, front to back; new ones; and the layers of both."""
+    def _placed(self, state: BlobState, incoming: Incoming) -> tuple[Blobs, list[Blob], Blobs, LayerStack]:
+        """Registered and corrected blobs, front to back; new ones; candidates; and the layers of both."""
         pixels, boxes = incoming[PixelLabels], incoming.get(ObjectBoxes)
         registered = incoming.once(self._registered, state, pixels)
         if boxes is None or boxes.association is None:
-            return registered[0], [], registered[1]
+            return registered[0], [], state.candidates, registered[1]
         return incoming.once(self._detected, state, pixels, boxes, registered)
 
     def _detected(
         self, state: BlobState, pixels: PixelMessage, boxes: BoxMessage, registered: tuple[Blobs, LayerStack]
-    ) -> tuple[Blobs, list[Blob], LayerStack]:
+    ) -> tuple[Blobs, list[Blob], Blobs, LayerStack]:
         corrected = detections.correct(registered[0], boxes)
+        known = detections.correct(state.candidates, boxes)
+        candidates = known.concatenate(
+            list(detections.new_candidates(state.born, boxes, state.size, corrected.channels))
+        )
+        likely, candidates = detections.sort_candidates(candidates, boxes, state.size)
         # born where there is no image, it is of any colour until there is one
         channels = 0 if pixels.image is None else corrected.channels
-        new = [
-            detections.newborn(number, boxes, k, channels, self.colour_variance)
-            for number, k in enumerate(detections.unexplained(boxes, state.size), state.born + 1)
-        ]
+        new = [detections.newborn(each, boxes, channels, self.colour_variance) for each in likely]
         parts = detections.are_parts(corrected, Blobs.of(new, corrected.channels))
         blobs = front_to_back(corrected.select(~parts))
-        return blobs, new, self._layers(front_to_back(blobs.concatenate(new)))
+        return blobs, new, candidates, self._layers(front_to_back(blobs.concatenate(new)))
 
     def _registered(self, state: BlobState, pixels: PixelMessage) -> tuple[Blobs, LayerStack]:
         """Registered blobs, front to back, and their layers."""

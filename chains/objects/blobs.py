@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -353,6 +353,8 @@ class BlobState:
     elapsed: float  # s since the last frame with an image
     confirmation_time: float  # s for which an object must have been seen before it is reported
     detecting: bool = False  # whether a detector has run, which decides what is reported
+    # that a detector may have found: not reported, and without pixels
+    candidates: Blobs = field(default_factory=lambda: Blobs.none(3))
 
     def tracks(self) -> list[Track]:
         """Return the objects that are sure enough to be reported, by identity."""

@@ -20,8 +20,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...inference.kalman import kinematic
 from ...models.core.gaussian_message import GaussianMessage
-from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage, LogOdds
-from .blob_records import FRESH, MARGIN, move
+from ...models.objects.box_message import (
+    BOX,
+    FOOT_X,
+    FOOT_Y,
+    HEIGHT,
+    WIDTH,
+    BoxMessage,
+    Errors,
+    LogOdds,
+)
+from .blob_records import FRESH, MARGIN, RECORD, move
 from .blobs import Blob, Blobs, Map, Numbers, box_densities, paste
 
 ACCELERATION = 0.4
@@ -29,7 +38,7 @@ ACCELERATION = 0.4
 
 INITIAL_VELOCITY_STD = 0.8  # heights/s, standard deviation of a new object's velocity, along either axis
 LIFE = 20.0  # s, for which an object stays in the picture on average
-PHASE = 0.5  # s, time constant with which the detector begins to notice an object, or ceases to
+PHASE = 0.15  # s, time constant with which the detector begins to notice an object, or ceases to
 USUALLY = 0.85  # share of the time for which the detector notices an object
 BOX_WALK_STD = 0.03  # heights/s^0.5: how far a box moves against the blob that it is of, by gait
 SIDE_WALK_STD = 0.1  # shares/s^0.5: how fast sides of a box change as an object comes nearer
@@ -42,12 +51,26 @@ WHOLE = 0.25
 SURE_COVER = np.float32(0.9)
 """Probability that a pixel well inside of what a detector shows of an object is the object's."""
 
-CANDIDATE = 0.1  # probability of being a new object from which on a box is remembered as an object
 GIVEN_UP = math.log(0.02 / 0.98)  # log odds of existence below which an object is forgotten
+UNLIKELY = 0.02  # probability of existence from which on a box is remembered as a candidate
+REPORTED = 0.5  # probability of existence from which on a candidate is an object, with pixels of its own
+MOVING = 0.2  # share of errors that move along with something, of those that are no second boxes
+MOVING_LIFE = 1.0  # s, for which an error moves along on average
+FADED = 0.1  # probability of a lasting error below which an unlikely candidate is forgotten
+SURE = 30.0  # nats, greatest log odds of an error
+
+OF_CANDIDATE = (
+    "velocity", "covariance", "existence", "noticed", "detected", "box_variance", "unfound", "origin",
+)  # fmt: skip
+"""Fields of a candidate that the object keeps which it becomes."""
+
+NO_COVER: Map = np.zeros((1, 1), np.float32)
 
 
 def predict(blobs: Blobs, dt: float, acceleration: float, detecting: bool) -> Blobs:
     """Predict blobs `dt` seconds ahead: constant velocity but for a random force."""
+    if not len(blobs):
+        return blobs
     table = blobs.table.copy()
     move(table, dt, kinematic(2, dt).noise, acceleration, ACCELERATION)
     if detecting:
@@ -65,11 +88,15 @@ def _predict_detections(table: NDArray[np.void], dt: float) -> None:
     table["unfound"][found] += dt
     stays, lasts = math.exp(-dt / PHASE), math.exp(-dt / LIFE)
     table["existence"][found] = _log_odds(lasts * _probability(table["existence"][found]))
+    odds = np.exp(table["errors"][found])
+    errors = odds / (1 + odds.sum(axis=1, keepdims=True)) * np.exp(-dt / np.array([LIFE, MOVING_LIFE]))
+    ended = 1 - errors.sum(axis=1, keepdims=True)
+    table["errors"][found] = np.log(np.maximum(errors, math.exp(-SURE)) / ended)
     noticed = stays * _probability(table["noticed"][found]) + (1 - stays) * USUALLY
     table["noticed"][found] = _log_odds(noticed)
 
 
-def box_message(blobs: Blobs, detecting: bool, image: bool) -> BoxMessage:
+def box_message(blobs: Blobs, candidates: Blobs, detecting: bool, image: bool) -> BoxMessage:
     """Return the message of blobs to `ObjectBoxes`: boxes the image shows, and what a detector may find."""
     table = blobs.table
     # of those whom the pixels alone show
@@ -77,16 +104,21 @@ def box_message(blobs: Blobs, detecting: bool, image: bool) -> BoxMessage:
     message = BoxMessage()
     if image and shown.any():
         message = BoxMessage(box_densities(table["identity"][shown], blobs.boxes[shown]))
-    return message * _expectations(blobs) if detecting else message
+    return message * _expectations(table, candidates.table) if detecting else message
 
 
-def _expectations(blobs: Blobs) -> BoxMessage:
+def _expectations(blobs: NDArray[np.void], candidates: NDArray[np.void]) -> BoxMessage:
     """Existence and phases of all objects, and boxes of those that the detector has found before."""
-    table = blobs.table[np.argsort(blobs.table["identity"])]
+    table = np.concatenate([blobs, candidates])
+    table = table[np.argsort(table["identity"])]
     identities = table["identity"].copy()
+    candidates = candidates[np.argsort(candidates["identity"])]
+    x, y, width, height = candidates["origin"].T
+    first = np.stack([x + 0.5 * width, y + height, width, height], axis=1)
     message = BoxMessage(
         existence=LogOdds(identities, table["existence"].copy()),
         noticed=LogOdds(identities, table["noticed"].copy()),
+        errors=Errors(candidates["identity"].copy(), candidates["errors"].copy(), first),
     )
     hidden = table[table["detected"] != 0]
     if not len(hidden):
@@ -111,8 +143,9 @@ def correct(blobs: Blobs, boxes: BoxMessage) -> Blobs:
         if k is None:
             continue
         record["existence"] += existence[k]
+        record["errors"] = np.minimum(record["errors"] + association.errors[k], SURE)
         record["noticed"] += noticed[k]
-        share = float(association.pairs[k].sum())
+        share = float(association.followed[k].sum())
         if not record["detected"] and share > 0.5:
             _detect_from_mask(record, box)
         if record["detected"] and share > 1e-3:
@@ -129,37 +162,62 @@ def _detect_from_mask(record: np.void, box: list[float]) -> None:
     record["detected"], record["unfound"] = 1, 0.0
 
 
-def unexplained(boxes: BoxMessage, size: tuple[int, int]) -> list[int]:
-    """Return the indices of boxes in the picture that may show a new object."""
+def new_candidates(born: int, boxes: BoxMessage, size: tuple[int, int], channels: int) -> Blobs:
+    """Return what boxes in the picture may show of new objects, after `born` others: it covers no pixels."""
     association = boxes.association
     assert association is not None
-    inside = _inside(boxes.in_frame(association.boxes), size)
-    return np.flatnonzero((association.new > CANDIDATE) & inside).tolist()
+    found = np.flatnonzero((association.new > UNLIKELY) & _inside(boxes.in_frame(association.boxes), size))
+    x, y, width, height = association.boxes[found].T
+    blank = Blob(np.zeros(1, RECORD)[0], NO_COVER, NO_COVER[None][:0]).changed(mask=NO_COVER)
+    blobs = Blobs.of([blank] * len(found), channels)
+    table, new = blobs.table, association.new[found]
+    table["identity"] = table["whole"] = born + 1 + np.arange(len(found))
+    table["position"] = np.stack([y - height, x - 0.5 * width], axis=1)
+    table["covariance"][:, 0, 0], table["covariance"][:, 1, 1] = 1e-6, (INITIAL_VELOCITY_STD * height) ** 2
+    table["existence"], table["noticed"] = _log_odds(new), _log_odds(0.98)
+    doubles = np.minimum(association.double[found] / np.maximum(1 - new, 1e-12), 1)
+    moving = doubles + (1 - doubles) * MOVING
+    # as likely as not the detector does not err again
+    table["errors"] = np.log(np.maximum(np.stack([1 - moving, moving], axis=1), 1e-12))
+    table["detected"] = 1
+    table["box_mean"] = np.stack([0.5 * width, height, width, height], axis=1)
+    table["box_variance"] = association.noise[found]
+    table["origin"] = np.stack([x - 0.5 * width, y - height, width, height], axis=1)
+    return blobs
 
 
-def newborn(identity: int, boxes: BoxMessage, k: int, channels: int, colour_variance: float) -> Blob:
-    """Return a new object that is first shown by the detector's box `k`."""
+def sort_candidates(candidates: Blobs, boxes: BoxMessage, size: tuple[int, int]) -> tuple[Blobs, Blobs]:
+    """Return candidates that are as likely as not, and those that may still become so, or are errors."""
+    table = candidates.table
+    exists, odds = _probability(table["existence"]), np.exp(table["errors"]).sum(axis=1)
+    there = _are_there(candidates, boxes, size)
+    likely = there & (exists > REPORTED)
+    lasts = (exists > UNLIKELY) | ((1 - exists) * odds / (1 + odds) > FADED)
+    return candidates.select(likely), candidates.select(there & lasts & ~likely)
+
+
+def newborn(candidate: Blob, boxes: BoxMessage, channels: int, colour_variance: float) -> Blob:
+    """Return a candidate as an object with pixels: those of the detector's outline, or of an ellipse."""
     association = boxes.association
     assert association is not None
-    x, y, width, height = association.boxes[k].tolist()
+    y, x = candidate.position + candidate.box_mean[[FOOT_Y, FOOT_X]]
+    width, height = candidate.box_mean[WIDTH:].tolist()
     corner = np.array([y - height - MARGIN, x - 0.5 * width - MARGIN])
     mask = _ellipse(width, height)
     if association.outlines is not None:
-        top, left = (math.floor(start + 0.5) for start in corner.tolist())
+        off = np.abs(association.boxes - [x, y, width, height]).sum(axis=1)
+        nearest = int(np.argmin(off))
         outline = np.zeros(mask.shape, np.float32)
-        paste(outline, top, left, association.outlines[k], 0, 0)
+        top, left = (math.floor(start + 0.5) for start in corner.tolist())
+        if off[nearest] < width:  # else the detector has not found it now
+            paste(outline, top, left, association.outlines[nearest], 0, 0)
         if outline.any():  # in a detector's outline nearly everything is the object's
             mask = SURE_COVER * outline
     planes = np.zeros((channels, *mask.shape), np.float32)
-    return Blob.newborn(identity, corner, mask, planes, INITIAL_VELOCITY_STD, colour_variance).changed(
-        covariance=np.diag([1e-6, (INITIAL_VELOCITY_STD * height) ** 2]),
-        existence=float(_log_odds(association.new[k])),
-        noticed=float(_log_odds(0.98)),
-        confidence=0.0,
-        detected=1,
-        box_mean=(x - corner[1], y - corner[0], width, height),
-        box_variance=association.noise[k],
-    )
+    known = {name: candidate.record[name] for name in OF_CANDIDATE}
+    return Blob.newborn(
+        int(candidate.identity), corner, mask, planes, INITIAL_VELOCITY_STD, colour_variance
+    ).changed(confidence=0.0, box_mean=(x - corner[1], y - corner[0], width, height), **known)
 
 
 def are_parts(blobs: Blobs, detected: Blobs) -> NDArray[np.bool_]:
@@ -172,16 +230,20 @@ def are_parts(blobs: Blobs, detected: Blobs) -> NDArray[np.bool_]:
     return np.asarray(shared.any(axis=1) & (blobs.table["detected"] == 0))
 
 
-def are_kept(blobs: Blobs, message: BoxMessage, size: tuple[int, int]) -> NDArray[np.bool_]:
+def are_kept(blobs: Blobs, boxes: BoxMessage, size: tuple[int, int]) -> NDArray[np.bool_]:
     """Return `(n,)` whether objects are kept: undetected ones, and detected ones that may still be there."""
+    table = blobs.table
+    there = _are_there(blobs, boxes, size) & (table["existence"] > GIVEN_UP)
+    return np.asarray((table["detected"] == 0) | there)
+
+
+def _are_there(blobs: Blobs, message: BoxMessage, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """`(n,)`: whether the box of a detected object is in the picture, and known to its own height."""
     table = blobs.table
     boxes = table["box_mean"].copy()
     boxes[:, :WIDTH] += table["position"][:, ::-1]
-    there = _inside(message.in_frame(boxes), size) & (table["existence"] > GIVEN_UP)
-    kept: NDArray[np.bool_] = (table["detected"] == 0) | (
-        there & (table["covariance"][:, 0, 0] < boxes[:, HEIGHT] ** 2)
-    )
-    return kept
+    known = table["covariance"][:, 0, 0] < boxes[:, HEIGHT] ** 2
+    return np.asarray(_inside(message.in_frame(boxes), size) & known)
 
 
 def _inside(boxes: Numbers, size: tuple[int, int]) -> NDArray[np.bool_]:

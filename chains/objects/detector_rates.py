@@ -31,7 +31,13 @@ Array = NDArray[np.float64]
 ASSUMED = 10.0
 """Weight, in boxes of either kind, of the prior that true boxes have higher scores."""
 
-APART = 1.0  # deviations of all scores by which true and false ones are assumed to be apart
+TRUE = 0.7  # share of true boxes that is assumed
+APART = 1.4
+"""Deviations of either kind by which the means of true and false scores are apart.
+
+Measured of ACF and DPM on four sequences: 1.2 to 1.6. It is not learned: what is taken for true would decide.
+"""
+
 UNDETECTED = 3.0  # people in the picture at the first frame; a guess, forgotten within a few frames
 
 
@@ -68,11 +74,15 @@ class ScoreMoments:
         variance = self.squares.sum() / total - mean**2
         if not variance > 1e-9 * (1 + mean**2):
             return None
-        off = 0.5 * APART * np.sqrt(variance) * np.array([1, -1])
-        true, false = (self.sums + ASSUMED * (mean + off)) / (self.weights + ASSUMED)
-        means = np.array([true, false])
+        share = (self.weights[0] + ASSUMED * TRUE) / (total + ASSUMED)
+        within = np.sqrt(variance / (1 + share * (1 - share) * APART**2))
+        least = mean + APART * within * np.array([1 - share, -share])
+        means = (self.sums + ASSUMED * least) / (self.weights + ASSUMED)
         inner = (self.squares - 2 * means * self.sums + means**2 * self.weights).sum()
-        deviation = np.sqrt((inner + 2 * ASSUMED * variance) / (total + 2 * ASSUMED))
+        deviation = np.sqrt((inner + ASSUMED * within**2) / (total + ASSUMED))
+        if means[0] - means[1] < APART * deviation:
+            means, deviation = least, within
+        true, false = means.tolist()
         return Scores(float(true), float(false), float(deviation))
 
 
@@ -165,7 +175,7 @@ class DetectorRates:
             return state
         true, new = association.true, float(association.new.sum())
         hits = float(association.pairs.sum())
-        false = float((1 - true - association.double).sum())
+        false = float((1 - true - association.double - association.wrong).sum())
         detected, _, _, arriving = self._rates(state)
         counts = np.array([hits, false, float(association.double.sum()), new])
         exposures = np.array([hits + float(association.in_sight), 1.0, hits + new, state.elapsed])

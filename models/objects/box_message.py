@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import log
 from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..camera.moving_camera import View
-from ..core.checks import NotNegative, Positive, Probability, Shape, checked
+from ..core.checks import NotNegative, Positive, Probability, Shape, Share, checked
 from ..core.gaussian_message import GaussianMessage
 from ..core.identities import find, union
 from ..core.short_repr import short_repr
@@ -19,6 +20,12 @@ FOOT_X, FOOT_Y, WIDTH, HEIGHT = range(4)
 """Order of a box's numbers (px): middle of its bottom edge, as column and row, then its size."""
 
 BOX = 4  # numbers of a box
+SIZES = log(20) * log(40)  # of log height and log aspect, the range over which false boxes are spread evenly
+
+
+def log_anywhere(boxes: Numbers, area: float) -> Numbers:
+    """Return `(n,)` nats, of 1/px^4: a box anywhere in a picture of `area` px, of any size and shape."""
+    return np.asarray(-np.log(area * SIZES * boxes[:, WIDTH] * boxes[:, HEIGHT]))
 
 
 @short_repr
@@ -56,6 +63,8 @@ class BoxDetector:
         share of detected objects with a second, less accurate box.
     newcomers
         mean number of objects per frame that are detected for the first time.
+    repeated
+        probability of making an error again, over that of finding an object in its place.
     scores
         distributions of scores; `None` while unknown.
     """
@@ -66,6 +75,7 @@ class BoxDetector:
     size: Positive = 0.15
     doubles: Positive = 0.1
     newcomers: Positive = 0.1
+    repeated: Probability = 0.6
     scores: Scores | None = None
 
     def noise(self, boxes: Numbers) -> Numbers:
@@ -128,6 +138,7 @@ class Newcomers:
     variation: NotNegative  # standard deviation of heights over what the line gives, as a share of that
     aspect: float  # width over height
     aspect_variance: NotNegative
+    outliers: Share = 0.1  # of new objects, which are anywhere and of any size
 
     def height(self, foot_y: ArrayLike) -> tuple[Numbers, Numbers]:
         """Return mean and standard deviation px of the height with feet in these rows, in their shape."""
@@ -147,8 +158,36 @@ class Newcomers:
         off = (boxes[:, HEIGHT] - mean) ** 2 / variance
         off += (boxes[:, WIDTH] - self.aspect * height) ** 2 / across
         density: Numbers = -0.5 * (off + np.log(2 * np.pi * variance) + np.log(2 * np.pi * across))
-        density -= np.log(float(self.size[0] * self.size[1]))
-        return density
+        area = float(self.size[0] * self.size[1])
+        outlying = np.log(self.outliers) + log_anywhere(boxes, area)
+        return np.asarray(np.logaddexp(np.log1p(-self.outliers) - np.log(area) + density, outlying))
+
+
+@short_repr
+@checked
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """What candidates are if they are no objects: errors of the detector that stay or move along, or nothing.
+
+    `identities` `(n,)` int64 are increasing. `log_odds` `(n, 2)` nats are of either kind of error over there
+    being nothing, `places` `(n, 4)` px the boxes of errors that stay.
+    """
+
+    identities: Annotated[NDArray[np.int64], Shape("n")]
+    log_odds: Annotated[Numbers, Shape("n", 2)]
+    places: Annotated[Numbers, Shape("n", BOX)]
+
+    def of(self, identities: NDArray[np.int64]) -> tuple[Numbers, Numbers]:
+        """Return the probabilities `(n, 2)` of either kind, given no object, and the places `(n, 4)`.
+
+        Others than candidates are no errors.
+        """
+        probabilities, places = np.zeros((len(identities), 2)), np.ones((len(identities), BOX))
+        place, is_known = find(self.identities, identities)
+        odds = np.exp(self.log_odds[place[is_known]])
+        probabilities[is_known] = odds / (1 + odds.sum(axis=1, keepdims=True))
+        places[is_known] = self.places[place[is_known]]
+        return probabilities, places
 
 
 @short_repr
@@ -161,6 +200,9 @@ class Association:
     scores: Numbers  # (n_boxes,) of the detector, all 1 where it gives none
     identities: NDArray[np.int64]  # (n_objects,): who was expected
     pairs: Numbers  # (n_objects, n_boxes) probability that the object exists and this is its box
+    followed: Numbers  # (n_objects, n_boxes) probability that this is its box, of an object or an error
+    unfollowed: Numbers  # (n_objects,) probability that it has no box, and is an object or an error
+    errors: Numbers  # (n_objects, 2) nats: log ratio of the boxes if it is an error, over nothing
     expected: Numbers  # (n_objects,) probability that the object, if it exists, would be found
     missed: Numbers  # (n_objects,) probability that the object exists and has no box
     visible: Numbers  # (n_objects,) share of each that is in sight
@@ -178,14 +220,19 @@ class Association:
 
         That is the mean of the likelihood's logarithm over all assignments.
         """
-        exists = np.maximum(self.pairs.sum(axis=1) + self.missed, 1e-30)
-        share = self.pairs / exists[:, None]
+        something = np.maximum(self.followed.sum(axis=1) + self.unfollowed, 1e-30)
+        share = self.followed / something[:, None]
         return share @ (1 / self.noise), share @ (self.boxes / self.noise)
 
     @property
     def in_sight(self) -> float:
         """Expected number of objects that were missed though they could be seen."""
         return float((self.missed * self.visible).sum())
+
+    @property
+    def wrong(self) -> Numbers:
+        """`(n_boxes,)` probability that a box is that of an error that is made again."""
+        return np.asarray((self.followed - self.pairs).sum(axis=0))
 
     @property
     def true(self) -> Numbers:
@@ -195,6 +242,7 @@ class Association:
 
 NO_BOXES = GaussianMessage.uniform(BOX)
 EVEN = LogOdds()
+NO_ERRORS = Errors(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, BOX)))
 
 
 @short_repr
@@ -208,6 +256,7 @@ class BoxMessage:
     hidden: GaussianMessage = NO_BOXES
     existence: LogOdds = EVEN  # that an object is one of those that the detector is made to find
     noticed: LogOdds = EVEN  # that it is in a phase in which the detector finds it when it is in sight
+    errors: Errors = NO_ERRORS  # what candidates are if they are no such object; at most one sender
     newcomers: Newcomers | None = None  # where and how large new objects are; at most one sender
     detector: BoxDetector | None = None  # how reliable the detector is; at most one sender
     # from the evidence: which detection belongs to whom; None if no detector has run
@@ -223,6 +272,7 @@ class BoxMessage:
             self.hidden * other.hidden,
             self.existence * other.existence,
             self.noticed * other.noticed,
+            self.errors if len(self.errors.identities) else other.errors,
             self.newcomers or other.newcomers,
             self.detector or other.detector,
             # one without boxes, which is false, says that the detector has run

@@ -5,7 +5,6 @@ what a detector has found of them.
 """
 
 from dataclasses import dataclass, field
-from math import log
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ from ..core.checks import checked
 from ..core.frame import Frame, GivenBoxes
 from ..core.gaussian_message import GaussianMessage
 from ..core.short_repr import short_repr
-from .box_message import BOX, HEIGHT, WIDTH, Association, BoxDetector, BoxMessage, LogOdds
+from .box_message import BOX, Association, BoxDetector, BoxMessage, LogOdds, log_anywhere
 
 Numbers = NDArray[np.float64]
 
@@ -32,18 +31,12 @@ DOUBLE = np.array([3.0, 3.0, 1.0, 1.0])
 """So many times as far off as its first box may the second one of an object be, in place and size."""
 
 SURELY_NOT = 1e-4  # probability of a pair below which nothing is learned from it
-SIZES = log(20) * log(40)  # of log height and log aspect, the range over which false boxes are spread evenly
 
 
 def feet(xyxy: Numbers) -> Numbers:
     """Return boxes `(n, 4)` of left, top, right, bottom edge as foot x, foot y, width, height."""
     left, top, right, bottom = xyxy.T
     return np.stack([0.5 * (left + right), bottom, right - left, bottom - top], axis=1)
-
-
-def log_anywhere(boxes: Numbers, area: float) -> Numbers:
-    """Return `(n,)` nats, of 1/px^4: a box anywhere in a picture of `area` px, of any size and shape."""
-    return np.asarray(-np.log(area * SIZES * boxes[:, WIDTH] * boxes[:, HEIGHT]))
 
 
 class Marginals(NamedTuple):
@@ -89,9 +82,11 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     """Return the likelihood of a frame's boxes: place, size and existence of each object in `prior`.
 
     Every box is one of an expected object, of a new one, a second box of an object, or false; no object has
-    two. Marginals over all such assignments (see `assignment_marginals`) weigh how much of which
-    box each object gets: the likelihood's logarithm is their mean, a Gaussian, so that an object between two
-    boxes is drawn to neither of them wholly, and one that was not found is told nothing of its place.
+    two. A candidate that does not exist may be an error that is made again, at the same place or where the
+    object would be (see `Errors`). Marginals over all such assignments (see `assignment_marginals`) weigh how
+    much of which box each object gets: the likelihood's logarithm is their mean, a Gaussian, so that an
+    object between two boxes is drawn to neither of them wholly, and one that was not found is told nothing
+    of its place.
     """
     given = frame.boxes
     assert given is not None
@@ -103,6 +98,7 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     from scipy.special import expit  # slow to import, and only detectors need it
 
     exists, noticed = (expit(odds.of(identities)) for odds in (prior.existence, prior.noticed))
+    kinds, places = prior.errors.of(identities)
     size = _picture(frame, prior, given)
     visible = visible_share(prior.in_frame(means), exists, size)
     phases = np.array([[NOTICED], [UNNOTICED]]) * visible
@@ -122,10 +118,20 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     doubles = detector.doubles * (exists * expected) @ np.exp(further)
     alone = np.maximum(new + false + doubles, 1e-300)
 
-    weights = expected[:, None] * np.exp(densities) * score / alone
-    found = assignment_marginals(exists[:, None] * weights, 1 - exists * expected)
+    own_box = np.exp(densities) / alone
+    weights = expected[:, None] * own_box * score
+    again = detector.repeated * expected
+    staying = _log_densities(boxes, places, detector.noise(places)[:, None] * np.eye(BOX), own)
+    errors = again[:, None, None] * np.stack([np.exp(staying) / alone, own_box], axis=1)
+    is_error = (1 - exists)[:, None] * kinds
+    true, wrong = exists[:, None] * weights, (is_error[:, :, None] * errors).sum(axis=1)
+    nothing = (1 - exists) * (1 - kinds.sum(axis=1))
+    hidden = exists * (1 - expected) + is_error.sum(axis=1) * (1 - again)
+    found = assignment_marginals(true + wrong, hidden + nothing)
     support = (weights * found.open).sum(axis=1) / np.maximum(expected, 1e-12)
-    ratio = 1 - expected + expected * support
+    ratio = np.maximum(1 - expected + expected * support, 1e-30)
+    by_error = (1 - again)[:, None] + (errors * found.open[:, None]).sum(axis=2)
+    otherwise = 1 - kinds.sum(axis=1) + (kinds * by_error).sum(axis=1)
     by_phase = np.log(np.maximum(1 - phases + phases * support, 1e-30))
     poisson = detector.newcomers * detector.found + detector.clutter * area
     poisson += float(detector.doubles * exists @ expected)
@@ -134,9 +140,12 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
         noise=noise,
         scores=np.ones(len(boxes)) if given.confidence is None else given.confidence,
         identities=identities,
-        pairs=found.pairs,
+        pairs=found.pairs * true / np.maximum(true + wrong, 1e-300),
+        followed=found.pairs,
+        unfollowed=found.missed * hidden / np.maximum(hidden + nothing, 1e-300),
+        errors=np.log(by_error),
         expected=expected,
-        missed=exists * (1 - expected) / (1 - exists + exists * ratio),
+        missed=exists * (1 - expected) / ((1 - exists) * otherwise + exists * ratio),
         visible=visible,
         new=found.alone * new / alone,
         double=found.alone * doubles / alone,
@@ -146,7 +155,7 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     order = np.argsort(identities)
     return BoxMessage(
         _box_likelihood(association, means, covariances),
-        existence=LogOdds(identities[order], np.log(np.maximum(ratio, 1e-30))[order]),
+        existence=LogOdds(identities[order], np.log(ratio / otherwise)[order]),
         noticed=LogOdds(identities[order], (by_phase[0] - by_phase[1])[order]),
         association=association,
     )
@@ -188,7 +197,7 @@ def _log_densities(boxes: Numbers, means: Numbers, covariances: Numbers, noise: 
 def _box_likelihood(association: Association, means: Numbers, covariances: Numbers) -> GaussianMessage:
     """Gaussian likelihood of each object's box, of mass 1 with the prediction."""
     precision, vector = association.information
-    told = np.flatnonzero(association.pairs.sum(axis=1) > SURELY_NOT)
+    told = np.flatnonzero(association.followed.sum(axis=1) > SURELY_NOT)
     order = told[np.argsort(association.identities[told])]
     precision, vector, means, covariances = precision[order], vector[order], means[order], covariances[order]
     information = precision[:, :, None] * np.eye(BOX)

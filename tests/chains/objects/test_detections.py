@@ -64,7 +64,8 @@ def told(box: NDArray[np.float64], noise: NDArray[np.float64]) -> BoxMessage:
     one = np.ones(1)
     association = Association(
         boxes=box[None], noise=noise[None], scores=one, identities=np.array([7]), pairs=np.ones((1, 1)),
-        expected=one, missed=0 * one, visible=one, new=0 * one, double=0 * one, log_evidence=0.0,
+        followed=np.ones((1, 1)), unfollowed=0 * one, errors=np.zeros((1, 2)), expected=one,
+        missed=0 * one, visible=one, new=0 * one, double=0 * one, log_evidence=0.0,
     )  # fmt: skip
     return BoxMessage(existence=LogOdds(np.array([7]), np.array([2.5])), association=association)
 
@@ -104,7 +105,8 @@ def test_somebody_new_has_the_outline_that_the_detector_gives() -> None:
     message = told(box, noise)
     assert message.association is not None
     outlined = replace(message, association=replace(message.association, new=np.ones(1), outlines=picture))
-    blob = detections.newborn(1, outlined, 0, 3, 300.0)
+    (candidate,) = detections.new_candidates(0, outlined, (120, 160), 3)
+    blob = detections.newborn(candidate, outlined, 3, 300.0)
     top, left = blob.corner
     placed = np.zeros((120, 160), np.float32)
     placed[top : top + blob.mask.shape[0], left : left + blob.mask.shape[1]] = blob.mask
@@ -136,6 +138,51 @@ def test_who_is_found_keeps_one_identity_and_who_is_not_is_not_reported() -> Non
             assert track.confidence > 0.95
     assert len({track.identity for belief in beliefs[20:36] for track in belief["blobs"].tracks()}) == 2
     assert len(beliefs[30]["blobs"].blobs) >= 3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_errors_that_come_again_stay_candidates(seed: int) -> None:
+    """Of two boxes that are found in most frames, one has low scores and nothing but the scene in it.
+
+    It comes second: what scores mean is not known in the first frame.
+    """
+    random, given = np.random.default_rng(seed), []
+    for number in range(50):
+        boxes = boxes_at(number, (-10, 40.0), (120, 0.0)).xyxy[[0, 1]]
+        scores = random.normal([0.9, 0.2], 0.1)
+        found = random.random(2) < [0.95, 0.7 * (number >= 10)]
+        given.append(GivenBoxes((boxes + random.normal(0, 1, (2, 4)))[found], scores[found]))
+    beliefs = run(film(50, (-10, 40.0)), given)
+    walker, error = 0, 0
+    for number, belief in enumerate(beliefs):
+        state = belief.states["blobs"]
+        lefts = np.array([track.box[0] for track in state.tracks()])
+        walker += bool((np.abs(lefts - (40 * number * DT - 10)) < 8).any())
+        error += bool((np.abs(lefts - 120) < 8).any()) and abs(40 * number * DT - 10 - 120) > 24
+        assert (state.candidates.table["mass"] == 0).all()
+    assert walker > 35
+    assert error < 5
+
+
+def test_a_candidate_moves_and_becomes_an_object_where_it_is_found_again() -> None:
+    message = told(np.array([60.0, 90.0, 20.0, 40.0]), np.array([6.0, 6.0, 10.0, 12.0]))
+    assert message.association is not None
+    doubtful = replace(message, association=replace(message.association, new=np.full(1, 0.1)))
+    found = detections.new_candidates(6, doubtful, (120, 160), 3)
+    assert found.table["identity"] == [7]
+    none, still = detections.sort_candidates(found, doubtful, (120, 160))
+    assert (len(none), len(still)) == (0, 1)
+    later = detections.correct(detections.predict(still, 0.1, 0.9, True), message)
+    ((likely,), rest) = detections.sort_candidates(later, message, (120, 160))
+    assert not len(rest)
+    assert likely.existence == pytest.approx(np.log(0.1 / 0.9) + 2.5, abs=0.01)
+    blob = detections.newborn(likely, message, 3, 300.0)
+    assert blob.mass > 400  # of an ellipse of 628 px
+    np.testing.assert_allclose(Blobs.of([blob], 3).reported_boxes, [[50, 50, 20, 40]], atol=0.5)
+    # what was never found again is forgotten
+    for _ in range(200):
+        _, still = detections.sort_candidates(detections.predict(still, 0.5, 0.9, True), message, (120, 160))
+    assert not len(still)
 
 
 def test_a_detector_that_finds_nothing_has_run() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains import BlobTracker, DetectorRates, GroundPlane
-from rsmcm.chains.objects.detector_rates import ScoreMoments
+from rsmcm.chains.objects.detector_rates import APART, ASSUMED, TRUE, ScoreMoments
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.inference.engine.recursive_bp import Belief
 from rsmcm.models import Frame, GivenBoxes, ObjectBoxes, PixelLabels
@@ -67,6 +67,19 @@ def test_what_was_learned_is_forgotten() -> None:
     )
     assert learned < 0.82  # from 0.85, 0.67 on the mean over seeds, by 0.06
     assert later == pytest.approx(chain.detection_probability, abs=1e-3)
+
+
+def test_scores_keep_apart_whatever_is_taken_for_true() -> None:
+    """Their sum of moments is that of all scores, and what is taken for true cannot bring both together."""
+    scores = np.random.default_rng(3).normal(2, 0.5, 200)
+    found = ScoreMoments.empty().updated(scores, np.full(200, 0.5)).distributions()
+    assert found is not None
+    assert (found.true - found.false) / found.deviation == pytest.approx(APART)
+    share = (100 + ASSUMED * TRUE) / (200 + ASSUMED)
+    mixed = share * found.true + (1 - share) * found.false
+    assert mixed == pytest.approx(scores.mean())
+    between = share * (1 - share) * (found.true - found.false) ** 2
+    assert found.deviation**2 + between == pytest.approx(scores.var())
 
 
 def test_scores_that_are_all_alike_mean_nothing() -> None:

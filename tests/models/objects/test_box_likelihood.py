@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models import Frame, GivenBoxes, ObjectBoxes
 from rsmcm.models.core.gaussian_message import GaussianMessage
-from rsmcm.models.objects.box_message import BoxDetector, BoxMessage, LogOdds, Newcomers, Scores
+from rsmcm.models.objects.box_message import BoxDetector, BoxMessage, Errors, LogOdds, Newcomers, Scores
 from rsmcm.models.objects.object_boxes import (
     DOUBLE,
     NOTICED,
@@ -47,8 +48,18 @@ def known(means: Numbers = WHO, existence: float = 2.0, noticed: float = 1.5) ->
     return BoxMessage(gaussian, existence=existence_, noticed=noticed_)
 
 
-def summed(found: Numbers, prior: BoxMessage, detector: BoxDetector) -> tuple[Numbers, Numbers, float]:
-    """Pairs, log ratios of existence and log density of the boxes, by going through everything."""
+class Summed(NamedTuple):
+    """Pairs, boxes that are followed, log ratios of existence and of errors, log density of all boxes."""
+
+    pairs: Numbers
+    followed: Numbers
+    existence: Numbers
+    errors: Numbers
+    log_density: float
+
+
+def summed(found: Numbers, prior: BoxMessage, detector: BoxDetector) -> Summed:
+    """All of these by going through everything."""
     identities, means, covariances = prior.objects.moments
     exists = expit(prior.existence.of(identities))
     noticed = expit(prior.noticed.of(identities))
@@ -61,50 +72,69 @@ def summed(found: Numbers, prior: BoxMessage, detector: BoxDetector) -> tuple[Nu
         wide = covariance + np.diag(DOUBLE**2 * detector.noise(mean[None])[0])
         second = multivariate_normal(mean, wide).pdf(found).reshape(-1)
         alone = alone + detector.doubles * is_there * share * second
-    total, pairs = 0.0, np.zeros((len(means), len(found)))
-    present = np.zeros((len(means), 2))  # mass with the object there, and not
-    for there in product((0, 1), repeat=len(means)):
+    kinds, places = prior.errors.of(identities)
+    own = [np.diag(detector.noise(mean[None])[0]) for mean in means]
+    again = detector.repeated * seen
+    total, pairs, followed = 0.0, np.zeros((len(means), len(found))), np.zeros((len(means), len(found)))
+    mass = np.zeros((len(means), 4))  # with nothing there, the object, an error that stays, one that moves
+    for what in product(range(4), repeat=len(means)):
         for chosen in product(range(-1, len(found)), repeat=len(means)):
             taken = [box for box in chosen if box >= 0]
             if len(set(taken)) < len(taken) or any(
-                c >= 0 and not t for c, t in zip(chosen, there, strict=True)
+                box >= 0 and not kind for box, kind in zip(chosen, what, strict=True)
             ):
                 continue
             value = float(np.prod([alone[box] for box in range(len(found)) if box not in taken]))
-            for k, box in enumerate(chosen):
-                value *= exists[k] if there[k] else 1 - exists[k]
-                if there[k] and box < 0:
-                    value *= 1 - seen[k]
-                elif box >= 0:
-                    covariance = covariances[k] + np.diag(detector.noise(means[k][None])[0])
-                    value *= seen[k] * multivariate_normal(means[k], covariance).pdf(found[box])
+            for k, (box, kind) in enumerate(zip(chosen, what, strict=True)):
+                rest = 1 - exists[k]
+                value *= (rest * (1 - kinds[k].sum()), exists[k], rest * kinds[k, 0], rest * kinds[k, 1])[
+                    kind
+                ]
+                shown = (0.0, seen[k], again[k], again[k])[kind]
+                if box < 0:
+                    value *= 1 - shown
+                elif kind == 2:
+                    value *= shown * multivariate_normal(
+                        places[k], np.diag(detector.noise(places[k][None])[0]) + own[k]
+                    ).pdf(found[box])
+                else:
+                    value *= shown * multivariate_normal(means[k], covariances[k] + own[k]).pdf(found[box])
             total += value
-            for k, box in enumerate(chosen):
-                present[k, 1 - there[k]] += value
+            for k, (box, kind) in enumerate(zip(chosen, what, strict=True)):
+                mass[k, kind] += value
                 if box >= 0:
-                    pairs[k, box] += value
-    ratio = np.log(present[:, 0] / present[:, 1]) - np.log(exists / (1 - exists))
+                    followed[k, box] += value
+                    pairs[k, box] += value * (kind == 1)
+    ratio = np.log(mass[:, 1] / (mass.sum(axis=1) - mass[:, 1])) - np.log(exists / (1 - exists))
+    errors = np.log(mass[:, 2:] / mass[:, :1]) - np.log(kinds / (1 - kinds.sum(axis=1, keepdims=True)))
     poisson = detector.clutter * area + detector.newcomers * detector.found
     poisson += detector.doubles * float(exists @ seen)
-    return pairs / total, ratio, float(np.log(total)) - poisson
+    return Summed(pairs / total, followed / total, ratio, errors, float(np.log(total)) - poisson)
 
 
 @settings(max_examples=15, deadline=None)
-@given(st.integers(0, 2**32), st.integers(1, 2), st.integers(0, 2), st.floats(-2, 4))
-def test_one_object_or_one_box_is_exact(seed: int, n_objects: int, n_boxes: int, existence: float) -> None:
-    """Who is there, which box is whose, and how likely all boxes are."""
+@given(st.integers(0, 2**32), st.integers(1, 2), st.integers(0, 2), st.floats(-2, 4), st.floats(-4, 3))
+def test_one_object_or_one_box_is_exact(
+    seed: int, n_objects: int, n_boxes: int, existence: float, errs: float
+) -> None:
+    """Who is there, what else it may be, which box is whose, and how likely all boxes are."""
     if n_objects > 1:
         n_boxes = min(n_boxes, 1)
     random = np.random.default_rng(seed)
     means = WHO[:n_objects]
     found = means[random.integers(0, n_objects, n_boxes)] + random.normal(0, (6, 6, 8, 10), (n_boxes, 4))
     prior, detector = known(means, existence), BoxDetector()
+    places = means + random.normal(0, (8, 8, 4, 10), means.shape)
+    errors = Errors(np.arange(1, n_objects + 1), errs + np.tile([0.0, 0.7], (n_objects, 1)), places)
+    prior = replace(prior, errors=errors)
     message = associate(frame(found), prior, detector)
     assert message.association is not None
-    pairs, ratio, log_density = summed(found, prior, detector)
-    np.testing.assert_allclose(message.association.pairs, pairs, atol=1e-4)
-    np.testing.assert_allclose(message.existence.values, ratio, atol=1e-3)
-    assert message.association.log_evidence == pytest.approx(log_density, abs=1e-3)
+    oracle = summed(found, prior, detector)
+    np.testing.assert_allclose(message.association.pairs, oracle.pairs, atol=1e-4)
+    np.testing.assert_allclose(message.association.followed, oracle.followed, atol=1e-4)
+    np.testing.assert_allclose(message.existence.values, oracle.existence, atol=1e-3)
+    np.testing.assert_allclose(message.association.errors, oracle.errors, atol=1e-3)
+    assert message.association.log_evidence == pytest.approx(oracle.log_density, abs=1e-3)
     np.testing.assert_allclose(message.association.boxes, found)
     # what is said of places has mass 1 with what was expected, and draws towards the boxes
     assert (prior.objects * message.objects).log_mass == pytest.approx(0, abs=1e-6)
@@ -157,13 +187,20 @@ def test_scores_decide_who_is_new() -> None:
 
 
 def test_newcomers_are_a_density() -> None:
-    """Height and width summed over a grid, in one row; times the rows and columns of the picture it is 1."""
-    new = Newcomers(SIZE, np.array([100.0, 0.3]), np.diag([25.0, 1e-4]), 0.1, 0.4, 0.1**2)
-    heights, widths = np.arange(1.0, 300, 2), np.arange(-60.0, 160, 1)
+    """Height and width summed over a grid, in one row; times the rows and columns of the picture it is 1.
+
+    Those who do not fit are spread over sizes of any order; they are told apart by their least share.
+    """
+    share = 1e-9
+    new = Newcomers(SIZE, np.array([100.0, 0.3]), np.diag([25.0, 1e-4]), 0.1, 0.4, 0.1**2, share)
+    heights, widths = np.arange(1.0, 300, 2), np.arange(1.0, 160, 1)
     grid = np.stack(np.meshgrid(widths, heights), axis=-1).reshape(-1, 2)
     boxes = np.column_stack([np.full((len(grid), 2), 240.0), grid])
     assert np.exp(new.log_density(boxes)).sum() * 2 * SIZE[0] * SIZE[1] == pytest.approx(1, abs=0.01)
     mean, deviation = new.height([240.0, 340.0])
+    giant = np.array([[200.0, 240.0, 300.0, 400.0]])
+    outlying = replace(new, outliers=0.2).log_density(giant) - log_anywhere(giant, SIZE[0] * SIZE[1])
+    np.testing.assert_allclose(outlying, np.log(0.2), atol=1e-6)
     np.testing.assert_allclose(mean, [100, 130])
     np.testing.assert_allclose(deviation, np.hypot([5, np.hypot(5, 1)], [10, 13]))
 
