@@ -56,7 +56,7 @@ UNLIKELY = 0.02  # probability of existence from which on a box is remembered as
 REPORTED = 0.5  # probability of existence from which on a candidate is an object, with pixels of its own
 MOVING = 0.2  # share of errors that move along with something, of those that are no second boxes
 MOVING_LIFE = 1.0  # s, for which an error moves along on average
-FADED = 0.1  # probability of a lasting error below which an unlikely candidate is forgotten
+FADED = 0.1  # probability of an error below which an unlikely candidate is forgotten
 SURE = 30.0  # nats, greatest log odds of an error
 
 OF_CANDIDATE = (
@@ -87,9 +87,12 @@ def _predict_detections(table: NDArray[np.void], dt: float) -> None:
     )
     table["unfound"][found] += dt
     stays, lasts = math.exp(-dt / PHASE), math.exp(-dt / LIFE)
-    table["existence"][found] = _log_odds(lasts * _probability(table["existence"][found]))
-    odds = np.exp(table["errors"][found])
-    errors = odds / (1 + odds.sum(axis=1, keepdims=True)) * np.exp(-dt / np.array([LIFE, MOVING_LIFE]))
+    exists, odds = _probability(table["existence"][found]), np.exp(table["errors"][found])
+    table["existence"][found] = _log_odds(lasts * exists)
+    # given that it does not exist, which includes that it has left
+    never = ((1 - exists) / (1 - lasts * exists))[:, None]
+    errors = never * odds / (1 + odds.sum(axis=1, keepdims=True))
+    errors *= np.exp(-dt / np.array([LIFE, MOVING_LIFE]))
     ended = 1 - errors.sum(axis=1, keepdims=True)
     table["errors"][found] = np.log(np.maximum(errors, math.exp(-SURE)) / ended)
     noticed = stays * _probability(table["noticed"][found]) + (1 - stays) * USUALLY

@@ -101,7 +101,8 @@ class BackgroundState:
 
     def seen_by(self, view: AffineMap, known: NDArray[np.bool_], fresh: Self) -> Self:
         """Return the state in the px of a frame; `fresh` where nothing is `known` `(height, width)` of it."""
-        where = view.warp_to_frame(known.astype(np.uint8)).reshape(-1) > 0
+        # where the means are not mixed with what lies beyond the edge
+        where = view.warp_to_frame(known.astype(np.float32), cv2.INTER_LINEAR).reshape(-1) > 0.99
         means = np.stack([view.warp_to_frame(plane, cv2.INTER_LINEAR) for plane in self.lit_planes()])
         mean = np.rint(MEAN_STEPS * means).reshape(fresh.mean.shape).clip(-32768, 32767).astype(np.int16)
         variance, noise = (

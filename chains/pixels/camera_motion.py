@@ -87,9 +87,17 @@ class CameraState:
     @property
     def view_of_first(self) -> View:
         """The map from the first frame to this one; errors of all scenes in between add."""
-        size = self.picture.shape[:2]
-        whole = AffineMap(self.mean, size).after(AffineMap(self.first, size))
-        return View.predicted(whole.parameters, self.covariance + self.first_covariance, self.picture)
+        size, steps = self.picture.shape[:2], np.eye(len(self.mean))
+
+        def composed(mean: NDArray[np.float64], first: NDArray[np.float64]) -> NDArray[np.float64]:
+            return AffineMap(mean, size).after(AffineMap(first, size)).parameters
+
+        # the composition is linear in either map, so differences are its derivatives
+        whole = composed(self.mean, self.first)
+        by_map = np.stack([composed(self.mean + step, self.first) - whole for step in steps])
+        by_first = np.stack([composed(self.mean, self.first + step) - whole for step in steps])
+        covariance = by_map.T @ self.covariance @ by_map + by_first.T @ self.first_covariance @ by_first
+        return View.predicted(whole, covariance, self.picture)
 
 
 @checked
@@ -99,7 +107,7 @@ class CameraMotion:
     """Chain of a camera that shakes or turns around a view of the scene, and moves on to the next one.
 
     A scene is what a frame shows. When the camera leaves it, or frames no longer resemble it (near things
-    move against far ones), or none is found in it for some seconds, the frame of that moment begins the next
+    move against far ones), or none is found in it for a second, the frame of that moment begins the next
     scene. All other chains map their states to its px, with what is unsure.
 
     Lengths are relative to half the diagonal of the image.
@@ -221,5 +229,5 @@ class CameraMotion:
             where=where,
             unknown=state.view.map.warp_to_frame(hidden.astype(np.uint8)) > 0,
             first=state.view_of_first.map.parameters,
-            first_covariance=state.first_covariance + state.covariance,
+            first_covariance=state.view_of_first.covariance,
         )

@@ -299,7 +299,7 @@ class ScenePicture:
             self._coarsest = np.asarray(bands[-1] * (hidden == 0), np.float32)
 
     def register(self, grey: NDArray[np.uint8], start: AffineMap) -> Registration:
-        """Estimate the map of a frame, within about 40 px of `start`."""
+        """Estimate the map of a frame, whose shift from `start` may be a fifth of the picture."""
         bands = _pyramid(grey)
         parameters = self._nearest(bands, start.parameters)
         finer = max(len(bands) - 1, 1)  # on the coarsest level, little speaks of more than the shift

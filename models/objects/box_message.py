@@ -242,7 +242,6 @@ class Association:
 
 NO_BOXES = GaussianMessage.uniform(BOX)
 EVEN = LogOdds()
-NO_ERRORS = Errors(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, BOX)))
 
 
 @short_repr
@@ -256,7 +255,7 @@ class BoxMessage:
     hidden: GaussianMessage = NO_BOXES
     existence: LogOdds = EVEN  # that an object is one of those that the detector is made to find
     noticed: LogOdds = EVEN  # that it is in a phase in which the detector finds it when it is in sight
-    errors: Errors = NO_ERRORS  # what candidates are if they are no such object; at most one sender
+    errors: Errors | None = None  # what candidates are if they are no such object; at most one sender
     newcomers: Newcomers | None = None  # where and how large new objects are; at most one sender
     detector: BoxDetector | None = None  # how reliable the detector is; at most one sender
     # from the evidence: which detection belongs to whom; None if no detector has run
@@ -264,7 +263,7 @@ class BoxMessage:
     view: View | None = None  # map from the scene, in whose px all boxes are, to the frame; None: the same
 
     def __mul__(self, other: Self) -> Self:
-        for name in ("newcomers", "detector", "association"):
+        for name in ("errors", "newcomers", "detector", "association"):
             if getattr(self, name) is not None and getattr(other, name) is not None:
                 raise ValueError(f"box message: got two factors {name}, expected at most one")
         return type(self)(
@@ -272,7 +271,7 @@ class BoxMessage:
             self.hidden * other.hidden,
             self.existence * other.existence,
             self.noticed * other.noticed,
-            self.errors if len(self.errors.identities) else other.errors,
+            self.errors or other.errors,
             self.newcomers or other.newcomers,
             self.detector or other.detector,
             # one without boxes, which is false, says that the detector has run

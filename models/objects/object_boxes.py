@@ -14,7 +14,7 @@ from ..core.checks import checked
 from ..core.frame import Frame, GivenBoxes
 from ..core.gaussian_message import GaussianMessage
 from ..core.short_repr import short_repr
-from .box_message import BOX, Association, BoxDetector, BoxMessage, LogOdds, log_anywhere
+from .box_message import BOX, Association, BoxDetector, BoxMessage, Errors, LogOdds, log_anywhere
 
 Numbers = NDArray[np.float64]
 
@@ -30,6 +30,7 @@ Misses come in bursts: what a detector does not find in one frame it hardly find
 DOUBLE = np.array([3.0, 3.0, 1.0, 1.0])
 """So many times as far off as its first box may the second one of an object be, in place and size."""
 
+NO_ERRORS = Errors(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, BOX)))
 SURELY_NOT = 1e-4  # probability of a pair below which nothing is learned from it
 
 
@@ -98,7 +99,7 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     from scipy.special import expit  # slow to import, and only detectors need it
 
     exists, noticed = (expit(odds.of(identities)) for odds in (prior.existence, prior.noticed))
-    kinds, places = prior.errors.of(identities)
+    kinds, places = (prior.errors or NO_ERRORS).of(identities)
     size = _picture(frame, prior, given)
     visible = visible_share(prior.in_frame(means), exists, size)
     phases = np.array([[NOTICED], [UNNOTICED]]) * visible

@@ -95,13 +95,15 @@ class PixelMessage:
         Raises
         ------
         ValueError
-            if there is neither an image nor a background.
+            if there is no image, background or view.
         """
         if self.image is not None:
             return self.image.shape[0], self.image.shape[1]
         if self.background is not None:
             return self.background.size
-        raise ValueError("pixel message: got neither image nor background, so its size is not known")
+        if self.view is not None:
+            return self.view.map.size
+        raise ValueError("pixel message: got no image, background or view, so its size is not known")
 
     @cached_property
     def subtraction(self) -> Subtraction | None:

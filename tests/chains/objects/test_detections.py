@@ -114,13 +114,19 @@ def test_somebody_new_has_the_outline_that_the_detector_gives() -> None:
 
 
 def test_doubt_grows_with_time_alike_in_one_step_and_in_many() -> None:
-    steps = Blobs.of([blob_at(100.0, 50.0).changed(existence=4.0, noticed=3.0)], 3)
+    steps = Blobs.of([blob_at(100.0, 50.0).changed(existence=4.0, noticed=3.0, errors=(0.5, 1.5))], 3)
     (once,) = detections.predict(steps, 0.4, 0.9, True)
     for _ in range(10):
         steps = detections.predict(steps, 0.04, 0.9, True)
     (many,) = steps
     assert many.existence == pytest.approx(once.existence)
     assert many.noticed == pytest.approx(once.noticed)
+    np.testing.assert_allclose(many.errors, once.errors)
+    # three ways of there being no object: it has left, or an error lasts or has ended
+    exists, odds = 1 / (1 + np.exp(-4.0)), np.exp([0.5, 1.5])
+    lasting = (1 - exists) * odds / (1 + odds.sum()) * np.exp(-0.4 / np.array([20.0, 1.0]))
+    left = 1 - exists * np.exp(-0.4 / 20.0) - lasting.sum()
+    np.testing.assert_allclose(once.errors, np.log(lasting / left))
     np.testing.assert_allclose(many.covariance, once.covariance)
     np.testing.assert_allclose(many.box_variance, once.box_variance)
     assert once.existence < 4.0

@@ -1,5 +1,7 @@
 """The camera's chain: exact where it is Gaussian, and against known shakes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import ShakenFilm, shaken, sleeping_man
@@ -43,9 +45,34 @@ def errors(frames: ShakenFilm, beliefs: list[Belief]) -> np.ndarray:
     return np.array([AffineMap(one - view.parameters, view.size).displacement for one, view in pairs])
 
 
+def test_the_map_from_the_first_frame_is_as_unsure_as_both_of_its_parts() -> None:
+    """Against drawn maps: after a pan, an error of the turn acts far away, and a zoom magnifies."""
+    random = np.random.default_rng(0)
+    state = CAMERA.predict(CAMERA.initial(film(1)[0]), 0.3)
+    size = state.picture.shape[:2]
+    moved = np.array([30.0, 8.0, 3.0, -20.0, 4.0, 10.0])
+    where = replace(state.where, mean=np.concatenate([moved, np.zeros(12)])[None])
+    root = np.tril(random.normal(0, 1.0, (UNKNOWNS, UNKNOWNS)))
+    state = replace(state, where=where, first=5 * moved, first_covariance=root @ root.T)
+    maps = random.multivariate_normal(state.mean, state.covariance, 4000)
+    firsts = random.multivariate_normal(state.first, state.first_covariance, 4000)
+    drawn = [
+        AffineMap(one, size).after(AffineMap(two, size)).parameters
+        for one, two in zip(maps, firsts, strict=True)
+    ]
+    stated = state.view_of_first.covariance
+    ratio = np.linalg.eigvals(np.linalg.solve(stated, np.cov(np.array(drawn).T))).real
+    np.testing.assert_allclose(ratio, 1, atol=0.25)  # of 4000: .05 each, and products of errors
+
+
 def test_it_knows_where_a_shaking_camera_looks(shaking: tuple[ShakenFilm, list[Belief]]) -> None:
     assert np.median(errors(*shaking)) < 0.07
     assert errors(*shaking).max() < 0.25
+
+
+def test_a_view_alone_tells_the_size_of_the_picture() -> None:
+    message = PixelMessage(view=CAMERA.initial(film(1)[0]).view)
+    assert message.size == film(1)[0].image.shape[:2]
 
 
 def test_what_it_predicts_is_a_density_of_a_place_that_grows_vague_at_its_own_pace() -> None:

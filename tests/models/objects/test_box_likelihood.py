@@ -72,6 +72,7 @@ def summed(found: Numbers, prior: BoxMessage, detector: BoxDetector) -> Summed:
         wide = covariance + np.diag(DOUBLE**2 * detector.noise(mean[None])[0])
         second = multivariate_normal(mean, wide).pdf(found).reshape(-1)
         alone = alone + detector.doubles * is_there * share * second
+    assert prior.errors is not None
     kinds, places = prior.errors.of(identities)
     own = [np.diag(detector.noise(mean[None])[0]) for mean in means]
     again = detector.repeated * seen
