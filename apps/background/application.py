@@ -258,7 +258,7 @@ class Background(Application[BackgroundJob]):
         camera = belief.states.get("camera")
         moved = {} if self.job.camera == "fixed" else {"camera": np.zeros(UNKNOWNS)}
         if camera is not None:
-            moved["camera"] = camera.view_of_first.map.parameters
+            moved["camera"] = camera.map_of_first.parameters
         return Columns(
             {
                 "foreground": np.count_nonzero(foreground) / foreground.size if seen else np.nan,

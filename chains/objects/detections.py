@@ -29,6 +29,7 @@ from ...models.objects.box_message import (
     BoxMessage,
     Errors,
     LogOdds,
+    error_probabilities,
 )
 from .blob_records import FRESH, MARGIN, RECORD, move
 from .blobs import Blob, Blobs, Map, Numbers, box_densities, paste
@@ -87,11 +88,11 @@ def _predict_detections(table: NDArray[np.void], dt: float) -> None:
     )
     table["unfound"][found] += dt
     stays, lasts = math.exp(-dt / PHASE), math.exp(-dt / LIFE)
-    exists, odds = _probability(table["existence"][found]), np.exp(table["errors"][found])
+    exists = _probability(table["existence"][found])
     table["existence"][found] = _log_odds(lasts * exists)
     # given that it does not exist, which includes that it has left
     never = ((1 - exists) / (1 - lasts * exists))[:, None]
-    errors = never * odds / (1 + odds.sum(axis=1, keepdims=True))
+    errors = never * error_probabilities(table["errors"][found])
     errors *= np.exp(-dt / np.array([LIFE, MOVING_LIFE]))
     ended = 1 - errors.sum(axis=1, keepdims=True)
     table["errors"][found] = np.log(np.maximum(errors, math.exp(-SURE)) / ended)
@@ -192,10 +193,10 @@ def new_candidates(born: int, boxes: BoxMessage, size: tuple[int, int], channels
 def sort_candidates(candidates: Blobs, boxes: BoxMessage, size: tuple[int, int]) -> tuple[Blobs, Blobs]:
     """Return candidates that are as likely as not, and those that may still become so, or are errors."""
     table = candidates.table
-    exists, odds = _probability(table["existence"]), np.exp(table["errors"]).sum(axis=1)
+    exists, errors = _probability(table["existence"]), error_probabilities(table["errors"]).sum(axis=1)
     there = _are_there(candidates, boxes, size)
     likely = there & (exists > REPORTED)
-    lasts = (exists > UNLIKELY) | ((1 - exists) * odds / (1 + odds) > FADED)
+    lasts = (exists > UNLIKELY) | ((1 - exists) * errors > FADED)
     return candidates.select(likely), candidates.select(there & lasts & ~likely)
 
 

@@ -85,19 +85,24 @@ class CameraState:
         return View.predicted(self.mean, self.covariance, self.picture)
 
     @property
+    def map_of_first(self) -> AffineMap:
+        """The map from the first frame to this one."""
+        return self._composed(self.mean, self.first)
+
+    @property
     def view_of_first(self) -> View:
-        """The map from the first frame to this one; errors of all scenes in between add."""
-        size, steps = self.picture.shape[:2], np.eye(len(self.mean))
-
-        def composed(mean: NDArray[np.float64], first: NDArray[np.float64]) -> NDArray[np.float64]:
-            return AffineMap(mean, size).after(AffineMap(first, size)).parameters
-
+        """The same with its covariance; errors of all scenes in between add."""
         # the composition is linear in either map, so differences are its derivatives
-        whole = composed(self.mean, self.first)
-        by_map = np.stack([composed(self.mean + step, self.first) - whole for step in steps])
-        by_first = np.stack([composed(self.mean, self.first + step) - whole for step in steps])
+        whole, steps = self.map_of_first.parameters, np.eye(len(self.mean))
+        by_map = np.stack([self._composed(self.mean + step, self.first).parameters for step in steps])
+        by_first = np.stack([self._composed(self.mean, self.first + step).parameters for step in steps])
+        by_map, by_first = by_map - whole, by_first - whole
         covariance = by_map.T @ self.covariance @ by_map + by_first.T @ self.first_covariance @ by_first
         return View.predicted(whole, covariance, self.picture)
+
+    def _composed(self, mean: NDArray[np.float64], first: NDArray[np.float64]) -> AffineMap:
+        size = self.picture.shape[:2]
+        return AffineMap(mean, size).after(AffineMap(first, size))
 
 
 @checked
@@ -224,10 +229,11 @@ class CameraMotion:
         mean = state.where.mean.copy()
         mean[0, :UNKNOWNS] -= state.mean  # its velocity and its shake go on
         where = self._motion(state.picture).condition(replace(state.where, mean=mean), STILL)
+        of_first = state.view_of_first
         return replace(
             self.initial(Frame(image, 0.0, 1)),
             where=where,
             unknown=state.view.map.warp_to_frame(hidden.astype(np.uint8)) > 0,
-            first=state.view_of_first.map.parameters,
-            first_covariance=state.view_of_first.covariance,
+            first=of_first.map.parameters,
+            first_covariance=of_first.covariance,
         )

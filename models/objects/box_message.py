@@ -163,6 +163,12 @@ class Newcomers:
         return np.asarray(np.logaddexp(np.log1p(-self.outliers) - np.log(area) + density, outlying))
 
 
+def error_probabilities(log_odds: Numbers) -> Numbers:
+    """Return probabilities `(n, 2)` of errors, given no object, from log odds over there being nothing."""
+    odds = np.exp(log_odds)
+    return np.asarray(odds / (1 + odds.sum(axis=1, keepdims=True)))
+
+
 @short_repr
 @checked
 @dataclass(frozen=True, eq=False)
@@ -184,8 +190,7 @@ class Errors:
         """
         probabilities, places = np.zeros((len(identities), 2)), np.ones((len(identities), BOX))
         place, is_known = find(self.identities, identities)
-        odds = np.exp(self.log_odds[place[is_known]])
-        probabilities[is_known] = odds / (1 + odds.sum(axis=1, keepdims=True))
+        probabilities[is_known] = error_probabilities(self.log_odds[place[is_known]])
         places[is_known] = self.places[place[is_known]]
         return probabilities, places
 
