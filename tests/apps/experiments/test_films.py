@@ -35,6 +35,7 @@ from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models import Frame
 
 from ...support.films import start, wait_until
+from ...support.two_people import two_people
 
 N_FRAMES = 16
 SIZE = (96, 72)
@@ -64,12 +65,7 @@ def write_boxes(folder: Path) -> None:
     write_scene(sleeping_man(N_FRAMES, size=SIZE, enter=0), folder)
     shutil.rmtree(folder / "groundtruth")
     (folder / "input").rename(folder / "img1")
-    truth, detected = "", ""
-    for number in range(1, N_FRAMES + 1):
-        for identity, (x, y) in enumerate(((5 + number, 20), (80 - number, 40)), start=1):
-            truth += f"{number},{identity},{x},{y},12,30,1,-1,-1,-1\n"
-            detected += f"{number},-1,{x},{y},12,30,{20 + number % 3},-1,-1,-1\n"
-        detected += f"{number},-1,{1 + 37 * number % 80},{1 + 53 * number % 60},9,9,{number % 7},-1,-1,-1\n"
+    truth, detected = two_people(N_FRAMES, (5, 20), (80, 40), 80)
     for name, text in (("gt", truth), ("det", detected)):
         (folder / name).mkdir()
         (folder / name / f"{name}.txt").write_text(text)

@@ -30,6 +30,8 @@ from rsmcm.apps.io.tracks import read_tracks
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame
 
+from ...support.two_people import two_people
+
 N_FRAMES = 30
 ONE_HIT = (0.1, 1, 10)
 
@@ -39,12 +41,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> AnnotatedFilm:
     """Two people who walk past each other, by their boxes; the pictures show somebody else."""
     folder = tmp_path_factory.mktemp("film")
     write_scene(sleeping_man(N_FRAMES, size=(128, 96), enter=0), folder)
-    truth, detected = "", ""
-    for number in range(1, N_FRAMES + 1):
-        for identity, (x, y) in enumerate(((20 + number, 20), (90 - number, 50)), start=1):
-            truth += f"{number},{identity},{x},{y},12,30,1,-1,-1,-1\n"
-            detected += f"{number},-1,{x},{y},12,30,{20 + number % 3},-1,-1,-1\n"
-        detected += f"{number},-1,{1 + 37 * number % 90},{1 + 53 * number % 60},9,9,{number % 7},-1,-1,-1\n"
+    truth, detected = two_people(N_FRAMES, (20, 20), (90, 50), 90)
     (folder / "gt.txt").write_text(truth)
     (folder / "det.txt").write_text(detected)
     return AnnotatedFilm.read("two", folder / "input", folder / "gt.txt", folder / "det.txt")
