@@ -1,5 +1,6 @@
 """Many very short films as folders of images, and batches of them as processes."""
 
+import signal
 import subprocess
 import sys
 import time
@@ -45,13 +46,14 @@ def write_long_films(folder: Path, count: int, frames: int) -> Path:
 
 
 def start(*arguments: object) -> subprocess.Popen[str]:
-    """A command in a process group of its own."""
+    """A command in a process group of its own, which heeds Ctrl-C even where this process ignores it."""
     return subprocess.Popen(
         [*COMMAND, *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 

@@ -25,6 +25,12 @@ def in_work(out: Path, process: int) -> bool:
     return False
 
 
+def ended(out: Path) -> list[Path]:
+    """Folders of films that are done."""
+    folders = [page.parent for page in out.glob("*/view.html")]
+    return [each for each in folders if not (each / ".running.json").exists()]
+
+
 @pytest.mark.slow
 def test_one_worker_is_killed(tmp_path: Path) -> None:
     """All films end, nothing is done twice, and results are those of single runs."""
@@ -33,13 +39,8 @@ def test_one_worker_is_killed(tmp_path: Path) -> None:
     with cluster(2) as there:
         batch = start("batch", "background", films, "--out", out, *options, "--dask", there.address)
         victim = there.workers[0]
-        wait_until(lambda: len(list(out.glob("*/view.html"))) >= 2 and in_work(out, victim.pid))
-        before = {
-            path: stamp
-            for summary in out.glob("*/view.html")
-            if not (summary.parent / ".running.json").exists()
-            for path, stamp in stamps(summary.parent).items()
-        }
+        wait_until(lambda: bool(ended(out)) and in_work(out, victim.pid))
+        before = {path: stamp for folder in ended(out) for path, stamp in stamps(folder).items()}
         victim.kill()
         printed, complaints = batch.communicate(timeout=300)
     assert batch.returncode == 0, complaints

@@ -234,7 +234,7 @@ class Worsening(Quadratic):
         best = super().smooth(incoming_over_time, current)
         if current is None:
             return best
-        return Smoothed(Path(current.values + 1, best.trajectory.log_prior - 5))
+        return Smoothed(Path(current.values + 1, best.trajectory.log_prior - 100))
 
 
 def test_the_best_round_is_kept() -> None:
