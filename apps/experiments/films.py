@@ -229,7 +229,7 @@ def _score_tracks(film: TrueFilm, method: str, seed: int | None, parameters: Par
 
     if method == BEST_PLAIN:
         tried = [measures(associated(known, 1, *setting)) for setting in SWEPT]
-        return {name: max(each[name] for each in tried) for name in BOXES.measures}
+        return {name: float(np.fmax.reduce([each[name] for each in tried])) for name in BOXES.measures}
     if method == PLAIN:
         return measures(associated(known, 1, *USUAL_PLAIN))
     every = 1 if method in (DETECTED, WHOLE_DETECTED) else None
