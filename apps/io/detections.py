@@ -273,7 +273,7 @@ EXPECTED = "MOT's det.txt, CSV with a header, or COCO's JSON"
 def _table(
     path: Path, boxes: Iterable[FileBox], looked: frozenset[int] | None = None, classes: Iterable[str] = ()
 ) -> Detections:
-    """Gather boxes in any order, sorted by frame, in little memory.
+    """Gather boxes in any order, sorted by frame, in little memory; equal ones of a frame are one.
 
     `looked` are the frames on which the detector ran (default: as `frames_looked_at` tells), `classes` names
     that are known without a box. What is out of range is a ValueError that names the place.
@@ -300,12 +300,14 @@ def _table(
             index.append(names.setdefault(name, len(names)))
         if not {len(confidence), len(index)} <= {0, len(frame)}:
             raise row.wrong("scores or classes for some boxes only", "them for each or for none")
-    frames = np.array(frame, np.int64)
-    order = np.argsort(frames, kind="stable")
+    frames, edges_of = np.array(frame, np.int64), np.array(xyxy, np.float64).reshape(-1, 4)
+    columns = [frames, *edges_of.T, *([confidence] if confidence else []), *([index] if index else [])]
+    first = np.sort(np.unique(np.column_stack(columns), axis=0, return_index=True)[1])
+    order = first[np.argsort(frames[first], kind="stable")]
     return Detections(
         path,
         frames[order],
-        np.array(xyxy, np.float64).reshape(-1, 4)[order],
+        edges_of[order],
         np.array(confidence, np.float64)[order] if confidence else None,
         np.array(index, np.int32)[order] if index or not frame else None,
         np.array(list(names), np.str_),
