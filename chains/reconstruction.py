@@ -300,8 +300,10 @@ def reconstruction_of(
         raise NoStructureError(
             f"tracks: got {len(lives)} points, most of them in fewer than {FEWEST_FRAMES} frames"
         )
-    if camera != "affine" and result.n_points >= FEWEST_POINTS:
-        result = _in_perspective(result, solution, n_tracks, camera, lens or lens_of(solution.frames))
+    lens = lens or lens_of(solution.frames)
+    # what affine cameras show no depth of, a perspective one fits by chance; the plane of a known lens is one
+    if camera != "affine" and (result.geometry != "none" or lens.focal is not None):
+        result = _in_perspective(result, solution, n_tracks, camera, lens)
     return _without_false_depth(result, from_images)
 
 

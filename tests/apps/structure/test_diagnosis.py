@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.structure.diagnosis import no_depth, no_points
+from rsmcm.chains import reconstruct
 from rsmcm.models.core.frame import Frame
 
 from ...conftest import Command, names, summary_of
@@ -75,25 +76,13 @@ def test_tracks_of_a_plane_get_no_shape(tmp_path: Path, capfd: pytest.CaptureFix
     assert not (tmp_path / "out" / "structure.ply").exists()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("n_points", "most"), [(15, 0.75), (40, 0.05)])
-def test_share_of_still_points_that_are_given_a_shape(
-    n_points: int, most: float, tmp_path: Path, record_property: Any
-) -> None:
-    """Of 20 films of 12 frames with 0.3 px noise: 9 were, of 15 points, and none, of 40.
-
-    The test of parallax does not count how much is fitted to how few points. The bound is three standard
-    errors above what was counted.
-    """
-    shapes = []
-    for seed in range(20):
+@pytest.mark.parametrize(("n_points", "n_frames"), [(15, 6), (15, 12), (15, 24), (40, 12)])
+def test_still_points_are_given_no_shape(n_points: int, n_frames: int) -> None:
+    """None of 420 films with 0.3 px noise was; a perspective camera would fit few of them by chance."""
+    for seed in range(5):
         random = np.random.default_rng(seed)
-        still = random.uniform(20, 140, (1, n_points, 2)) + 0.3 * random.normal(size=(12, n_points, 2))
-        assert run(track_file(tmp_path, still), "--out", tmp_path / f"{seed}", *ALONE) in (0, 1)
-        shapes.append(summary_of(tmp_path / f"{seed}")["shape"])
-    share = float(np.mean([shape != "none" for shape in shapes]))
-    record_property("share given a shape", share)
-    assert share <= most
+        still = random.uniform(20, 140, (1, n_points, 2)) + 0.3 * random.normal(size=(n_frames, n_points, 2))
+        assert reconstruct(still, association="none").geometry == "none"
 
 
 @pytest.mark.parametrize(
