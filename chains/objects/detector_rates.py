@@ -3,7 +3,7 @@
 Of the share pi that is detected, the rates c of false boxes, d of second boxes, b of newcomers:
 
     pi ~ Beta, c, d, b ~ Gamma, all forgotten slowly
-    p(score | true) = N(m_1, s^2), p(score | false) = N(m_0, s^2)
+    p(score | true) = N(m_1, s^2), p(score | false) = N(m_0, s^2), m_1 - m_0 = 1.4 s
     u_t = u_t-1 (1 - pi) + b dt, people in the picture who were not detected yet (Poisson)
     mu_{detector -> boxes} = the detector with the means of all these
 
@@ -28,14 +28,11 @@ from ...models.objects.object_boxes import ObjectBoxes
 
 Array = NDArray[np.float64]
 
-ASSUMED = 10.0
-"""Weight, in boxes of either kind, of the prior that true boxes have higher scores."""
-
-TRUE = 0.7  # share of true boxes that is assumed
+ASSUMED, TRUE = 10.0, 0.7  # boxes, and the share of true ones among them, before any was judged
 APART = 1.4
-"""Deviations of either kind by which the means of true and false scores are apart, at least.
+"""Deviations of either kind by which the means of true and false scores are apart.
 
-Measured of ACF and DPM on four sequences: 1.2 to 1.6. Learned alone it shrinks, as false boxes count as true.
+Measured of ACF and DPM on four sequences: 1.2 to 1.6. Learned it shrinks, as false boxes count as true.
 """
 
 UNDETECTED = 3.0  # people in the picture at the first frame; a guess, forgotten within a few frames
@@ -44,46 +41,39 @@ UNDETECTED = 3.0  # people in the picture at the first frame; a guess, forgotten
 @short_repr
 @dataclass(frozen=True, eq=False)
 class ScoreMoments:
-    """Weights, sums and sums of squares `(2,)` of the scores of true and of false boxes."""
+    """Weights `(2,)` of true and of false boxes, and sum and sum of squares of the scores of both."""
 
     weights: Array
-    sums: Array
-    squares: Array
+    total: float
+    squares: float
 
     @classmethod
     def empty(cls) -> Self:
         """Return the moments of no scores."""
-        return cls(np.zeros(2), np.zeros(2), np.zeros(2))
+        return cls(np.zeros(2), 0.0, 0.0)
 
     def scaled(self, kept: float) -> Self:
         """Return the moments with weights times `kept`."""
-        return type(self)(kept * self.weights, kept * self.sums, kept * self.squares)
+        return type(self)(kept * self.weights, kept * self.total, kept * self.squares)
 
     def updated(self, scores: Array, true: Array) -> Self:
         """Return the moments with the scores `(n,)` of a frame, each true with a probability `(n,)`."""
-        share = np.stack([true, 1 - true])
-        weights, sums = self.weights + share.sum(axis=1), self.sums + share @ scores
-        return type(self)(weights, sums, self.squares + share @ scores**2)
+        weights = self.weights + np.array([true.sum(), (1 - true).sum()])
+        return type(self)(weights, self.total + float(scores.sum()), self.squares + float((scores**2).sum()))
 
     def distributions(self) -> Scores | None:
         """Return the distributions of true and false scores; `None` as long as all scores are alike."""
-        total = self.weights.sum()
-        if total <= 0:
+        weight = self.weights.sum()
+        if weight <= 0:
             return None
-        mean = self.sums.sum() / total
-        variance = self.squares.sum() / total - mean**2
+        mean = self.total / weight
+        variance = self.squares / weight - mean**2
         if not variance > 1e-9 * (1 + mean**2):
             return None
-        share = (self.weights[0] + ASSUMED * TRUE) / (total + ASSUMED)
+        share = (self.weights[0] + ASSUMED * TRUE) / (weight + ASSUMED)
         within = np.sqrt(variance / (1 + share * (1 - share) * APART**2))
-        least = mean + APART * within * np.array([1 - share, -share])
-        means = (self.sums + ASSUMED * least) / (self.weights + ASSUMED)
-        inner = (self.squares - 2 * means * self.sums + means**2 * self.weights).sum()
-        deviation = np.sqrt((inner + ASSUMED * within**2) / (total + ASSUMED))
-        if means[0] - means[1] < APART * deviation:
-            means, deviation = least, within
-        true, false = means.tolist()
-        return Scores(float(true), float(false), float(deviation))
+        true, false = (mean + APART * within * np.array([1 - share, -share])).tolist()
+        return Scores(true, false, float(within))
 
 
 @short_repr

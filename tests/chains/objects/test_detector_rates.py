@@ -51,10 +51,12 @@ def test_rates_and_scores_are_learned_on_any_scale() -> None:
     detector = last["objects"].detector
     assert detector.found == pytest.approx(0.75, abs=0.2)
     assert detector.clutter * SIZE[0] * SIZE[1] == pytest.approx(1.5, rel=0.6)
+    one = run(walkers(0, 120, found=0.75, clutter=1.5, scale=1.0))[-1]["objects"].detector.scores
     scores = detector.scores
-    assert scores.true / scale == pytest.approx(0.8, abs=0.05)
-    assert scores.false / scale == pytest.approx(0.4, abs=0.1)
-    assert scores.deviation / scale == pytest.approx(0.1, abs=0.1)
+    assert [scores.true, scores.false, scores.deviation] == pytest.approx(
+        [scale * one.true, scale * one.false, scale * one.deviation]
+    )
+    assert 0.4 < scores.false / scale < scores.true / scale < 0.8
 
 
 def test_what_was_learned_is_forgotten() -> None:
@@ -69,8 +71,8 @@ def test_what_was_learned_is_forgotten() -> None:
     assert later == pytest.approx(chain.detection_probability, abs=1e-3)
 
 
-def test_scores_keep_apart_whatever_is_taken_for_true() -> None:
-    """Their sum of moments is that of all scores, and what is taken for true cannot bring both together."""
+def test_scores_are_apart_whatever_is_taken_for_true() -> None:
+    """The mixture of both has the moments of all scores, and what is taken for true does not move them."""
     scores = np.random.default_rng(3).normal(2, 0.5, 200)
     found = ScoreMoments.empty().updated(scores, np.full(200, 0.5)).distributions()
     assert found is not None
