@@ -33,7 +33,14 @@ from ..chains.body.start import (
 )
 from ..chains.face.gflow import GFlow
 from ..chains.face.recovery import DetectedFace
-from ..chains.face.start import FaceStart, find_face, start_from_box, start_from_landmarks
+from ..chains.face.start import (
+    CONFIRMING,
+    FaceStart,
+    find_face,
+    on_trial,
+    start_from_box,
+    start_from_landmarks,
+)
 from ..chains.pixels.camera_motion import CameraMotion, CameraState
 from ..chains.points import point_tracker
 from ..chains.structure.recursive_structure import RecursiveStructure
@@ -388,6 +395,7 @@ class FaceTracker(DetectingTracker[FaceStart, TrackedFace | None]):
     """
 
     start_type = FaceStart
+    _trial: list[FaceStart]
 
     @checked
     def __init__(
@@ -452,11 +460,12 @@ class FaceTracker(DetectingTracker[FaceStart, TrackedFace | None]):
         if box is None:
             faces = default_faces(self._detector, "box, landmarks, or a model file of YuNet as detector")
             found = find_face(frame, faces, small=frame.number % SMALL_EVERY == 1)
-        else:
-            found = size_of(box)
-        return None if found is None else start_from_box(self._model, found)
+            self._trial = on_trial(self._trial, None if found is None else start_from_box(self._model, found))
+            return self._trial[-1] if len(self._trial) == CONFIRMING else None
+        return start_from_box(self._model, size_of(box))
 
     def _build(self, start: FaceStart | None) -> RecursiveBP | None:
+        self._trial = []
         if start is None:
             return None
         try:

@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 
 from ...chains.face.gflow import GFlow
 from ...chains.face.recovery import DetectedFace, Finder
-from ...chains.face.start import FaceStart, find_face, start_from_box, start_from_landmarks
+from ...chains.face.start import (
+    CONFIRMING,
+    FaceStart,
+    find_face,
+    on_trial,
+    start_from_box,
+    start_from_landmarks,
+)
 from ...inference import Belief, MultiChain
 from ...models.core.frame import Frame
 from ...models.face.built_in_model import face_model
@@ -171,21 +178,25 @@ class Face(Application[FaceJob]):
         return self._engine
 
     def _find_start(self, start: Start) -> FaceStart:
-        """Find the face in the first frame that shows one; leave out frames before it."""
-        for first in start.frames:
-            face = self._start_in(first, start)
-            if face is not None:
-                break
-            start.before.append(first.number)
-        else:
+        """Find the face in the first frame that shows one for sure; leave out frames before it."""
+        wanted = CONFIRMING if self._given is None else 1
+        frames, trial = list[Frame](), list[FaceStart]()
+        while len(trial) < wanted and (frame := next(start.frames, None)) is not None:
+            frames.append(frame)
+            trial = on_trial(trial, self._start_in(frame, start))
+            n_before = len(frames) - len(trial)
+            start.before += [each.number for each in frames[:n_before]]
+            frames = frames[n_before:]
+        if not trial or (start.before and len(trial) < wanted):
             if self._given is not None or len(start.before) == len(start.blank):
                 raise start.no_frame("holds only blank frames")
             raise start.no_frame("no face is found in it, expected one, or --landmarks")
+        face = trial[0]
         found = "landmarks" if self._given else str(self.job.detector or "OpenCV's cascade of faces")
-        _log.info("start in frame %d, by %s", first.number, found)
+        _log.info("start in frame %d, by %s", frames[0].number, found)
         if face.misfit is not None:
             start.notes.append(face.misfit)
-        start.frames = chain([first], start.frames)
+        start.frames = chain(frames, start.frames)
         return face
 
     def columns(self, belief: Belief) -> Columns:

@@ -12,6 +12,7 @@ from rsmcm.apps.face.page import FaceRecord, angles
 from rsmcm.apps.scenes import face
 from rsmcm.chains.face.recovery import WIDTH_OF_FACE
 from rsmcm.chains.face.start import start_from_box, start_from_landmarks
+from rsmcm.models import Frame
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.detectors import PartDetector
 from rsmcm.models.face.model_files import write_model
@@ -277,13 +278,22 @@ def box_of(scene: Any, index: int) -> tuple[float, float, float, float]:
 def test_started_by_a_detector(
     film: Path, scene: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The track starts where the detector finds a face at last; a typical shape follows it."""
-    answers = iter([np.zeros((0, 4)), np.zeros((0, 4)), np.array([box_of(scene, 2)])])
+    """The track starts with the first of three frames that show a face in one place, as a typical shape.
+
+    The detector errs in the first frame, and finds nothing in the second one.
+    """
     loaded = []
+
+    def detect(frame: Frame) -> NDArray[np.float64]:
+        height, width = frame.required_image().shape[:2]
+        if height == width:  # a cut-out that is looked at once more
+            return np.array([[width / 4, height / 4, width / 2, height / 2]])
+        boxes = {1: (0.0, 0.0, 20.0, 20.0), **{k + 1: box_of(scene, k) for k in range(2, 5)}}
+        return np.array([boxes[frame.number]] if frame.number in boxes else np.zeros((0, 4)))
 
     def load(*_: object) -> PartDetector:
         loaded.append(True)
-        return lambda frame: next(answers)
+        return detect
 
     monkeypatch.setattr(application, "default_faces", load)
     out = tmp_path / "out"
