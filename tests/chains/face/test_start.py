@@ -20,7 +20,7 @@ def test_a_trial_goes_on_in_one_place() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(cv2, "CascadeClassifier"), reason="OpenCV has no cascade")
 def test_texture_is_hardly_ever_a_face() -> None:
-    """Of 40 films of smooth random texture two were; of 24, more than five would be by a chance of 1 in 1000."""
+    """Of 40 films of smooth random texture two were; more than five of 24 have a chance of 1 in 1000."""
     faces, begun = default_faces(), 0
     for seed in range(24):
         random = np.random.default_rng(seed)
