@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ...inference.sfm.depth import motion_of
 from ...inference.sfm.nonrigid.learning import choose_bases, learn_shape
 from ...inference.sfm.nonrigid.shape import shape_error
 from ...models.face.model_files import write_model
@@ -117,6 +118,8 @@ def _read_truth(path: Path, tracks: Numbers, numbers: range) -> Numbers:
 def _notes(result: LearnedShape) -> list[str]:
     """Return the notes on a result, a sentence each."""
     notes, learned = [], result.learned
+    if motion_of(result.tracks).kind == "still":
+        notes.append("Nothing moves but for noise: depth and deformation of the shape are not determined.")
     unknown = [
         number for number, known in zip(result.numbers, learned.frame_determined, strict=True) if not known
     ]

@@ -134,6 +134,14 @@ def test_number_of_bases_by_what_was_held_out(tmp_path: Path, capfd: pytest.Capt
     assert "Number of bases" in (tmp_path / "out" / "view.html").read_text()
 
 
+def test_points_that_stand_still_are_said(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    random = np.random.default_rng(0)
+    still = random.uniform(20, 140, (1, 12, 2)) + 0.3 * random.normal(size=(10, 12, 2))
+    np.save(tmp_path / "still.npy", still)
+    assert run(tmp_path / "still.npy", "--out", tmp_path / "out", "--bases", 2) == 0
+    assert "Nothing moves but for noise" in capfd.readouterr().out
+
+
 def test_rivals_are_said(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
