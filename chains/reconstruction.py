@@ -22,6 +22,7 @@ from ..inference.sfm.perspective.structure import (
     PerspectiveStructure,
     affine_fit,
     perspective_structure,
+    tied_frames,
 )
 from ..models.core.checks import Positive, Shape, checked
 from ..models.core.frame import Frame
@@ -365,8 +366,12 @@ def _in_perspective(
         )
         return replace(affine, affine_reason=reason)
     agreeing = perspective.agrees(places, weights)
+    tied = tied_frames(agreeing)
+    if np.count_nonzero(tied) < FEWEST_FRAMES:
+        return replace(affine, affine_reason="too few points tie its frames together")
+    agreeing &= tied[:, None]
     kept = np.count_nonzero(agreeing, axis=0) >= FEWEST_VIEWS
-    perspective, observed = perspective.of_points(kept), agreeing[:, kept]
+    perspective, observed = perspective.of_points(kept).of_frames(tied), agreeing[:, kept]
     residuals = np.where(observed[..., None], places[:, kept] - perspective.positions, np.nan)
     chain = replace(chain, point_of_track=np.where(kept, np.cumsum(kept) - 1, -1)[chain.point_of_track])
     return replace(

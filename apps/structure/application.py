@@ -186,8 +186,15 @@ class _StructureRun:
         """Write all results; return the content of `summary.json`."""
         folder, film, frames = self.job.out, self._film, self._film.frames
         notes = [*film.notes, *_notes(result, diagnosis, film.n_tracks is not None)]
-        if result.perspective is not None and about_lens:
-            notes.append(about_lens)
+        lens = result.perspective
+        if lens is not None:
+            known = zip(frames, lens.frame_determined.tolist(), strict=True)
+            if alone := [frame.number for frame, is_known in known if not is_known]:
+                notes.append(
+                    f"The camera is unknown in {len(alone)} of {len(frames)} frames: {listed(alone)}. "
+                    "Too few points tie them to the others."
+                )
+            notes += [about_lens] if about_lens else []
         colours: NDArray[np.uint8] = point_colours(frames, result)
         if result.geometry != "none":
             write_ply(folder / "structure.ply", result, colours)
@@ -199,7 +206,6 @@ class _StructureRun:
         write_predictions(folder, predictions)
         if film.n_tracks is None and self.job.video:
             _write_video(folder / OVERLAY, frames, result, film.rate)
-        lens = result.perspective
         facts = {
             "tracks": len(result.point_of_track),
             "rejected_tracks": int(np.count_nonzero(result.point_of_track < 0)),

@@ -443,7 +443,7 @@ def _of_cameras(
     of_points_known = np.append(
         np.einsum("tjj->tj", equations.cameras), 1.0 if focal_known else equations.corner
     )
-    size = np.sqrt(of_points_known)
+    size = np.sqrt(np.where(of_points_known > 0, of_points_known, 1.0))  # of nothing, nothing is known
     gauge, _ = np.linalg.qr(size[:, None] * gauge_of(cameras))
     values, axes = np.linalg.eigh(matrix / size[:, None] / size + HELD * gauge @ gauge.T)
     axes /= size[:, None]

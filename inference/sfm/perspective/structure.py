@@ -14,6 +14,7 @@ from typing import Self
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation, Slerp
 
 from ....models.camera.perspective_camera import MIRROR, PerspectiveCameras
@@ -24,7 +25,6 @@ from ..factor_analysis.factorisation import NEAR, projected, variable_projection
 from ..factor_analysis.observations import Array, Observations, SparseObservations, determined
 from .bundle_adjustment import (
     Bundle,
-    BundleCovariance,
     StudentNoise,
     about,
     adjust,
@@ -47,6 +47,7 @@ NARROW = np.radians(1.5)  # and below which its depth is not known
 LEAST_SHARED = 12  # points from which a camera is found: twice what it needs
 LEVELS = ((1, 1.0), (2 / 3, 0.5), (0.5, 0.2))
 """Shares of `LEAST_SHARED` and of `NARROW` that are enough: less, when no other frame can be added."""
+LEAST_TYING = 6  # points that tie a frame to another one: twice what a camera needs
 LEAST_AGREEING = 0.5  # share of the points that agree with a frame's camera
 SAMPLES = math.ceil(math.log(1 - SURE) / math.log(1 - LEAST_AGREEING**4))  # of four points
 MOSTLY = 0.7  # share of the points of the frame that shows most from which another one is taken along with it
@@ -422,7 +423,7 @@ class PerspectiveStructure:
         `(n_frames, n_points, 2)` px and `(n_frames, n_points, 2, 2)` px^2 of all points in all frames, seen
         or not, without the noise of observations.
     frame_determined
-        `(n_frames,)` bool: the frame shows four points or more.
+        `(n_frames,)` bool: the camera of the frame is known.
     noise, log_likelihood
         of observations of weight 1; of all observations, nats.
     parameters, observations
@@ -469,6 +470,16 @@ class PerspectiveStructure:
         kept |= {name: getattr(self, name)[:, points] for name in ("positions", "covariances")}
         return replace(self, **kept)
 
+    def of_frames(self, known: Mask) -> Self:
+        """Return the structure whose cameras are known in some frames `(n_frames,)`, two or more, only."""
+        known = known & self.frame_determined
+        cameras, positions, covariances = _in_all_frames(
+            self.cameras.of(known), self.shape, self.positions[known], self.covariances[known], known
+        )
+        return replace(
+            self, cameras=cameras, positions=positions, covariances=covariances, frame_determined=known
+        )
+
     def better_than(self, affine: AffineFit) -> bool:
         """Return whether it explains the positions better than affine cameras, by Schwarz's criterion (BIC).
 
@@ -512,7 +523,8 @@ def perspective_structure(
     found = replace(found, shape=retriangulated(everything, found))
     spread = np.cov(found.shape[affine.points].T)
     covariance = covariance_of(everything, found, spread, focal_known=fixed)
-    cameras, places, covariances = _in_all_frames(found, covariance, known)
+    of_known = predicted(found, covariance)
+    cameras, places, covariances = _in_all_frames(found.cameras, found.shape, *of_known, known)
     return PerspectiveStructure(
         size=lens.size,
         cameras=cameras,
@@ -549,22 +561,37 @@ def _upright(bundle: Bundle, points: Mask) -> Bundle:
     )
 
 
+def tied_frames(agreeing: Mask) -> Mask:
+    """Return `(n_frames,)` whether observations `agreeing` `(n_frames, n_points)` tie a frame to most others.
+
+    Points tie two frames if a third one shows them too: of two views alone they agree with wrong cameras.
+    """
+    counted = agreeing[:, np.count_nonzero(agreeing, axis=0) > 2].astype(np.float32)
+    shared = counted @ counted.T
+    enough = min(LEAST_TYING, agreeing.shape[1])
+    _, sets = connected_components(shared >= enough)
+    largest = np.bincount(sets, counted.sum(axis=1)).argmax()
+    return np.asarray((sets == largest) & (np.diag(shared) >= enough))
+
+
 def _in_all_frames(
-    bundle: Bundle, covariance: BundleCovariance, observed: Mask
+    cameras: PerspectiveCameras, shape: Array, positions: Array, covariances: Array, observed: Mask
 ) -> tuple[PerspectiveCameras, Array, Array]:
-    """Cameras of all frames, positions of all points in them, and how uncertain these are."""
-    positions, covariances = predicted(bundle, covariance)
+    """Cameras of all frames, positions of all points in them, and how uncertain these are.
+
+    What is given is of the observed frames.
+    """
     if observed.all():
-        return bundle.cameras, positions, covariances
+        return cameras, positions, covariances
     times, wanted = np.flatnonzero(observed), np.arange(len(observed))
     inside = np.clip(wanted, times[0], times[-1])
     cameras = replace(
-        bundle.cameras,
-        rotations=Slerp(times, Rotation.from_matrix(bundle.cameras.rotations))(inside).as_matrix(),
-        scales=np.exp(np.interp(wanted, times, np.log(bundle.cameras.scales))),
-        shifts=np.stack([np.interp(wanted, times, each) for each in bundle.cameras.shifts.T], axis=1),
+        cameras,
+        rotations=Slerp(times, Rotation.from_matrix(cameras.rotations))(inside).as_matrix(),
+        scales=np.exp(np.interp(wanted, times, np.log(cameras.scales))),
+        shifts=np.stack([np.interp(wanted, times, each) for each in cameras.shifts.T], axis=1),
     )
-    places, _ = cameras.seen(bundle.shape)
+    places, _ = cameras.seen(shape)
     after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
     way = np.sum((positions[after] - positions[after - 1]) ** 2, axis=2)
     whole = covariances[after] + way[..., None, None] * np.eye(2)

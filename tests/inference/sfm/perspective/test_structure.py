@@ -8,6 +8,7 @@ from rsmcm.inference.sfm.perspective.structure import (
     PerspectiveStructure,
     affine_fit,
     perspective_structure,
+    tied_frames,
 )
 from rsmcm.models.numerics.rotations import logarithm
 from scipy.spatial.transform import Rotation
@@ -79,3 +80,19 @@ def test_frames_without_points_lie_between_others() -> None:
     assert np.all((steps(found) > 9) & (steps(found) < 11))
     spread = np.median(np.trace(found.covariances, axis1=2, axis2=3), axis=1)
     assert np.all(spread[7:9] > 10 * np.median(spread[found.frame_determined]))
+
+
+def test_frames_are_tied_by_points_of_three_views() -> None:
+    """Two sets of frames: many points of two views alone, or a few of three, do not tie one to the other."""
+    agreeing = np.zeros((8, 60), bool)
+    agreeing[:5, :30] = True
+    agreeing[5:, 30:50] = True
+    agreeing[4:6, 50:] = True
+    agreeing[4, 30:35] = True
+    np.testing.assert_array_equal(tied_frames(agreeing), [True] * 5 + [False] * 3)
+    agreeing[4, 30:36] = True
+    assert tied_frames(agreeing).all()
+    few = np.ones((4, 5), bool)
+    assert tied_frames(few).all()
+    few[3, 4:] = False
+    np.testing.assert_array_equal(tied_frames(few), [True, True, True, False])
