@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import BoundingBox, Frame
-from ...models.face.detectors import PartDetector, for_height
+from ...models.face.detectors import PartDetector, confirmed_faces, for_height
 from ...models.face.morphable_model import MorphableModel, Poses, SurfacePoints
 from .landmark_fit import LANDMARK_NOISE, MIN_LANDMARKS, fit_landmarks, own_points
-from .recovery import AROUND, FACE, UprightView, poses_in_boxes
+from .recovery import FACE, poses_in_boxes
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -22,10 +22,6 @@ USUAL_MISFIT = 2 * LANDMARK_NOISE
 LARGE_FACE, SMALLEST, OCTAVE = 0.16, 30.0, 2.0
 """Heights of small faces to search for: below this share of the picture's shorter side, down to a half of so
 many px, in steps of this factor, which a cascade covers."""
-
-SURELY = 9
-"""`min_neighbors` of a second cascade that confirms a face. In 69 pictures of things without a face the first
-one finds 13, of which it confirms none; in 140 of four films with a face 129, of which it confirms 118."""
 
 CONFIRMING = 3
 """Successive pictures that have to show a face in one place before it is tracked. In 2 of 40 films of smooth
@@ -142,14 +138,14 @@ def find_face(frame: Frame, faces: PartDetector, *, small: bool = True) -> Bound
         return None
     boxes = faces(frame)
     if len(boxes) or not small:
-        return _largest(_confirmed(image, boxes, faces))
+        return _largest(confirmed_faces(image, boxes, faces))
     finding, height = for_height(faces, FACE), LARGE_FACE * min(image.shape[:2])
     while height > SMALLEST:
         height /= OCTAVE
         scale = FACE / height
         enlarged = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
         boxes = finding(replace(frame, image=np.asarray(enlarged, np.uint8))) / scale
-        if len(sure := _confirmed(image, boxes, faces)):
+        if len(sure := confirmed_faces(image, boxes, faces)):
             return _largest(sure)
     return None
 
@@ -171,20 +167,6 @@ def on_trial(before: Sequence[FaceStart], found: FaceStart | None) -> list[FaceS
 def _width_and_middle(start: FaceStart) -> tuple[float, Array]:
     places = start.model.project(start.pose)[0]
     return float(np.ptp(places[:, 0])), places.mean(axis=0)
-
-
-def _confirmed(image: Image, boxes: Array, faces: PartDetector) -> Array:
-    """Return the boxes of faces that a second detector finds there."""
-    confirming = for_height(faces, FACE, SURELY, upright=False)
-    sure = [len(confirming(Frame(_about(image, box), 0.0, 1))) > 0 for box in boxes]
-    confirmed: Array = boxes[np.array(sure, bool)]
-    return confirmed
-
-
-def _about(image: Image, box: Array) -> Image:
-    """Return the picture about a face, scaled to the size for which detectors are trained."""
-    view = UprightView.of(box[:2] + box[2:] / 2, 0.0, FACE / box[2], (round(AROUND * FACE),) * 2)
-    return view.warp(image)
 
 
 def _largest(boxes: Array) -> BoundingBox | None:

@@ -13,7 +13,7 @@ from ..core.checks import Positive, Shape, between, checked
 from ..core.frame import BoundingBox, Frame
 from ..core.gaussian_mixtures import GaussianMixtures, log_sums
 from ..core.short_repr import short_repr
-from ..face.detectors import HaarFaces, PartDetector
+from ..face.detectors import HaarFaces, PartDetector, confirmed_faces
 from ..numerics.threads import side_by_side
 from .image_features import BodyImage, SkinBlobs, edge_distances, skin_blobs
 from .keypoints import SeenKeypoints
@@ -220,7 +220,12 @@ class BodyParts:
         faces = [detector(Frame(images[number], 0.0, int(number) + 1)) for number in chosen]
         if not any(map(len, faces)):
             raise ValueError(f"images: got no face in {len(chosen)} of {len(images)}, expected one at least")
-        start = find_largest_face(faces) if face is None else find_face_at(faces, np.array(face))
+        if face is None:
+            sure = [confirmed_faces(images[k], each, detector) for k, each in zip(chosen, faces, strict=True)]
+            picture, which = find_largest_face(sure)
+            start = picture, int((faces[picture] == sure[picture][which]).all(axis=1).argmax())
+        else:
+            start = find_face_at(faces, np.array(face))
         own = track_face(faces, start)
         seen = [images[number] for number, one in zip(chosen, own, strict=True) if one is not None]
         boxes = np.array([each[one] for each, one in zip(faces, own, strict=True) if one is not None])

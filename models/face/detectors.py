@@ -48,6 +48,10 @@ faces below these sizes; larger ones only cost time."""
 
 SIZES = (0.7, 1.5)  # range of detected heights over the given one
 STEP, MIN_NEIGHBORS = 1.1, 4  # OpenCV's `scaleFactor` and `minNeighbors`
+CUT_OUT = 52  # px: width of a face that is looked at once more, twice that of the cascades' training
+SURELY = 9
+"""`min_neighbors` of a second cascade that confirms a face. In 69 pictures of things without a face the first
+one finds 13, of which it confirms none; in 140 of four films with a face 129, of which it confirms 118."""
 
 
 @runtime_checkable
@@ -234,6 +238,26 @@ def for_height(
     if not isinstance(detector, HaarFaces):
         return detector
     return replace(detector, height=height, min_neighbors=min_neighbors, upright=upright)
+
+
+def confirmed_faces(image: NDArray[np.uint8], boxes: Array, detector: PartDetector) -> Array:
+    """Return the boxes of `(n, 4)` px in which a second cascade finds a face; all of other detectors."""
+    if not isinstance(detector, HaarFaces):
+        return boxes
+    again = replace(detector, height=CUT_OUT, min_neighbors=SURELY, upright=False)
+    sure = [len(again(Frame(_cut_out(image, box), 0.0, 1))) > 0 for box in boxes]
+    return np.asarray(boxes[np.array(sure, bool)])
+
+
+def _cut_out(image: NDArray[np.uint8], box: Array) -> NDArray[np.uint8]:
+    """Return the picture about a face, of twice its width, in which it is `CUT_OUT` px wide."""
+    scale = CUT_OUT / box[2]
+    if scale < 1:  # anti-aliasing
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), 0.4 / scale), np.uint8)
+    shift = CUT_OUT - scale * (box[:2] + 0.5 * box[2:])
+    matrix = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]])
+    view = cv2.warpAffine(image, matrix, (2 * CUT_OUT, 2 * CUT_OUT), borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(view, np.uint8)
 
 
 def _cascade(name: str) -> Any:
