@@ -140,11 +140,12 @@ def _nearer(work, aside, plane, channels):
 
 @compiled
 def count_moved(pixels, before, light_field, log_odds, covered, reach, counts):
-    """Add to counts per block, `(block_rows, block_columns, 4)`, those of a sample of its pixels.
+    """Add to counts per block, `(block_rows, block_columns, 5)`, those of a sample of its pixels.
 
-    Those that nothing covers; those that were moved; and of these the sum of differences in luma from the
-    background, and of their sizes. A pixel was moved if its own background does not explain what it shows,
-    but that of a place nearby does; where its own `log_odds` are at their bound, its own does.
+    Those that nothing covers; those that were moved; of these the sum of differences in luma from the
+    background, and of their sizes; and those that no background nearby explains. A pixel was moved if its own
+    background does not explain what it shows, but that of a place nearby does; where its own `log_odds` are
+    at their bound, its own does.
     """
     mean = before.mean
     size = height, width = light_field.positions.size, light_field.rows.shape[1]
@@ -182,26 +183,30 @@ def count_moved(pixels, before, light_field, log_odds, covered, reach, counts):
                     block[1] += 1
                     block[2] += brighter
                     block[3] += abs(brighter)
+                else:
+                    block[4] += 1
 
 
 @compiled
 def learn_rates(counts, rates, share, least_seen, after):
     """Update the rates of blocks by counts in 3 x 3 blocks about each; `share` is that of the frame.
 
-    Leaves change places, some get brighter and some darker; a shade and a person change all one way.
+    Leaves change places, some get brighter and some darker; a shade and a person change all one way. About
+    half of what passes by looks like something nearby by chance: as much as does not look like anything.
     """
     rows, columns = rates.shape
     for row in range(rows):
         for column in range(columns):
-            seen = moved = brighter = changed = _f4(0)
+            seen = moved = brighter = changed = strange = _f4(0)
             for k in range(9):
                 y, x = row + k // 3 - 1, column + k % 3 - 1
                 block = counts[min(max(y, 0), rows - 1), min(max(x, 0), columns - 1)]
                 seen, moved = seen + block[0], moved + block[1]
                 brighter, changed = brighter + block[2], changed + block[3]
+                strange += block[4]
             own = rates[row, column]
             if seen > least_seen:
-                now = moved * (_f4(1) - abs(brighter) / max(changed, _f4(1e-6))) / seen
+                now = max(moved - strange, _f4(0)) * (_f4(1) - abs(brighter) / max(changed, _f4(1e-6))) / seen
                 own += share * (now - own)
             after[row, column] = own
 
@@ -274,7 +279,7 @@ def update_rates(
 
     `log_odds` `(n_pixels,)` int8 are of each pixel by itself; the scene has been seen for `age` s.
     """
-    counts = np.zeros((*sway.rates.shape, 4), np.float32)
+    counts = np.zeros((*sway.rates.shape, 5), np.float32)
     count_moved(pixels, before, light, log_odds, covered, sway.reach, counts)
     share = 1 - math.exp(-elapsed / (min(age, SWAY_TIME) + CALM_TIME))
     rates: NDArray[np.float32] = np.empty_like(sway.rates)

@@ -53,6 +53,17 @@ def test_leaves_sway_and_shade_and_people_do_not():
     assert rates_after([person if k % 5 else still for k in range(10)]).max() < LEAST_RATE
 
 
+def test_what_passes_by_does_not_sway_though_a_third_of_it_looks_like_something_nearby():
+    """The odds of a count above zero are those of four standard deviations of 192 sampled pixels."""
+    still, rng = scene(), np.random.default_rng(2)
+    passing = []
+    for _ in range(10):
+        strange = rng.integers(0, 256, still.shape).astype(np.uint8)
+        nearby = np.roll(still, (2, -1), (0, 1))
+        passing.append(np.where(rng.random((*SIZE, 1)) < 0.35, nearby, strange))
+    assert rates_after(passing).max() < LEAST_RATE / 4
+
+
 def test_what_is_covered_is_not_learned_from_and_what_is_not_seen_is_kept():
     still = scene()
     covered = np.zeros(SIZE, np.uint8)
