@@ -49,7 +49,7 @@ from .blob_records import (
     overlap,
     patch_in,
 )
-from .blobs import Blob, Blobs, Map, Numbers
+from .blobs import MOST_EVIDENCE, Blob, Blobs, Map, Numbers
 from .registration import make_picture, sprite_of
 
 _f4 = np.float32
@@ -72,7 +72,6 @@ THINNEST = 0.08
 
 LEAST_MASK = 0.1  # of a mask's mass, which must be in the picture
 TRAVELLED = -5.0  # nats, log ratio of ghost and real for each own length that something travels
-MOST_EVIDENCE = 20.0  # nats, that all views together are worth, either way
 
 
 @compiled
@@ -228,7 +227,7 @@ class Learning(NamedTuple):
 def is_ghost(blob, limit):
     """Return whether the outlines of a blob say that no object is there; a detected one never is a ghost."""
     real = max(blob.existence, 0.0) if blob.detected else 0.0
-    return blob["view"] + blob.past_views - real >= limit
+    return min(blob["view"], MOST_EVIDENCE) + blob.past_views - real >= limit
 
 
 @compiled

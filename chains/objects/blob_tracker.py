@@ -168,6 +168,7 @@ class BlobTracker:
             kept = learned.select(alive).concatenate(newborn)
             scene.colour_newborns(kept, int(alive.sum()))
             kept = group_parts(merge_pieces(self._split(kept, numbers, scene, least_area)), scene.newcomers)
+            kept = self._swept(kept, numbers, scene.elapsed, least_area)
             kept.table["fragment_time"] = fragment_times(kept, scene)
         for spot in find_spots(scene.picture.log_odds, kept, least_area):
             corner, mask, planes = scene.cut_out(spot, kept)
@@ -233,7 +234,7 @@ class BlobTracker:
         )
 
     def _split(self, blobs: Blobs, numbers: Iterator[int], scene: BlobScene, least_area: float) -> Blobs:
-        """Blobs that have had a waist or the width of two for a while are two; crumbs are swept away."""
+        """Blobs that have had a waist or the width of two for a while are two."""
         table = blobs.table
         judged = (table["unseen"] == 0) & (table["detected"] == 0)
         waists = np.where(judged, split_columns(blobs, scene.newcomers), -1)
@@ -248,10 +249,24 @@ class BlobTracker:
                     blob.changed(mask=larger, size=likely_size(larger)),
                     blob.changed(mask=smaller, size=likely_size(smaller), identity=new, whole=new),
                 ]
-        due = judged & (table["seen"] // SWEEP > (table["seen"] - scene.elapsed) // SWEEP)
-        due[list(parted)] = False
-        blobs.sweep(due)
         if not parted:
             return blobs
         rows = [part for k, blob in enumerate(blobs) for part in parted.get(k, [blob])]
         return Blobs.of(rows, blobs.channels)
+
+    def _swept(self, blobs: Blobs, numbers: Iterator[int], elapsed: float, least_area: float) -> Blobs:
+        """Blobs whose masks are freed of crumbs now and then.
+
+        Large ones of who stands are objects of their own; those of who moves are often what trails behind.
+        """
+        table = blobs.table
+        judged = (table["unseen"] == 0) & (table["detected"] == 0)
+        due = judged & (table["seen"] // SWEEP > (table["seen"] - elapsed) // SWEEP)
+        return blobs.concatenate(
+            [
+                blobs[k].part(next(numbers), crumb)
+                for k in np.flatnonzero(due).tolist()
+                for crumb in blobs.sweep(k, least_area)
+                if table["still"][k] > 0
+            ]
+        )

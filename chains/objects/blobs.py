@@ -15,7 +15,7 @@ from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import FOOT_X, FOOT_Y, HEIGHT, WIDTH
 from ...models.pixels.layers import LAYER, LayerSheet, Pools, log_density_ratio
-from .blob_records import MARGIN, RECORD, UNKNOWN_COLOUR, fill_boxes, measure_all, measured
+from .blob_records import MARGIN, RECORD, UNKNOWN_COLOUR, fill_boxes, measure_all, measured, overlap
 
 Map = NDArray[np.float32]
 Numbers = NDArray[np.float64]
@@ -32,6 +32,8 @@ Two boxes of one size that are off by a and b of their sides share (1 - a) (1 - 
 """
 
 OWN_WAY = 3.0  # s after which what still moves, as small as it is, is an object by itself
+
+MOST_EVIDENCE = 20.0  # nats, that views of an outline are worth together, either way
 
 COVERED, CRUMB = 0.3, 0.1
 """Probability of cover from which on pixels make a spot, and share of the largest that crumbs have not."""
@@ -143,6 +145,16 @@ class Blob:
             np.asarray(mask, np.float32), np.array(planes, np.float32).reshape(-1, *mask.shape)
         )
 
+    def part(self, identity: int, mask: Map) -> Self:
+        """Return a part of it that has come apart, with a mask `(height, width)`, as a new object.
+
+        It is as sure to be real; but where this one appeared, it may be what that has left behind.
+        """
+        unknown: dict[str, Any] = dict.fromkeys(("seen", "still", "view", "parting", "fragment_time"), 0.0)
+        part = self.changed(mask, identity=identity, whole=identity, size=likely_size(mask), **unknown)
+        evidence = 0.0 if overlap(part.box, tuple(self.origin)) else self.past_views
+        return part.changed(origin=part.box, past_views=evidence)
+
     def changed(self, mask: Map | None = None, appearance: Map | None = None, **values: Any) -> Self:
         """Return the blob with other pixels, or other values of fields; a new mask is measured."""
         record = np.array([self.record])[0] if mask is None else measured(mask, self.record)
@@ -227,7 +239,7 @@ class Blobs:
         """`(n,)` nats, log ratio of ghost and real; being detected counts as real."""
         table = self.table
         real = np.where(table["detected"], np.maximum(table["existence"], 0.0), 0.0)
-        return np.asarray(table["view"] + table["past_views"] - real)
+        return np.asarray(np.minimum(table["view"], MOST_EVIDENCE) + table["past_views"] - real)
 
     @property
     def reported_variances(self) -> Numbers:
@@ -283,12 +295,14 @@ class Blobs:
         """Return the blobs with other records of the same pixels."""
         return replace(self, words=table.view(np.int64).reshape(-1, WORDS))
 
-    def sweep(self, due: Mask) -> None:
-        """Free the masks that are `due` `(n,)` of crumbs, in place: the table must be a new one."""
-        for k in np.flatnonzero(due).tolist():
-            mask = self[k].mask
-            if without_crumbs(mask):
-                measure_all(self.table[k : k + 1], self.pools, np.empty(5 * mask.shape[1], np.float32))
+    def sweep(self, number: int, least_area: float) -> list[Map]:
+        """Free a mask of crumbs, in place: the table must be a new one; return those of `least_area` px."""
+        mask = self[number].mask
+        crumbs = take_crumbs(mask)
+        if crumbs:
+            row = self.table[number : number + 1]
+            measure_all(row, self.pools, np.empty(5 * mask.shape[1], np.float32))
+        return [crumb for crumb in crumbs if crumb.sum() >= least_area]
 
     def select(self, which: NDArray[np.intp] | Mask) -> Self:
         """Return some of the blobs, by index or by whether to take them."""
@@ -399,15 +413,14 @@ def box_densities(identities: ArrayLike, boxes: ArrayLike) -> GaussianMessage:
     )
 
 
-def without_crumbs(mask: Map) -> bool:
-    """Remove spots that are apart and under a tenth of the largest; return whether there were any."""
+def take_crumbs(mask: Map) -> list[Map]:
+    """Remove spots that are apart and under a tenth of the largest; return a mask of each."""
     _, labels, boxes, _ = cv2.connectedComponentsWithStats((mask > COVERED).astype(np.uint8), connectivity=8)
-    areas = boxes[:, cv2.CC_STAT_AREA]
-    crumbs = areas < CRUMB * areas[1:].max(initial=0)
-    crumbs[0] = False
-    gone = crumbs[labels]
-    mask[gone] = 0
-    return bool(gone.any())
+    areas = boxes[1:, cv2.CC_STAT_AREA]
+    numbers = 1 + np.flatnonzero(areas < CRUMB * areas.max(initial=0))
+    crumbs = [np.where(labels == number, mask, np.float32(0)) for number in numbers]
+    mask[np.isin(labels, numbers)] = 0
+    return crumbs
 
 
 def likely_size(mask: Map) -> Numbers:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from rsmcm.chains.objects import blob_records as kernels
 from rsmcm.chains.objects.blob_records import fade_beyond, measured
-from rsmcm.chains.objects.blobs import without_crumbs
+from rsmcm.chains.objects.blobs import take_crumbs
 from rsmcm.chains.pixels.background_prediction import colour
 
 F4 = np.float32
@@ -76,10 +76,11 @@ def test_crumbs_are_spots_of_less_than_a_tenth_of_the_largest():
     expected = mask.copy()
     mask[20, 20], mask[21, 21], mask[20, 22] = 0.9, 0.9, 0.4  # three that touch at corners
     expected[20, 20] = expected[21, 21] = expected[20, 22] = 0
-    assert without_crumbs(mask)
+    whole = mask.copy()
+    (crumb,) = take_crumbs(mask)
     np.testing.assert_array_equal(mask, expected)
-    assert not without_crumbs(mask)
-    assert not without_crumbs(np.zeros((5, 7), F4))
+    np.testing.assert_array_equal(crumb, whole - expected)
+    assert take_crumbs(mask) == take_crumbs(np.zeros((5, 7), F4)) == []
 
 
 @settings(max_examples=20, deadline=None)

@@ -22,7 +22,7 @@ def texture(seed, size, colour, contrast):
 SCENE = texture(0, SIZE, GROUND, 15)
 
 
-def film(n_frames, *things):
+def film(n_frames, *things, scene=SCENE, contrast=25):
     """Images of things `(size, colour, place)`, the last in front; `place` gives left and top at a time.
 
     Where `place` gives `None`, there is no such thing.
@@ -30,13 +30,13 @@ def film(n_frames, *things):
     noise = np.random.default_rng(1)
     images = []
     for number in range(n_frames):
-        image = np.pad(SCENE, ((400, 400), (400, 400), (0, 0)))
+        image = np.pad(scene, ((400, 400), (400, 400), (0, 0)))
         for seed, ((height, width), colour, place) in enumerate(things):
             where = place(number * DT)
             if where is not None:
                 left, top = (400 + round(value) for value in where)
                 image[top : top + height, left : left + width] = texture(
-                    10 + seed, (height, width), colour, 25
+                    10 + seed, (height, width), colour, contrast
                 )
         image = image[400:-400, 400:-400] + noise.normal(0, 4, SCENE.shape)
         images.append(np.clip(image, 0, 255).astype(np.uint8))
@@ -132,6 +132,24 @@ def test_what_has_stopped_stays_foreground_and_the_scene_behind_it_stays_known()
     assert error < 4
     assert absorbed > 20
     assert (forgetful[-1]["pixels"].foreground()[thing] > 0).mean() < 0.1
+
+
+def test_who_stands_before_a_strip_as_dark_as_their_trousers_is_seen_down_to_the_feet():
+    """A strip parts the feet from the body: under a tenth of it, they are freed from its mask as crumbs."""
+    scene, trousers = SCENE.copy(), (70, 55, 50)
+    scene[78:87] = texture(2, (9, SIZE[1]), trousers, 3)
+
+    def walker(below):
+        """Shifts its weight to the other side now and then."""
+        return lambda time: (-20 + 40 * min(time, 2) + 3 * (time > 4 and int(time) % 3 == 0), below)
+
+    body, legs = ((40, 16), RED, walker(26)), ((26, 12), trousers, walker(66))
+    for number, belief in enumerate(run(film(260, body, legs, scene=scene, contrast=4))):
+        if number >= 80:
+            left = round(walker(0)(number * DT)[0])
+            shown = belief["pixels"].foreground() > 0
+            assert shown[88:92, left + 1 : left + 11].mean() > 0.9
+            assert shown[28:64, left + 1 : left + 15].mean() > 0.9
 
 
 def test_two_that_cross_keep_their_identities():

@@ -86,3 +86,19 @@ def test_in_the_next_scene_tracks_are_where_the_camera_saw_them() -> None:
     )
     assert [blob.mask.shape for blob in moved] == [(34, 22), (34, 22)]
     assert moved[0].mask.mean() == pytest.approx(blobs[0].mask.mean(), rel=0.02)
+
+
+def test_a_part_that_comes_apart_is_as_real_as_the_whole_but_where_that_appeared() -> None:
+    whole = known(past_views=-20.0, view=-30.0, still=1.0, origin=(300.0, 50.0, 20.0, 30.0))
+    mask = np.zeros((30, 20), np.float32)
+    mask[22:28, 4:12] = 0.8
+    part = whole.part(7, mask)
+    assert (part.identity, part.whole, part.seen, part.still, part.view) == (7, 7, 0, 0, 0)
+    assert part.box == tuple(part.origin) == (44, 72, 8, 6)
+    np.testing.assert_array_equal(part.size, [6, 8])
+    np.testing.assert_array_equal(part.appearance, whole.appearance)
+    assert part.past_views == -20
+    # all views together are worth no more: it stays real, however like a ghost it looks from now on
+    (evidence,) = Blobs.of([part.changed(view=60.0)], 1).ghost_evidence
+    assert evidence == 0
+    assert whole.changed(origin=(50.0, 75.0, 20.0, 30.0)).part(7, mask).past_views == 0
