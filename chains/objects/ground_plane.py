@@ -13,7 +13,8 @@ the scene's perspective is learned from the objects that walk through it, each o
 both together predict every object's box, from the past alone.
 """
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -27,7 +28,7 @@ from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.identities import Turnover, find, places_of
 from ...models.core.short_repr import short_repr
-from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage, Newcomers
+from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, HEIGHTS, WIDTH, BoxMessage, Newcomers
 from ...models.objects.object_boxes import ObjectBoxes
 
 Array = NDArray[np.float64]
@@ -45,6 +46,23 @@ HALF_HIDDEN = 0.5
 
 MIN_WORTH = 1e-9
 """Of an observation without weight: its noise is divided by this, which leaves it out."""
+
+
+FOOT_HEIGHTS, SLOPES = (
+    each.ravel() for each in np.meshgrid(np.geomspace(0.06, 1.5, 24), np.linspace(0, 1.8, 19), indexing="ij")
+)
+"""Planes that are compared: height with feet in the lowest row, in heights of the picture, and px per row."""
+
+USUAL, USUAL_STD, USUAL_SLOPE = 0.35, 0.8, 0.7
+"""Their prior, which is wide: median of that height, deviation of its logarithm, mean slope."""
+PRIOR = -0.5 * (np.log(FOOT_HEIGHTS / USUAL) / USUAL_STD) ** 2 - SLOPES / USUAL_SLOPE
+
+PART, OTHER = 0.45, 0.1
+"""Shares of what pixels alone show that are parts of objects, and neither parts nor whole; guesses."""
+
+LEAST = 0.02  # of the picture's height: the least height of a plane
+CELL = 0.1  # of a height: by how much planes that are compared are apart
+UNALIKE = 2.0  # deviations by which a plane may be off from the likeliest ones
 
 
 @short_repr
@@ -70,6 +88,8 @@ class GroundState:
     aspect_variances: Array
     trust: Array  # (n,) log odds that the object stands on the plane
     unseen: Array  # (n,) s since it was last observed
+    # (n_planes,): log weights of all planes that are compared, by what pixels alone have shown
+    planes: Array = field(default_factory=lambda: PRIOR.copy())
 
     @property
     def middle(self) -> float:
@@ -109,6 +129,7 @@ class GroundState:
             feet=feet,
             feet_covariance=spread,
             heights=down * self.heights,
+            planes=PRIOR.copy(),
         )
 
     def design(self, below: Array, places: NDArray[np.intp], own: Array) -> Array:
@@ -257,8 +278,47 @@ class GroundPlane:
             return state
         whole = _are_whole(message.in_frame(boxes), state.size)
         places = places_of(state.identities, identities)
+        if not len(message.existence):
+            state = self._compared(state, boxes[whole], state.unseen[places][whole])
         exists = 1 / (1 + np.exp(-message.existence.of(identities))) if len(message.existence) else 1.0
         return self._observed(state, places, boxes, covariances, whole, exists)
+
+    def _compared(self, state: GroundState, boxes: Array, unseen: Array) -> GroundState:
+        """The state after boxes `(n, 4)` px that may show parts of objects, of any height up to theirs.
+
+        A plane that was learned of parts takes what is whole for an outlier. So all planes are compared, and
+        it begins anew where the likeliest ones are others.
+        """
+        if not len(boxes):
+            return state
+        rows, feet, height = state.size[0], boxes[:, FOOT_Y], boxes[:, HEIGHT, None]
+        usual = np.maximum(FOOT_HEIGHTS * rows - SLOPES * (rows - feet[:, None]), LEAST * rows)
+        off = (height - usual) / usual / state.variation
+        whole = np.exp(-0.5 * off**2) / (math.sqrt(2 * math.pi) * state.variation * usual)
+        density = (1 - PART - OTHER) * whole + PART * (height < usual) / usual
+        density += OTHER / (height * HEIGHTS)
+        planes = state.planes + np.minimum(unseen / self.observation_time, 1.0) @ np.log(density)
+        state = replace(state, planes=planes - planes.max())
+
+        share = np.exp(state.planes) / np.exp(state.planes).sum()
+        mean = np.log(usual) @ share
+        variance = np.log(usual) ** 2 @ share - mean**2 + CELL**2
+        height, deviation = state.expected_height(feet)
+        height = np.maximum(height, LEAST * rows)
+        apart = (np.log(height) - mean) ** 2 / (variance + (deviation / height) ** 2)
+        return state if np.median(apart) < UNALIKE**2 else self._begun_anew(state, share)
+
+    def _begun_anew(self, state: GroundState, share: Array) -> GroundState:
+        """The state with a plane by the probabilities `share` of all, on which objects are as if new."""
+        rows, count = state.size[0], len(state.scene)
+        lines = np.stack([rows * (FOOT_HEIGHTS - 0.5 * SLOPES), SLOPES])
+        scene, covariance = np.zeros(count), self.stature**2 * np.eye(count)
+        scene[:2] = lines @ share
+        lines -= scene[:2, None]
+        between = 0.5 * CELL * np.array([rows * (FOOT_HEIGHTS @ share), 1.0])
+        covariance[:2, :2] = (share * lines) @ lines.T + np.diag(between**2)
+        trust = np.full(len(state.trust), INITIAL_TRUST)
+        return replace(state, scene=scene, scene_covariance=covariance, trust=trust)
 
     def _observed(
         self,

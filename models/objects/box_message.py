@@ -20,7 +20,8 @@ FOOT_X, FOOT_Y, WIDTH, HEIGHT = range(4)
 """Order of a box's numbers (px): middle of its bottom edge, as column and row, then its size."""
 
 BOX = 4  # numbers of a box
-SIZES = log(20) * log(40)  # of log height and log aspect, the range over which false boxes are spread evenly
+HEIGHTS = log(20)  # of log height, the range over which false boxes are spread evenly
+SIZES = HEIGHTS * log(40)  # and of log height and log aspect
 
 
 def log_anywhere(boxes: Numbers, area: float) -> Numbers:

@@ -4,12 +4,22 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains import GroundPlane
-from rsmcm.chains.objects.ground_plane import HALF_HIDDEN, MIN_ASPECT_STD, GroundState
+from rsmcm.chains.objects.ground_plane import (
+    FOOT_HEIGHTS,
+    HALF_HIDDEN,
+    MIN_ASPECT_STD,
+    OTHER,
+    PART,
+    PRIOR,
+    SLOPES,
+    GroundState,
+)
 from rsmcm.inference.engine.protocols import Incoming
 from rsmcm.models import Frame, ObjectBoxes
 from rsmcm.models.camera.moving_camera import View
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.objects.box_message import FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage, LogOdds
+from scipy.stats import loguniform, norm, uniform
 
 Numbers = NDArray[np.float64]
 Observed = tuple[NDArray[np.intp], Numbers, Numbers, Numbers]
@@ -263,3 +273,61 @@ def test_in_the_next_scene_people_stand_where_the_camera_saw_them_and_look_as_la
     assert wider[0, 0] == pytest.approx(
         moved.scene[1] ** 2 * unsure.box_variances(middle)[0, FOOT_Y], rel=1e-4
     )
+
+
+def seen_alone(random: np.random.Generator, seconds: int, whole: float) -> list[BoxMessage]:
+    """Boxes that pixels show, twice a second: four of other people each second, who are whole or in parts.
+
+    Somebody with feet in row y is 20 + 0.6 (y - 100) px high, more or less by a tenth.
+    """
+    messages = []
+    for second in range(seconds):
+        y = random.uniform(200, 460, 4)
+        height = (20 + 0.6 * (y - 100)) * (1 + 0.1 * random.normal(size=4))
+        height *= np.where(random.random(4) < whole, 1.0, random.uniform(0.1, 0.6, 4))
+        boxes = np.stack([random.uniform(100, 500, 4), y, 0.4 * height, height], axis=1)
+        covariances = np.einsum("ni,ij->nij", (0.05 * height[:, None]) ** 2 * np.ones(4), np.eye(4))
+        message = BoxMessage(GaussianMessage.from_moments(4 * second + np.arange(4), boxes, covariances))
+        messages += [message, message]
+    return messages
+
+
+def walked(state: GroundState, messages: list[BoxMessage]) -> GroundState:
+    for message in messages:
+        state = GROUND.update(GROUND.predict(state, 0.5), Incoming({OBJECTS: message}))
+    return state
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_plane_that_was_learned_of_parts_begins_anew_when_whole_people_are_seen(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    rows = np.array([250.0, 350.0, 450.0])
+    truth = 20 + 0.6 * (rows - 100)
+    parts = walked(GROUND.initial(Frame(BLANK, 0.0, 1)), seen_alone(random, 15, whole=0.0))
+    assert (parts.expected_height(rows)[0] < 0.75 * truth).all()
+    # every other one is whole: planes a tenth of a height apart are told from each other by a few
+    after = walked(parts, seen_alone(random, 60, whole=0.5))
+    np.testing.assert_allclose(after.expected_height(rows)[0], truth, rtol=0.15)
+
+
+def test_planes_are_weighed_by_the_density_of_what_is_seen() -> None:
+    (message, _) = seen_alone(np.random.default_rng(0), 1, 0.5)
+    start = GROUND.initial(Frame(BLANK, 0.0, 1))
+    found = walked(start, [message]).planes
+    expected = PRIOR.copy()
+    for _, y, _, height in message.objects.moments[1]:
+        usual = np.maximum(480 * FOOT_HEIGHTS - SLOPES * (480 - y), 0.02 * 480)
+        density = (1 - PART - OTHER) * norm.pdf(height, usual, start.variation * usual)
+        density += PART * uniform.pdf(height, 0, usual) + OTHER * loguniform.pdf(height, height, 20 * height)
+        expected += np.log(density)
+    np.testing.assert_allclose(found, expected - expected.max(), atol=1e-9)
+
+
+def test_with_a_detector_planes_are_not_compared() -> None:
+    places, boxes = np.arange(3), np.array([[100.0 * k, 300, 40, 100] for k in (1, 2, 3)])
+    state = observed_by(
+        GROUND,
+        GROUND.initial(Frame(BLANK, 0.0, 1)),
+        (places, boxes, np.tile(np.eye(4), (3, 1, 1)), np.full(3, 0.9)),
+    )
+    np.testing.assert_array_equal(state.planes, PRIOR)
