@@ -167,7 +167,7 @@ class BlobTracker:
             learned, alive = scene.learn_blobs(blobs, self._rule(blobs.channels, scene, least_area))
             kept = learned.select(alive).concatenate(newborn)
             scene.colour_newborns(kept, int(alive.sum()))
-            kept = group_parts(merge_pieces(self._split(kept, numbers, scene, least_area)), scene.newcomers)
+            kept = group_parts(merge_pieces(self._split(kept, numbers, scene, least_area)), scene)
             kept = self._swept(kept, numbers, scene.elapsed, least_area)
             kept.table["fragment_time"] = fragment_times(kept, scene)
         for spot in find_spots(scene.picture.log_odds, kept, least_area):

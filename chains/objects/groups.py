@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...models.objects.box_message import Newcomers
+from ...models.objects.box_message import Newcomers, log_anywhere
 from .blob_records import FRESH, UNKNOWN_COLOUR, measured, next_piece
 from .blob_scene import BlobScene
 from .blobs import Blob, Blobs, Map, Numbers, likely_size, union
@@ -13,38 +13,38 @@ from .blobs import Blob, Blobs, Map, Numbers, likely_size, union
 UPRIGHT = 0.75  # width over height below which people are upright, and stand side by side
 PAIR = 3.0  # nats from which on a blob is taken for two people
 HALF = 0.5  # of a person's height, below which a blob is a fragment of one
-SETTING_OFF = 2.0  # s from its birth on, in which something may still come into view as parts that are apart
-SAME_TIME = 0.4  # s by which the births of parts of one thing may be apart
+OBJECTS = 3.0  # mean number of objects in a picture; a guess
+IN_PARTS = 0.1  # probability that an object is seen as parts that are apart
+ALIKE, ANY_WAY = 0.2, 1.4  # lengths/s by which velocities of one object's parts, and of two objects, differ
+LARGEST_PART = (
+    0.6  # lengths of an object: the most that the shorter of two parts has; people in pairs are longer
+)
+MOVES = 0.1  # lengths/s from which on something moves
+WERE_ONE = 4.0  # nats: what has been one object stays one
+SETTING_OFF = 2.0  # s from its birth on, in which a part may be what an object leaves behind
 KNOWN = 0.25  # deviation over mean of the height prior, below which the height is known
 
 
-def group_parts(blobs: Blobs, newcomers: Newcomers | None) -> Blobs:
-    """Group blobs that have set off together, as parts of the oldest of them.
+def group_parts(blobs: Blobs, scene: BlobScene) -> Blobs:
+    """Group blobs that move together into objects, where one is likelier than several (see `part_evidence`).
 
-    Something that was a part of the scene, and looks alike in its middle wherever it is, comes into view as
-    its edges do. They stay blobs of their own, since some may be what it leaves behind; and those that have
-    not become one soon, or turn out to be no small parts, are on their own again.
+    They stay blobs of their own, since some may be what the object leaves behind. An object has the identity
+    of its oldest part, and parts join and leave.
     """
     table = blobs.table
-    seen, found = table["seen"], table["detected"] != 0
-    young = np.flatnonzero(~found & (seen > FRESH / 2) & (seen < SETTING_OFF)).tolist()
-    if len(young) < 2 and (table["whole"] == table["identity"]).all():
+    free = np.flatnonzero((table["detected"] == 0) & (table["seen"] > FRESH / 2))
+    if not len(free):
         return blobs
-    table = table.copy()
-    for k in np.flatnonzero(_members(table) > 1).tolist():
-        whole = table["whole"]
-        parts = blobs.select(np.flatnonzero(whole == whole[k]))
-        grown = seen[k] >= SETTING_OFF or found[k]
-        if len(parts) > 1 and (grown or not can_be_one(parts.boxes, newcomers)):
-            whole[k] = table["identity"][k]
-    for first, k in enumerate(young):
-        for other in young[first + 1 :]:
-            kept, given = sorted((table["whole"][k], table["whole"][other]))
-            if kept != given and set_off_together(blobs, k, other, newcomers):
-                # where any of them appeared, each may still be one with what they have left
-                members = np.isin(table["whole"], (kept, given))
-                table["origin"][members] = union(table["origin"][members])
-                table["whole"][members], table["past_views"][members] = kept, 0.0
+    table, own, before, taken = table.copy(), table["identity"], table["whole"], set[int]()
+    table["whole"] = own
+    for members in sorted(_joined(blobs, free, scene), key=lambda members: -table["mass"][members].sum()):
+        names = {*before[members].tolist(), *own[members].tolist()}
+        name = min(names - taken.union(np.delete(own, members).tolist()))
+        taken.add(name)
+        table["whole"][members] = name
+        if (before[members] != before[members[0]]).any() and (table["seen"][members] < SETTING_OFF).all():
+            # where any of them appeared, each may still be one with what they have left
+            table["origin"][members], table["past_views"][members] = union(table["origin"][members]), 0.0
     return blobs.with_table(table)
 
 
@@ -61,25 +61,81 @@ def select_whole(blobs: Blobs) -> Blobs:
     return blobs.select(_members(blobs.table) <= 2)
 
 
-def can_be_one(boxes: Numbers, newcomers: Newcomers | None) -> bool:
-    """Return whether blobs can be parts of one object: together neither too high nor as wide as two."""
-    whole = union(boxes)
-    mean, deviation = height_prior(whole[1] + whole[3], newcomers)
-    too_high = whole[3] > mean + 2 * deviation
-    return not too_high and bool(pair_evidence(whole, newcomers) < 0)
+def _joined(blobs: Blobs, free: NDArray[np.intp], scene: BlobScene) -> list[NDArray[np.intp]]:
+    """Groups of the blobs `free` `(n,)`: the two are joined that are most likely one, as long as any are."""
+    table, boxes = blobs.table[free], blobs.boxes[free]
+    members, names = np.eye(len(free), dtype=bool), table["whole"][:, None] == np.unique(table["whole"])
+    young = names & (table["seen"] < SETTING_OFF)[:, None]
+    velocities, variances, masses = (
+        each.copy() for each in (table["velocity"], table["covariance"][:, 1, 1], table["mass"])
+    )
+    while True:
+        were_one, set_off = names @ names.T, young @ young.T
+        possible = np.triu(set_off | _may_be_parts(boxes, velocities), 1)
+        if not possible.any():
+            break
+        evidence = part_evidence(boxes, velocities, variances, scene) + WERE_ONE * were_one
+        evidence[~possible] = -np.inf
+        one, other = divmod(int(np.argmax(evidence)), len(boxes))
+        if evidence[one, other] <= 0:
+            break
+        share = masses[other] / (masses[one] + masses[other])
+        velocities[one] += share * (velocities[other] - velocities[one])
+        variances[one] = (1 - share) ** 2 * variances[one] + share**2 * variances[other]
+        masses[one] += masses[other]
+        boxes[one] = union(boxes[[one, other]])
+        members[one] |= members[other]
+        names[one] |= names[other]
+        young[one] |= young[other]
+        boxes, velocities, variances, masses, members, names, young = (
+            np.delete(each, other, axis=0)
+            for each in (boxes, velocities, variances, masses, members, names, young)
+        )
+    return [free[row] for row in members]
 
 
-def set_off_together(blobs: Blobs, one: int, other: int, newcomers: Newcomers | None) -> bool:
-    """Return whether two blobs set out at the same time, close to each other and in the same direction."""
-    boxes, (here, there) = blobs.boxes[[one, other]], blobs.table[[one, other]]
-    _, _, wide, tall = union(boxes).tolist()
-    length = max(wide, tall)
-    gap = max(wide - boxes[0, 2] - boxes[1, 2], tall - boxes[0, 3] - boxes[1, 3])
-    slower = min(math.hypot(*here["velocity"]), math.hypot(*there["velocity"]))
-    apart = math.hypot(*(here["velocity"] - there["velocity"]))
-    alike = slower > 0.1 * length and apart < 0.2 * length and abs(here["seen"] - there["seen"]) < SAME_TIME
-    shorter, longer = sorted(blobs.reported_boxes[[one, other], 2:].max(axis=1).tolist())
-    return bool(gap < longer and shorter < 0.5 * length and alike and can_be_one(boxes, newcomers))
+def part_evidence(boxes: Numbers, velocities: Numbers, variances: Numbers, scene: BlobScene) -> Numbers:
+    """Return `(n, n)` nats, log ratio of any two blobs being parts of one object and two objects.
+
+    Two objects have two boxes of newcomers, and any velocities. One has the box that holds both, of whose
+    eight numbers four are left open: they are uniform within it; and one velocity. As people also walk side
+    by side, velocities that are alike say little; others say much. `boxes` are `(n, 4)` px, `velocities` `(n,
+    2)` px/s with `variances` `(n,)` px^2/s^2.
+    """
+    ends = boxes[:, :2] + boxes[:, 2:]
+    corner = np.minimum(boxes[:, None, :2], boxes[:, :2])
+    sides = np.maximum(ends[:, None], ends) - corner
+    both = np.concatenate([corner, sides], axis=2).reshape(-1, 4)
+    alone, one = _log_density(boxes, scene), _log_density(both, scene).reshape(len(boxes), -1)
+    evidence = math.log(IN_PARTS / OBJECTS) + one - 2 * np.log(sides.prod(axis=2)) - alone[:, None] - alone
+
+    lengths = boxes[:, 2:].max(axis=1)
+    longer = np.maximum(lengths[:, None], lengths)
+    apart = ((velocities[:, None] - velocities) ** 2).sum(axis=2)
+    alike = variances[:, None] + variances + (ALIKE * longer) ** 2
+    any_way = alike + (ANY_WAY * longer) ** 2
+    ratio = 0.5 * apart * (1 / any_way - 1 / alike) + np.log(any_way / alike)
+    return np.asarray(evidence + ratio - np.logaddexp(ratio, 0) + math.log(2))
+
+
+def _may_be_parts(boxes: Numbers, velocities: Numbers) -> NDArray[np.bool_]:
+    """`(n, n)`: whether any two blobs move, are close to each other, and one is much shorter than both."""
+    lengths, speeds = boxes[:, 2:].max(axis=1), np.hypot(*velocities.T)
+    ends = boxes[:, :2] + boxes[:, 2:]
+    sides = np.maximum(ends[:, None], ends) - np.minimum(boxes[:, None, :2], boxes[:, :2])
+    length, gap = sides.max(axis=2), (sides - boxes[:, None, 2:] - boxes[:, 2:]).max(axis=2)
+    moves = np.minimum(speeds[:, None], speeds) > MOVES * length
+    parts = np.minimum(lengths[:, None], lengths) < LARGEST_PART * length
+    return np.asarray(moves & parts & (gap < np.maximum(lengths[:, None], lengths)))
+
+
+def _log_density(boxes: Numbers, scene: BlobScene) -> Numbers:
+    """`(n,)` nats, of 1/px^4, of objects with boxes `(n, 4)`, which are of any size if none is usual."""
+    x, y, width, height = boxes.T
+    feet = np.stack([x + 0.5 * width, y + height, width, height], axis=1)
+    if scene.newcomers is None:
+        return log_anywhere(feet, float(scene.size[0] * scene.size[1]))
+    return scene.newcomers.log_density(feet)
 
 
 def height_prior(feet: ArrayLike, newcomers: Newcomers | None) -> tuple[Numbers, Numbers]:

@@ -235,11 +235,8 @@ class SceneFilter:
 
 def _seen(state: BlobState) -> list[tuple[int, Box]]:
     """Identities and boxes of objects that the frame shows; with a detector, of confirmed ones."""
-    if state.detecting:
-        return [(track.identity, track.box) for track in state.tracks()]
-    table, boxes = state.blobs.table, state.blobs.boxes
-    shown = table["unseen"] == 0
-    return list(zip(table["identity"][shown].tolist(), boxes[shown].tolist(), strict=True))
+    shown = state if state.detecting else replace(state, confirmation_time=0.0)
+    return [(each.identity, each.box) for each in shown.tracks() if each.seen or state.detecting]
 
 
 def sample_of(times: Numbers, most: int, memory: float) -> list[int]:

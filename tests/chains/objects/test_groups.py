@@ -4,18 +4,28 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rsmcm.chains.objects.blob_records import MARGIN
 from rsmcm.chains.objects.blobs import Blob, Blobs, BlobState
+from rsmcm.chains.objects.ground_plane import GroundPlane
 from rsmcm.chains.objects.groups import (
+    ALIKE,
+    ANY_WAY,
+    IN_PARTS,
+    OBJECTS,
     fragment_times,
     group_parts,
     merge_pieces,
     pair_evidence,
+    part_evidence,
     select_whole,
     split_mask,
     thinnest_column,
 )
+from rsmcm.models.core.frame import Frame
 from rsmcm.models.objects.box_message import Newcomers
+from scipy.stats import norm
 
 F4 = np.float32
 
@@ -36,7 +46,7 @@ def blob(identity, x, y, width, height, speed=0.0, seen=1.0):
 
 
 class Scene:
-    """What `fragment_time` needs of a frame."""
+    """What is asked of a frame."""
 
     size = (120, 160)
     elapsed = 0.04
@@ -103,43 +113,103 @@ def test_what_is_much_smaller_than_anybody_is_not_reported_until_it_has_long_mov
     assert reported(3.5, 0.0) == [1, 2]
 
 
+def anything():
+    """Nothing was seen yet: the ground plane's own prior, in a picture of 160 x 120 px."""
+    return GroundPlane().initial(Frame(np.zeros((120, 160), np.uint8), 0.0, 1)).newcomers()
+
+
+def together(*blobs, newcomers):
+    return group_parts(Blobs.of(blobs, 3), Scene(newcomers))
+
+
 def wholes(*blobs, newcomers=None):
-    return group_parts(Blobs.of(blobs, 3), newcomers).table["whole"].tolist()
+    return together(*blobs, newcomers=newcomers or people()).table["whole"].tolist()
 
 
-def test_edges_of_a_thing_that_sets_off_are_one_track_for_a_while():
-    parts = [blob(k, 30 + 20 * k, 50, 12, 14, 25, 0.5) for k in (1, 2, 3)]
-    assert wholes(*parts) == [1, 1, 1]
-    together = group_parts(Blobs.of(parts, 3), None)
-    assert len(select_whole(together)) == 0
-    assert len(select_whole(Blobs.of(list(together)[:2], 3))) == 2
-    (track,) = BlobState(together, 3, (120, 160), 0.0, 0.35).tracks()
-    assert track.box == pytest.approx((50, 50, 52, 14))
+def part(identity, y, height, speed=25.0, x=30, width=16, whole=None):
+    """A part of somebody who walks, whose velocity is known to 3 px/s."""
+    return blob(identity, x, y, width, height, speed).changed(
+        covariance=np.diag([1.0, 9.0]), whole=identity if whole is None else whole
+    )
+
+
+JACKET, LEGS = part(1, 20, 21), part(2, 42, 18)
+
+
+@pytest.mark.parametrize("speed", [25, 22, 0.5])
+def test_the_evidence_is_the_ratio_of_the_densities_of_one_object_and_two(speed):
+    both = Blobs.of([JACKET, part(2, 42, 18, 25 - speed)], 3)
+    evidence = part_evidence(both.boxes, both.table["velocity"] + [0, 100], np.full(2, 9.0), Scene(people()))
+
+    def density(y, height):
+        """Of a newcomer's box, 16 px wide: nine in ten fit the plane, one is anywhere."""
+        usual = 40 + 0.5 * (y + height - 60)
+        std = math.hypot(math.sqrt(4 + 1e-4 * (y + height - 60) ** 2), 0.1 * usual)
+        fits = norm.pdf(height, usual, std) * norm.pdf(16, 0.4 * height, 0.05 * height)
+        anywhere = 1 / (16 * height * math.log(20) * math.log(40))
+        return (0.9 * fits + 0.1 * anywhere) / (120 * 160)
+
+    one = IN_PARTS * density(20, 40) / (16 * 40) ** 2
+    two = OBJECTS * density(20, 21) * density(42, 18)
+    alike, any_way = (
+        norm.pdf(speed, 0, math.sqrt(variance)) / math.sqrt(variance)
+        for variance in (18 + (ALIKE * 21) ** 2, 18 + (ALIKE * 21) ** 2 + (ANY_WAY * 21) ** 2)
+    )
+    assert evidence[0, 1] == evidence[1, 0]
+    assert evidence[0, 1] == pytest.approx(math.log(one / two) + math.log(2 * alike / (alike + any_way)))
+
+
+def test_what_moves_together_is_one_if_that_has_a_usual_size():
+    assert wholes(JACKET, LEGS) == wholes(JACKET, LEGS, newcomers=anything()) == [1, 1]
+    (track,) = BlobState(together(JACKET, LEGS, newcomers=people()), 2, (120, 160), 0.0, 0.35).tracks()
+    assert track.box == pytest.approx((30, 20, 16, 40))
     assert track.velocity == (25, 0)
-    assert wholes(*(part.changed(seen=2.5) for part in together)) == [1, 2, 3]
+
+
+def test_edges_of_a_thing_that_sets_off_are_one_where_no_size_is_usual():
+    edges = [part(k, 50, 14, x=30 + 20 * k, width=12) for k in (1, 2, 3)]
+    found = together(*edges, newcomers=None)
+    assert found.table["whole"].tolist() == [1, 1, 1]
+    assert len(select_whole(found)) == 0
+    assert len(select_whole(found.select([0, 1]))) == 2
 
 
 @pytest.mark.parametrize(
     "other",
     [
-        blob(2, 50, 50, 12, 14, 0, 0.5),  # stays
-        blob(2, 50, 50, 12, 14, -25, 0.5),  # goes elsewhere
-        blob(2, 90, 50, 12, 14, 25, 0.5),  # is far away
-        blob(2, 50, 50, 12, 14, 25, 1.5),  # was there before
-        blob(2, 46, 40, 12, 30, 25, 0.5).changed(velocity=np.array([25.0, 0.0])),
+        part(2, 42, 18, speed=0),  # stays
+        part(2, 42, 18, speed=-40),  # goes elsewhere
+        part(2, 42, 18, x=70),  # is far away
+        part(2, 42, 40),  # both would be higher than anybody
+        part(2, 20, 40, x=50),  # somebody beside
     ],
 )
-def test_what_does_not_set_off_in_the_same_way_is_no_part(other):
-    assert wholes(blob(1, 30, 50, 12, 14, 25, 0.5), other) == [1, 2]
+def test_what_is_no_part_is_by_itself(other):
+    first = part(1, 20, 40) if other.box[3] > 30 else JACKET
+    assert wholes(first, other) == [1, 2]
 
 
-def test_people_side_by_side_are_no_parts_of_one():
-    pair = blob(1, 30, 20, 16, 40, 25, 0.5), blob(2, 50, 20, 16, 40, 25, 0.5)
-    assert wholes(*pair) == wholes(*pair, newcomers=people()) == [1, 2]
-    # nor are pieces that would be higher together than anybody
-    pieces = blob(1, 60, 10, 16, 20, 25, 0.5), blob(2, 60, 50, 16, 29, 25, 0.5)
-    assert wholes(*pieces) == [1, 1]
-    assert wholes(*pieces, newcomers=people()) == [1, 2]
+def test_objects_keep_their_names_while_parts_join_and_leave():
+    head = part(3, 20, 7, x=34, width=8)
+    assert wholes(part(1, 28, 13, whole=1), part(2, 42, 18, whole=1), head) == [1, 1, 1]
+    # the first part is gone: what is left is who it was; but where the first is alive, another is not it
+    assert wholes(part(2, 42, 18, whole=1)) == [1]
+    assert wholes(part(1, 20, 40), part(2, 20, 40, x=80, whole=1)) == [1, 2]
+    assert wholes(part(5, 20, 40, whole=1), part(6, 20, 38, x=80, whole=1)) == [1, 6]  # the larger one
+
+
+def numbers(*ranges):
+    return st.tuples(*(st.integers(low, high) for low, high in ranges))
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(numbers((0, 120), (0, 90), (5, 30), (5, 30), (-40, 40)), min_size=1, max_size=8))
+def test_no_two_objects_have_one_name(given_parts):
+    parts = [part(k, y, h, v, x, w) for k, (x, y, w, h, v) in enumerate(given_parts, 1)]
+    found = together(*parts, newcomers=people())
+    names = found.table["whole"]
+    for name in set(names.tolist()):  # that of its oldest part
+        assert name == found.table["identity"][names == name].min()
 
 
 def test_a_piece_that_touches_right_after_its_birth_is_joined():
