@@ -36,8 +36,8 @@ from .registration import register_blobs
 
 SWEEP = 0.8  # s after which a mask is freed of crumbs again
 OF_TRACKER = (
-    "outliers", "strength", "colour_variance", "likelihood_power", "ghost_threshold", "confirmation_time",
-    "max_coast_time", "max_hidden_time",
+    "outliers", "strength", "colour_variance", "likelihood_power", "ghost_threshold", "initial_velocity_std",
+    "confirmation_time", "max_coast_time", "max_hidden_time",
 )  # fmt: skip
 """Parameters of `BlobTracker` by which blobs are learned."""
 
