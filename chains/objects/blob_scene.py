@@ -638,6 +638,13 @@ class BlobScene:
         for record in blobs.table[first:]:
             colour_newborn(record, blobs.pools, self.picture.image)
 
+    def shows(self, mask: Map, top: int, left: int) -> bool:
+        """Return whether most of what a mask at `(top, left)` covers is foreground by itself."""
+        planes = np.empty((self.picture.image.shape[2], *mask.shape), np.float32)
+        odds, free = np.empty((2, *mask.shape), np.float32)
+        gather(self.picture.image, self.picture.log_odds, top, left, Patch(planes, odds, free))
+        return float(mask[odds < 0].sum()) > 0.5 * float(mask.sum())
+
     def cut_out(self, spot: Spot, blobs: Blobs) -> tuple[Numbers, Map, Map]:
         """Return foreground in a spot and around it that no blob covers: top and left, mask, and planes."""
         top, left = spot[0] - MARGIN, spot[1] - MARGIN

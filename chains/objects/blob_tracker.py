@@ -168,7 +168,7 @@ class BlobTracker:
             kept = learned.select(alive).concatenate(newborn)
             scene.colour_newborns(kept, int(alive.sum()))
             kept = group_parts(merge_pieces(self._split(kept, numbers, scene, least_area)), scene)
-            kept = self._swept(kept, numbers, scene.elapsed, least_area)
+            kept = self._swept(kept, numbers, scene, least_area)
             kept.table["fragment_time"] = fragment_times(kept, scene)
         for spot in find_spots(scene.picture.log_odds, kept, least_area):
             corner, mask, planes = scene.cut_out(spot, kept)
@@ -254,19 +254,19 @@ class BlobTracker:
         rows = [part for k, blob in enumerate(blobs) for part in parted.get(k, [blob])]
         return Blobs.of(rows, blobs.channels)
 
-    def _swept(self, blobs: Blobs, numbers: Iterator[int], elapsed: float, least_area: float) -> Blobs:
+    def _swept(self, blobs: Blobs, numbers: Iterator[int], scene: BlobScene, least_area: float) -> Blobs:
         """Blobs whose masks are freed of crumbs now and then.
 
-        Large ones of who stands are objects of their own; those of who moves are often what trails behind.
+        Large ones are objects of their own if they differ from the scene; others trail behind what moves.
         """
         table = blobs.table
         judged = (table["unseen"] == 0) & (table["detected"] == 0)
-        due = judged & (table["seen"] // SWEEP > (table["seen"] - elapsed) // SWEEP)
+        due = judged & (table["seen"] // SWEEP > (table["seen"] - scene.elapsed) // SWEEP)
         return blobs.concatenate(
             [
                 blobs[k].part(next(numbers), crumb)
                 for k in np.flatnonzero(due).tolist()
                 for crumb in blobs.sweep(k, least_area)
-                if table["still"][k] > 0
+                if scene.shows(crumb, *blobs[k].corner)
             ]
         )
