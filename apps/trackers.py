@@ -52,7 +52,7 @@ from ..models.core.checks import Bound, Count, Positive, Shape, checked, shown
 from ..models.core.frame import BoundingBox, Frame, GivenBoxes, GivenKeypoints, GivenPoints
 from ..models.core.short_repr import short_repr
 from ..models.face.built_in_model import face_model
-from ..models.face.detectors import default_faces
+from ..models.face.detectors import confirmed_faces, default_faces
 from ..models.face.morphable_model import MorphableModel
 from ..models.pixels.pixel_labels import PixelLabels
 from ..models.points.point_tracks import PointTracks
@@ -187,7 +187,7 @@ class Tracker(ABC, Generic[Start, Result]):
 
 
 class DetectingTracker(Tracker[Start, Result]):
-    """Base of trackers of one face or person, whom a detector finds in the first image that shows one.
+    """Base of trackers of one face or person, whom a detector finds where images show one for sure.
 
     Parameters
     ----------
@@ -395,7 +395,7 @@ class FaceTracker(DetectingTracker[FaceStart, TrackedFace | None]):
     """
 
     start_type = FaceStart
-    _trial: list[FaceStart]
+    _trial: tuple[int, list[FaceStart]]  # a face that is not sure yet, and the number of its last image
 
     @checked
     def __init__(
@@ -459,13 +459,16 @@ class FaceTracker(DetectingTracker[FaceStart, TrackedFace | None]):
             return start_from_landmarks(self._model, np.array(landmarks, np.float64))
         if box is None:
             faces = default_faces(self._detector, "box, landmarks, or a model file of YuNet as detector")
-            found = find_face(frame, faces, small=frame.number % SMALL_EVERY == 1)
-            self._trial = on_trial(self._trial, None if found is None else start_from_box(self._model, found))
-            return self._trial[-1] if len(self._trial) == CONFIRMING else None
+            after, trial = self._trial
+            trial = trial if frame.number == after + 1 else []
+            found = find_face(frame, faces, small=bool(trial) or frame.number % SMALL_EVERY == 1)
+            trial = on_trial(trial, None if found is None else start_from_box(self._model, found))
+            self._trial = frame.number, trial
+            return trial[-1] if len(trial) == CONFIRMING else None
         return start_from_box(self._model, size_of(box))
 
     def _build(self, start: FaceStart | None) -> RecursiveBP | None:
-        self._trial = []
+        self._trial = 0, []
         if start is None:
             return None
         try:
@@ -597,7 +600,8 @@ class BodyTracker(DetectingTracker[SavedPerson, TrackedBody | None]):
         if keypoints is not None and file is None:
             return start_from_keypoints(frame, _Keypoints(frame), [image]) if shows_person(frame) else None
         faces = default_faces(file, "head, keypoints, or a model file of YuNet as detector")
-        return start_from_faces("image", [image], file, box) if len(faces(frame)) else None
+        found = faces(frame) if box is not None else confirmed_faces(image, faces(frame), faces)
+        return start_from_faces("image", [image], file, box) if len(found) else None
 
     def _build(self, start: SavedPerson | None) -> RecursiveBP | None:
         if start is None:

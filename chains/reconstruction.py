@@ -302,8 +302,10 @@ def reconstruction_of(
             f"tracks: got {len(lives)} points, most of them in fewer than {FEWEST_FRAMES} frames"
         )
     lens = lens or lens_of(solution.frames)
-    # what affine cameras show no depth of, a perspective one fits by chance; the plane of a known lens is one
-    if camera != "affine" and (result.geometry != "none" or lens.focal is not None):
+    # of what affine cameras see no depth, a perspective one fits depth to noise; one of a known focal length
+    # may see a plane
+    has_structure = result.geometry != "none" or lens.focal is not None
+    if camera != "affine" and result.n_points >= FEWEST_POINTS and has_structure:
         result = _in_perspective(result, solution, n_tracks, camera, lens)
     return _without_false_depth(result, from_images)
 

@@ -188,7 +188,7 @@ class Face(Application[FaceJob]):
             start.before += [each.number for each in frames[:n_before]]
             frames = frames[n_before:]
         if not trial or (start.before and len(trial) < wanted):
-            if self._given is not None or len(start.before) == len(start.blank):
+            if not trial and (self._given is not None or len(start.before) == len(start.blank)):
                 raise start.no_frame("holds only blank frames")
             raise start.no_frame("no face is found in it, expected one, or --landmarks")
         face = trial[0]
@@ -312,7 +312,7 @@ class Face(Application[FaceJob]):
         if frame.image is None:
             return None
         if self._given is None:
-            box = find_face(frame, self._faces, small=len(start.before) % SMALL_EVERY == 0)
+            box = find_face(frame, self._faces, small=len(start.before) % SMALL_EVERY < CONFIRMING)
             return None if box is None else start_from_box(self._model, box)
         landmarks = self._given.of_frame(frame.number)
         if landmarks is None:

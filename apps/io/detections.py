@@ -273,7 +273,7 @@ EXPECTED = "MOT's det.txt, CSV with a header, or COCO's JSON"
 def _table(
     path: Path, boxes: Iterable[FileBox], looked: frozenset[int] | None = None, classes: Iterable[str] = ()
 ) -> Detections:
-    """Gather boxes in any order, sorted by frame, in little memory; equal ones of a frame are one.
+    """Gather boxes in any order, sorted by frame; equal ones of a frame are one.
 
     `looked` are the frames on which the detector ran (default: as `frames_looked_at` tells), `classes` names
     that are known without a box. What is out of range is a ValueError that names the place.

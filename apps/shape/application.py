@@ -118,7 +118,7 @@ def _read_truth(path: Path, tracks: Numbers, numbers: range) -> Numbers:
 def _notes(result: LearnedShape) -> list[str]:
     """Return the notes on a result, a sentence each."""
     notes, learned = [], result.learned
-    if motion_of(result.tracks).kind == "still":
+    if motion_of(result.tracks, 1.0).kind == "still":
         notes.append("Nothing moves but for noise: depth and deformation of the shape are not determined.")
     unknown = [
         number for number, known in zip(result.numbers, learned.frame_determined, strict=True) if not known

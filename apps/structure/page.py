@@ -52,7 +52,7 @@ def focal_in_words(structure: PerspectiveStructure) -> str:
     """Describe the focal length, as in "focal length 660 ± 4 px"."""
     if structure.curvature_deviation == 0:
         return f"focal length {structure.cameras.focal:.5g} px, as given"
-    if structure.focal_deviation > structure.cameras.focal / 2:
+    if not structure.focal_deviation < structure.cameras.focal / 2:
         shortest = 1 / (structure.cameras.curvature + 2 * structure.curvature_deviation)
         return f"focal length unknown, more than {shortest:.2g} px"
     return f"focal length {structure.cameras.focal:.5g} ± {structure.focal_deviation:.2g} px"

@@ -130,15 +130,15 @@ def start_from_box(model: MorphableModel, box: BoundingBox) -> FaceStart:
 def find_face(frame: Frame, faces: PartDetector, *, small: bool = True) -> BoundingBox | None:
     """Return the largest face that is detected and confirmed, `(x, y, width, height)` px; `None` without one.
 
-    If none is detected, the picture is enlarged, so that `small` faces have the size for which detectors are
+    If there is none, the picture is enlarged, so that `small` faces have the size for which detectors are
     trained; this takes longer.
     """
     image = frame.image
     if image is None:
         return None
-    boxes = faces(frame)
-    if len(boxes) or not small:
-        return _largest(confirmed_faces(image, boxes, faces))
+    sure = confirmed_faces(image, faces(frame), faces)
+    if len(sure) or not small:
+        return _largest(sure)
     finding, height = for_height(faces, FACE), LARGE_FACE * min(image.shape[:2])
     while height > SMALLEST:
         height /= OCTAVE

@@ -26,7 +26,7 @@ RECORD = np.dtype(
         ("unseen", np.float64),  # s since it was last seen
         ("still", np.float64),  # s for which it has not moved
         ("confidence", np.float64),  # share of its visible part that was seen in the last frame
-        ("view", np.float64),  # nats, log ratio of being a ghost and being real by its outline as it is now
+        ("view", np.float64),  # nats, log ratio of being a ghost and being real, as it is seen now
         ("past_views", np.float64),  # the same by how it was before
         ("fragment_time", np.float64),  # s for which it has been much smaller than a person where it stands
         ("whole", np.int64),  # identity of the object that it is a part of; its own if it is one itself

@@ -72,7 +72,8 @@ THINNEST = 0.08
 """Area over squared length below which a spot is a line (a rope, an edge that shakes) and no object."""
 
 LEAST_MASK = 0.1  # of a mask's mass, which must be in the picture
-CHANGED = 680.0  # squared grey levels, that one pixel in a hundred exceeds by a variance of 60 a plane
+CHANGED, CHANGED_GREY = 680.0, 400.0
+"""Squared grey levels, over three planes and one, that one pixel in a hundred exceeds by a variance of 60."""
 TRAVELLED = -5.0  # nats, log ratio of ghost and real for each own length that something travels
 
 
@@ -287,6 +288,7 @@ def learn(
     inlying = _f4(1) - outliers
     total = visible = seen = 0.0
     changed = 0.0
+    bound = _f4(CHANGED) if chroma > _f4(0) else _f4(CHANGED_GREY)
     squares = inside = 1e-6
     for start in range(0, size, _BLOCK):
         sum_covers = sum_open = sum_seen = sum_squares = sum_inner = sum_changed = _f4(0)
@@ -314,7 +316,7 @@ def learn(
             inner = _f4(1) if taken & (covers > _f4(0.5)) else _f4(0)
             sum_squares += inner * distance
             sum_inner += inner
-            sum_changed += inner if distance > _f4(CHANGED) else _f4(0)
+            sum_changed += inner if distance > bound else _f4(0)
         total += sum_covers
         visible += sum_open
         seen += sum_seen

@@ -76,7 +76,8 @@ class BlobTracker:
         s for which an object must be seen before it is reported.
     ghost_threshold
         nats, evidence above which a blob is a ghost: log ratio of its outline as an edge of the background
-        image over an edge of the image (see `chains.objects.blob_scene`).
+        image over an edge of the image, and of how much it moves and changes (see
+        `chains.objects.blob_scene`).
     split_time
         s for which a blob must look like two people (a narrow waist, or the width of two) before it is split.
     size_time

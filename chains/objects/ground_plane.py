@@ -191,10 +191,10 @@ class GroundPlane:
     """Scene-level chain over the boxes of objects.
 
     Heights are a linear regression on the row of the feet, common to all objects, with an offset per object
-    (a Kalman filter without dynamics: the camera is fixed, people keep their size); feet have first-order
-    dynamics. Observations are a mixture of inliers and outliers (half hidden, or not a person). It is not a
-    `LinearGaussianChain`, since the regression correlates all objects, and height and foot share one mixture
-    weight.
+    (a Kalman filter without dynamics, in the coordinates of the scene: people keep their size); feet have
+    first-order dynamics. Observations are a mixture of inliers and outliers (half hidden, or not a person).
+    It is not a `LinearGaussianChain`, since the regression correlates all objects, and height and foot share
+    one mixture weight.
 
     Parameters
     ----------

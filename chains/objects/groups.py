@@ -16,9 +16,7 @@ HALF = 0.5  # of a person's height, below which a blob is a fragment of one
 OBJECTS = 3.0  # mean number of objects in a picture; a guess
 IN_PARTS = 0.1  # probability that an object is seen as parts that are apart
 ALIKE, ANY_WAY = 0.2, 1.4  # lengths/s by which velocities of one object's parts, and of two objects, differ
-LARGEST_PART = (
-    0.6  # lengths of an object: the most that the shorter of two parts has; people in pairs are longer
-)
+LARGEST_PART = 0.6  # lengths of an object, that the shorter of two parts has at most; pairs are longer
 MOVES = 0.1  # lengths/s from which on something moves
 WERE_ONE = 4.0  # nats: what has been one object stays one
 SETTING_OFF = 2.0  # s from its birth on, in which a part may be what an object leaves behind
@@ -32,12 +30,14 @@ def group_parts(blobs: Blobs, scene: BlobScene) -> Blobs:
     of its oldest part, and parts join and leave.
     """
     table = blobs.table
-    free = np.flatnonzero((table["detected"] == 0) & (table["seen"] > FRESH / 2))
-    if not len(free):
+    is_free = (table["detected"] == 0) & (table["seen"] > FRESH / 2)
+    if not is_free.any() and (table["whole"] == table["identity"]).all():
         return blobs
+    free, alone = np.flatnonzero(is_free), np.flatnonzero(~is_free)
     table, own, before, taken = table.copy(), table["identity"], table["whole"], set[int]()
     table["whole"] = own
-    for members in sorted(_joined(blobs, free, scene), key=lambda members: -table["mass"][members].sum()):
+    groups = [*_joined(blobs, free, scene), *alone[:, None]]
+    for members in sorted(groups, key=lambda members: -table["mass"][members].sum()):
         names = {*before[members].tolist(), *own[members].tolist()}
         name = min(names - taken.union(np.delete(own, members).tolist()))
         taken.add(name)
@@ -148,9 +148,13 @@ def height_prior(feet: ArrayLike, newcomers: Newcomers | None) -> tuple[Numbers,
 
 
 def fragment_times(blobs: Blobs, scene: BlobScene) -> Numbers:
-    """Return `(n,)` s for which blobs inside of the picture have been less than half a person's height."""
-    x, y, width, height = blobs.boxes.T
-    mean, _ = height_prior(blobs.feet, scene.newcomers)
+    """Return `(n,)` s for which objects inside of the picture have been less than half a person's height."""
+    wholes, boxes, feet = blobs.table["whole"], blobs.boxes.copy(), blobs.feet.copy()
+    for name in np.unique(wholes[wholes != blobs.table["identity"]]).tolist():
+        parts = wholes == name
+        boxes[parts], feet[parts] = union(blobs.boxes[parts]), feet[parts].max()
+    x, y, width, height = boxes.T
+    mean, _ = height_prior(feet, scene.newcomers)
     small = (np.minimum(x, y) > 1) & (x + width < scene.size[1] - 1) & (y + height < scene.size[0] - 1)
     small &= height <= HALF * mean
     return np.where(small, blobs.table["fragment_time"] + scene.elapsed, 0.0)

@@ -212,7 +212,7 @@ class BodyParts:
         Raises
         ------
         ValueError
-            if no face is detected.
+            if no face is detected, or none is confirmed by a second look and `face` is not given.
         """
         chosen = np.unique(
             np.linspace(0, len(images) - 1, min(len(images), CALIBRATION_FRAMES)).round().astype(int)

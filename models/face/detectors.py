@@ -50,8 +50,8 @@ SIZES = (0.7, 1.5)  # range of detected heights over the given one
 STEP, MIN_NEIGHBORS = 1.1, 4  # OpenCV's `scaleFactor` and `minNeighbors`
 CUT_OUT = 52  # px: width of a face that is looked at once more, twice that of the cascades' training
 SURELY = 9
-"""`min_neighbors` of a second cascade that confirms a face. In 69 pictures of things without a face the first
-one finds 13, of which it confirms none; in 140 of four films with a face 129, of which it confirms 118."""
+"""`min_neighbors` of the cascade's second look, which confirms a face. In 69 pictures of things without one,
+the first look finds 13, of which it confirms none; in 140 of four films with a face 129, of which 118."""
 
 
 @runtime_checkable
@@ -241,10 +241,10 @@ def for_height(
 
 
 def confirmed_faces(image: NDArray[np.uint8], boxes: Array, detector: PartDetector) -> Array:
-    """Return the boxes of `(n, 4)` px in which a second cascade finds a face; all of other detectors."""
+    """Return the boxes of `(n, 4)` px in which a cascade finds a face once more, closer by; all of others."""
     if not isinstance(detector, HaarFaces):
         return boxes
-    again = replace(detector, height=CUT_OUT, min_neighbors=SURELY, upright=False)
+    again = for_height(detector, CUT_OUT, SURELY, upright=False)
     sure = [len(again(Frame(_cut_out(image, box), 0.0, 1))) > 0 for box in boxes]
     return np.asarray(boxes[np.array(sure, bool)])
 

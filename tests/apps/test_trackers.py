@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rsmcm.apps import BodyTracker, FaceTracker, ObjectTracker, PointTracker
+from rsmcm.apps import BodyTracker, FaceTracker, ObjectTracker, PointTracker, trackers
 from rsmcm.apps.background.application import build_model
 from rsmcm.apps.scenes import face, signer, sleeping_man, turntable
 from rsmcm.chains import ArticulatedPose, FleshTracker, GFlow, RecursiveStructure
@@ -191,6 +191,12 @@ def test_until_there_is_a_face_or_a_person_there_is_no_result() -> None:
         with pytest.raises(ValueError, match="time"):
             tracker.update(IMAGE, time=0.0)
     assert len(ObjectTracker().update(None)) == len(PointTracker().update(None)) == 0
+
+
+def test_a_face_that_a_second_look_does_not_confirm_is_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trackers, "default_faces", lambda *_: lambda frame: np.array([[10.0, 9, 20, 20]]))
+    monkeypatch.setattr(trackers, "confirmed_faces", lambda image, boxes, detector: boxes[:0])
+    assert BodyTracker().update(IMAGE) is None
 
 
 def test_a_missing_image_is_predicted(detected: Any) -> None:

@@ -198,6 +198,19 @@ def test_objects_keep_their_names_while_parts_join_and_leave():
     assert wholes(part(5, 20, 40, whole=1), part(6, 20, 38, x=80, whole=1)) == [1, 6]  # the larger one
 
 
+def test_whom_a_detector_has_found_is_by_itself_and_keeps_a_name_that_nobody_else_has():
+    found = [part(k, 20, 40, x=80 * k - 50, whole=1).changed(detected=1) for k in (1, 2)]
+    assert wholes(*found) == [1, 2]
+    assert wholes(found[1]) == wholes(found[1], part(3, 20, 40, x=30))[:1] == [1]
+
+
+def test_parts_are_as_high_as_the_object():
+    parts = together(part(1, 20, 18), part(2, 42, 18), newcomers=people())
+    assert parts.table["whole"].tolist() == [1, 1]
+    assert not fragment_times(parts, Scene(people())).any()
+    assert fragment_times(parts.select([1]), Scene(people())) > 0
+
+
 def numbers(*ranges):
     return st.tuples(*(st.integers(low, high) for low, high in ranges))
 

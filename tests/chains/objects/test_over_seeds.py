@@ -51,10 +51,10 @@ def test_people_are_tracked_among_false_boxes_and_these_are_not():
                 seen, false = (seen + 1, false) if off.min() < 0.35 * height else (seen, false + 1)
         shares.append(seen / there)
         wrong.append(false / seen)
-    assert mean_less(shares, -3) > 0.8
-    assert mean_less(wrong, 3) < 0.05
+    assert mean_moved_by(shares, -3) > 0.8
+    assert mean_moved_by(wrong, 3) < 0.05
 
 
-def mean_less(values, deviations):
+def mean_moved_by(values, deviations):
     """The mean moved by so many of its standard errors."""
     return np.mean(values) + deviations * np.std(values, ddof=1) / len(values) ** 0.5
