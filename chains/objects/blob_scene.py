@@ -12,7 +12,6 @@ the image (with its noise) and in the picture; u: any contrast, as likely as the
 that scenes without an edge speak for neither. Neighbours along an outline are not independent, so the log
 ratio of both is tempered; nor are looks at the same outline: a blob that stays as it is has one such view.
 As it travels, each of its own lengths brings another one, and speaks for itself: a ghost does not travel.
-Besides, a ghost stays as it is, in place and colours, and something real may or may not (see `staying`).
 Only lengths count by which it has left the place where it appeared, since there it may have been taken for
 one thing with its ghost. What was found on the way stays for the blob's life.
 """
@@ -72,8 +71,6 @@ THINNEST = 0.08
 """Area over squared length below which a spot is a line (a rope, an edge that shakes) and no object."""
 
 LEAST_MASK = 0.1  # of a mask's mass, which must be in the picture
-CHANGED, CHANGED_GREY = 680.0, 400.0
-"""Squared grey levels, over three planes and one, that one pixel in a hundred exceeds by a variance of 60."""
 TRAVELLED = -5.0  # nats, log ratio of ghost and real for each own length that something travels
 
 
@@ -221,7 +218,6 @@ class Learning(NamedTuple):
     colour_variance: float
     likelihood_power: float
     ghost_threshold: float
-    initial_velocity_std: float
     confirmation_time: float
     max_coast_time: float
     max_hidden_time: float
@@ -273,8 +269,8 @@ def learn(
     pixels that fit the blob's own colours as well; of pixels that it loses, the colours are forgotten. A
     pixel that another blob explains better (`explained` is by all layers together) is not learned, nor is one
     that something in front covers. `rates` is memory for a number a pixel. Gives the mass of the mask, of its
-    part that nothing covers, of that part that is foreground and its own, the mean squared difference of
-    its pixels from the remembered colours, per channel, and the share of them that has changed.
+    part that nothing covers, of that part that is foreground and its own, and the mean squared difference of
+    its pixels from the remembered colours, per channel.
     """
     channels, size = sprite.appearance.shape[0], sprite.mask.size
     shown, own_odds, free = patch.planes.reshape(-1), patch.log_odds.reshape(-1), patch.free.reshape(-1)
@@ -287,11 +283,9 @@ def learn(
     half_precision, log_ratio, outliers = sprite.half_precision, sprite.log_ratio, sprite.outliers
     inlying = _f4(1) - outliers
     total = visible = seen = 0.0
-    changed = 0.0
-    bound = _f4(CHANGED) if chroma > _f4(0) else _f4(CHANGED_GREY)
     squares = inside = 1e-6
     for start in range(0, size, _BLOCK):
-        sum_covers = sum_open = sum_seen = sum_squares = sum_inner = sum_changed = _f4(0)
+        sum_covers = sum_open = sum_seen = sum_squares = sum_inner = _f4(0)
         for i in range(np.uint64(start), np.uint64(min(start + _BLOCK, size))):
             d0 = shown[i] - own[i]
             d1, d2 = shown[i + red] - own[i + red], shown[i + blue] - own[i + blue]
@@ -316,19 +310,17 @@ def learn(
             inner = _f4(1) if taken & (covers > _f4(0.5)) else _f4(0)
             sum_squares += inner * distance
             sum_inner += inner
-            sum_changed += inner if distance > bound else _f4(0)
         total += sum_covers
         visible += sum_open
         seen += sum_seen
         squares += sum_squares
         inside += sum_inner
-        changed += sum_changed
     for channel in range(channels):
         plane = np.uint64(channel * size)
         for i in range(np.uint64(size)):
             colour = own[plane + i] + rates[i] * (shown[plane + i] - own[plane + i])
             new[plane + i] = _f4(UNKNOWN_COLOUR) if out[i] < _f4(0.1) else colour
-    return total, visible, seen, squares / (inside * channels), changed / inside
+    return total, visible, seen, squares / (inside * channels)
 
 
 @compiled
@@ -455,22 +447,8 @@ def _lives(blob, mask, inside, in_front, pools, rule, scratch):
 
 
 @compiled
-def staying(blob, around, changed, length, rule):
-    """Return the log ratio (nats) for a ghost, which stays as it is, and something real, which may as well.
-
-    By its velocity, and by the share of pixels that has `changed`, of as many as there are `around` it, since
-    the outline speaks for so many: three in four have of what moves, one in four of what stays.
-    """
-    unsure, moving = blob.covariance[1, 1], (rule.initial_velocity_std * length) ** 2
-    squared = blob.velocity[0] ** 2 + blob.velocity[1] ** 2
-    odds = 0.5 * squared * moving / (unsure * (unsure + moving)) - np.log1p(moving / unsure)
-    odds += rule.likelihood_power * around * (2 * changed - 1) * np.log(3.0)
-    return -np.log(0.5 + 0.5 * np.exp(min(odds, 700.0)))
-
-
-@compiled
 def weigh(blob, evidence, box, length, rule):
-    """Add what a look says of ghost and real (nats): as it is now, and over the way so far."""
+    """Add what the outline says of ghost and real (nats): as it is now, and over the way so far."""
     blob["view"] += (evidence - blob["view"]) * rule.view_share
     if overlap(box, (blob.origin[0], blob.origin[1], blob.origin[2], blob.origin[3])):
         return
@@ -534,7 +512,7 @@ def learn_all(which, before, old, blobs, pools, picture, scene, rule, alive, scr
                         for channel in range(channels):
                             own[channel, row, x] = patch.planes[channel, row, x]
         colours = colours_of(blob, pools, channels)
-        total, visible, seen, variance, changed = learn(
+        total, visible, seen, variance = learn(
             patch, explained, sprite_of(blob, covers, own, rule), _f4(rule.strength),
             _f4(rule.mask_share), _f4(rule.colour_share),
             _f4(BENEFIT_OF_DOUBT if blob.still > 0.2 else 0.0), mask, colours, rest,
@@ -557,8 +535,7 @@ def learn_all(which, before, old, blobs, pools, picture, scene, rule, alive, scr
             found = outline_evidence(
                 patch.planes, top, left, scene.background, patch.free, mask, within, rest
             )
-            stays = staying(blob, 2 * (box[2] + box[3]), changed, length, rule)
-            weigh(blob, rule.likelihood_power * found + stays, box, length, rule)
+            weigh(blob, rule.likelihood_power * found, box, length, rule)
             _note_seen(blob, variance, box, length, rule)
         else:
             blob.unseen += rule.elapsed

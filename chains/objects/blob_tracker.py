@@ -36,8 +36,8 @@ from .registration import register_blobs
 
 SWEEP = 0.8  # s after which a mask is freed of crumbs again
 OF_TRACKER = (
-    "outliers", "strength", "colour_variance", "likelihood_power", "ghost_threshold", "initial_velocity_std",
-    "confirmation_time", "max_coast_time", "max_hidden_time",
+    "outliers", "strength", "colour_variance", "likelihood_power", "ghost_threshold", "confirmation_time",
+    "max_coast_time", "max_hidden_time",
 )  # fmt: skip
 """Parameters of `BlobTracker` by which blobs are learned."""
 
@@ -76,8 +76,7 @@ class BlobTracker:
         s for which an object must be seen before it is reported.
     ghost_threshold
         nats, evidence above which a blob is a ghost: log ratio of its outline as an edge of the background
-        image over an edge of the image, and of how much it moves and changes (see
-        `chains.objects.blob_scene`).
+        image over an edge of the image (see `chains.objects.blob_scene`).
     split_time
         s for which a blob must look like two people (a narrow waist, or the width of two) before it is split.
     size_time

@@ -10,7 +10,6 @@ from rsmcm.chains.objects.blob_scene import MOST_EVIDENCE, Learning, outline_evi
 from rsmcm.chains.objects.blobs import Blob, Blobs
 from rsmcm.models.pixels.background import StoredPlanes
 from scipy import ndimage
-from scipy.stats import binom, norm
 
 from ...support.blob_patches import F4, density_of, sprite, textured
 
@@ -24,7 +23,7 @@ def test_learn(channels, columns):
     odds, free = rng.normal(0, 3, shape).astype(F4), rng.integers(0, 2, shape).astype(F4)
     others, mask = rng.uniform(1, 40, shape).astype(F4), rng.uniform(0, 0.95, shape).astype(F4)
     new_mask, new_appearance = np.empty_like(mask), np.empty_like(appearance)
-    total, visible, seen, variance, changed = blob_scene.learn(
+    total, visible, seen, variance = blob_scene.learn(
         Patch(planes, odds, free), others, sprite(mask, appearance), F4(10), F4(0.2), F4(0.3),
         F4(0.45), new_mask, new_appearance, np.empty(mask.size, F4),
     )  # fmt: skip
@@ -36,8 +35,6 @@ def test_learn(channels, columns):
     learned = free * target > 0.5
     squares = np.square(planes.astype(float) - appearance).mean(axis=0)
     assert variance == pytest.approx(squares[learned & (mask > 0.5)].mean(), rel=1e-3)
-    has_changed = channels * squares[learned & (mask > 0.5)] > blob_scene.CHANGED
-    assert changed == pytest.approx(has_changed.mean(), abs=1e-3)
     doubt = (mask > 0.35) & (density_of(planes, appearance) > 1)
     wanted = np.where(doubt, np.maximum(target, 0.45), target)
     after = np.clip(mask + 0.2 * free * (wanted - mask), 0, 0.97)
@@ -170,23 +167,6 @@ def test_what_has_come_from_elsewhere_is_real_for_good_and_what_appeared_here_ma
     assert known(appeared) == pytest.approx(min(single, 20), abs=0.1)
     assert single > 5
     assert looked_at(moving(30, 18.0), with_object, empty, 50).past_views == 0
-
-
-@pytest.mark.parametrize("speed", [0.0, 5.0, 30.0])
-@pytest.mark.parametrize("changed", [0.1, 0.5, 0.7])
-def test_what_moves_or_changes_is_real_and_what_stays_may_be_either(speed, changed):
-    """Velocities are Gaussian, a pixel of three in four has changed of what moves, one in four of a ghost."""
-    blob = moving(speed, 18.0).changed(covariance=np.diag([1.0, 16.0]))
-    learning = rule(0.04)._replace(initial_velocity_std=2.0, likelihood_power=0.15)
-
-    def mass(variance, share):
-        pixels = binom.logpmf(100 * changed, 100, share) * 0.15
-        return np.exp(norm.logpdf([0.0, speed], 0, variance**0.5).sum() + pixels)
-
-    ghost, lively = mass(16.0, 0.25), mass(16.0 + 80.0**2, 0.75)
-    found = blob_scene.staying(Blobs.of([blob], 3).table[0], 100, changed, 40.0, learning)
-    assert found == pytest.approx(np.log(ghost / (0.5 * ghost + 0.5 * lively)), rel=1e-6)
-    assert found <= np.log(2)
 
 
 def test_a_newborn_that_touches_somebody_is_as_likely_as_not_a_part_of_them():
