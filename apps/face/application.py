@@ -312,7 +312,7 @@ class Face(Application[FaceJob]):
         if frame.image is None:
             return None
         if self._given is None:
-            box = find_face(frame, self._faces, small=len(start.before) % SMALL_EVERY < CONFIRMING)
+            box = find_face(frame, self._faces, small=len(start.before) % SMALL_EVERY == 0)
             return None if box is None else start_from_box(self._model, box)
         landmarks = self._given.of_frame(frame.number)
         if landmarks is None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
 from ...models.core.short_repr import PickledByFields, short_repr
-from ...models.face.detectors import PartDetector, for_height
+from ...models.face.detectors import FACE, PartDetector, for_height
 from ...models.face.morphable_model import MorphableModel, Poses
 from ...models.numerics.rotations import exponential
 
@@ -84,7 +84,6 @@ def roll_angles(poses: Poses) -> Array:
 
 
 WIDTH_OF_FACE = 0.85  # width between the ears, which a face model spans, over that of a detector's box
-FACE = 52.0  # px: width of a face in pictures given to a detector: twice that of the cascades' training
 AROUND = 2.0  # side of the picture cut out about a pose, in widths of the face's box
 OFF = 0.2  # greatest distance of a confirming box from the face, in widths of the box
 TRIED_SIZES = 0.7, 1.45  # range of a confirming box's width over the expected one

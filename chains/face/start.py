@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import BoundingBox, Frame
-from ...models.face.detectors import PartDetector, confirmed_faces, for_height
+from ...models.face.detectors import FACE, PartDetector, confirmed_faces, for_height
 from ...models.face.morphable_model import MorphableModel, Poses, SurfacePoints
 from .landmark_fit import LANDMARK_NOISE, MIN_LANDMARKS, fit_landmarks, own_points
-from .recovery import FACE, poses_in_boxes
+from .recovery import poses_in_boxes
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -48,7 +48,7 @@ faces below these sizes; larger ones only cost time."""
 
 SIZES = (0.7, 1.5)  # range of detected heights over the given one
 STEP, MIN_NEIGHBORS = 1.1, 4  # OpenCV's `scaleFactor` and `minNeighbors`
-CUT_OUT = 52  # px: width of a face that is looked at once more, twice that of the cascades' training
+FACE = 52  # px: width of a face in pictures made for a detector, twice that of the cascades' training
 SURELY = 9
 """`min_neighbors` of the cascade's second look, which confirms a face. In 69 pictures of things without one,
 the first look finds 13, of which it confirms none; in 140 of four films with a face 129, of which 118."""
@@ -244,19 +244,19 @@ def confirmed_faces(image: NDArray[np.uint8], boxes: Array, detector: PartDetect
     """Return the boxes of `(n, 4)` px in which a cascade finds a face once more, closer by; all of others."""
     if not isinstance(detector, HaarFaces):
         return boxes
-    again = for_height(detector, CUT_OUT, SURELY, upright=False)
+    again = for_height(detector, FACE, SURELY, upright=False)
     sure = [len(again(Frame(_cut_out(image, box), 0.0, 1))) > 0 for box in boxes]
     return np.asarray(boxes[np.array(sure, bool)])
 
 
 def _cut_out(image: NDArray[np.uint8], box: Array) -> NDArray[np.uint8]:
-    """Return the picture about a face, of twice its width, in which it is `CUT_OUT` px wide."""
-    scale = CUT_OUT / box[2]
+    """Return the picture about a face, of twice its width, in which it is `FACE` px wide."""
+    scale = FACE / box[2]
     if scale < 1:  # anti-aliasing
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), 0.4 / scale), np.uint8)
-    shift = CUT_OUT - scale * (box[:2] + 0.5 * box[2:])
+    shift = FACE - scale * (box[:2] + 0.5 * box[2:])
     matrix = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]])
-    view = cv2.warpAffine(image, matrix, (2 * CUT_OUT, 2 * CUT_OUT), borderMode=cv2.BORDER_REPLICATE)
+    view = cv2.warpAffine(image, matrix, (2 * FACE, 2 * FACE), borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(view, np.uint8)
 
 
