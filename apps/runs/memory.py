@@ -6,8 +6,11 @@ measure it again.
 
 import psutil
 
-BACKGROUND = {"gaussian": 300, "mixture": 400}
-"""Bytes per pixel, by the model of the background: 10 or 13 GB for 8K."""
+BACKGROUND = {"gaussian": 220, "mixture": 300}
+"""Bytes per pixel, by the model of the background: 7 or 10 GB for 8K.
+
+A whole film of the Gaussian needs most, 190 to 210; online it is 105 to 115, and 160 where the camera moves.
+"""
 
 STRUCTURE, STRUCTURE_FRAME = 220, 6
 """Bytes per pixel, and per pixel of each frame, all of which are held."""

@@ -31,6 +31,7 @@ def film(folder: Path, images: list[np.ndarray], scale: int) -> tuple[Path, int]
     ("name", "options", "stated"),
     [
         ("background", (), memory.BACKGROUND["gaussian"]),
+        ("background", ("--engine", "coordinate-ascent"), memory.BACKGROUND["gaussian"]),
         ("background", ("--config", "mixture.toml"), memory.BACKGROUND["mixture"]),
         ("structure", ("--stop", N_FRAMES), memory.STRUCTURE + N_FRAMES * memory.STRUCTURE_FRAME),
         ("body", ("--head", "{0},{1},{2},{3}"), memory.BODY + N_FRAMES * memory.KEPT_IMAGE),
