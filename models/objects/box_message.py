@@ -202,12 +202,18 @@ class Association:
     """Joint association of the boxes of a frame with expected and new objects."""
 
     boxes: Numbers  # (n_boxes, 4) px that the detector has found: foot x, foot y, width, height
-    noise: Numbers  # (n_boxes, 4) px^2, their variances
+    noise: Numbers  # (n_boxes, 4) px^2, variances of their errors, by their own sizes
     scores: Numbers  # (n_boxes,) of the detector, all 1 where it gives none
     identities: NDArray[np.int64]  # (n_objects,): who was expected
     pairs: Numbers  # (n_objects, n_boxes) probability that the object exists and this is its box
     followed: Numbers  # (n_objects, n_boxes) probability that this is its box, of an object or an error
     unfollowed: Numbers  # (n_objects,) probability that it has no box, and is an object or an error
+    # (n_objects, 4) px^2, of the errors of each one's box, by the size that is expected of it: by the boxes'
+    # own sizes, boxes that are too small would count for more
+    own_noise: Numbers
+    worth: (
+        Numbers  # (n_objects, n_boxes) of each as the box of each: 1 of a usual one, less of an outlying one
+    )
     errors: Numbers  # (n_objects, 2) nats: log ratio of the boxes if it is an error, over nothing
     expected: Numbers  # (n_objects,) probability that the object, if it exists, would be found
     missed: Numbers  # (n_objects,) probability that the object exists and has no box
@@ -224,11 +230,11 @@ class Association:
     def information(self) -> tuple[Numbers, Numbers]:
         """`(n_objects, 4)` precisions of each object's box, 1/px^2 (0 if missed), and times the mean.
 
-        That is the mean of the likelihood's logarithm over all assignments.
+        That is the mean of the likelihood's logarithm over all assignments and outlying boxes.
         """
         something = np.maximum(self.followed.sum(axis=1) + self.unfollowed, 1e-30)
-        share = self.followed / something[:, None]
-        return share @ (1 / self.noise), share @ (self.boxes / self.noise)
+        weight = self.worth * self.followed / something[:, None]
+        return weight.sum(axis=1)[:, None] / self.own_noise, weight @ self.boxes / self.own_noise
 
     @property
     def in_sight(self) -> float:

@@ -30,6 +30,12 @@ Misses come in bursts: what a detector does not find in one frame it hardly find
 DOUBLE = np.array([3.0, 3.0, 1.0, 1.0])
 """So many times as far off as its first box may the second one of an object be, in place and size."""
 
+OUTLIERS, OUTLYING = 0.1, 3.0
+"""Share of an object's boxes that are outlying, and so many times as far off, in place and size.
+
+Measured of ACF and DPM on four sequences: errors deviate 1.1 to 1.5 times as far as their median says.
+"""
+
 NO_ERRORS = Errors(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, BOX)))
 SURELY_NOT = 1e-4  # probability of a pair below which nothing is learned from it
 
@@ -105,7 +111,6 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     phases = np.array([[NOTICED], [UNNOTICED]]) * visible
     expected = noticed * phases[0] + (1 - noticed) * phases[1]
     own = detector.noise(means) + prior.variances_by_view(means)
-    densities = _log_densities(boxes, means, covariances, own)
     further = _log_densities(boxes, means, covariances, DOUBLE**2 * own)
 
     area = float(size[0] * size[1])
@@ -119,7 +124,9 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     doubles = detector.doubles * (exists * expected) @ np.exp(further)
     alone = np.maximum(new + false + doubles, 1e-300)
 
-    own_box = np.exp(densities) / alone
+    near = (1 - OUTLIERS) * np.exp(_log_densities(boxes, means, covariances, own))
+    far = OUTLIERS * np.exp(_log_densities(boxes, means, covariances, OUTLYING**2 * own))
+    own_box = (near + far) / alone
     weights = expected[:, None] * own_box * score
     again = detector.repeated * expected
     staying = _log_densities(boxes, places, detector.noise(places)[:, None] * np.eye(BOX), own)
@@ -144,6 +151,8 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
         pairs=found.pairs * true / np.maximum(true + wrong, 1e-300),
         followed=found.pairs,
         unfollowed=found.missed * hidden / np.maximum(hidden + nothing, 1e-300),
+        own_noise=own,
+        worth=(near + far / OUTLYING**2) / np.maximum(near + far, 1e-300),
         errors=np.log(by_error),
         expected=expected,
         missed=exists * (1 - expected) / ((1 - exists) * otherwise + exists * ratio),

@@ -15,6 +15,8 @@ from rsmcm.models.objects.box_message import BoxDetector, BoxMessage, Errors, Lo
 from rsmcm.models.objects.object_boxes import (
     DOUBLE,
     NOTICED,
+    OUTLIERS,
+    OUTLYING,
     UNNOTICED,
     associate,
     log_anywhere,
@@ -99,7 +101,11 @@ def summed(found: Numbers, prior: BoxMessage, detector: BoxDetector) -> Summed:
                         places[k], np.diag(detector.noise(places[k][None])[0]) + own[k]
                     ).pdf(found[box])
                 else:
-                    value *= shown * multivariate_normal(means[k], covariances[k] + own[k]).pdf(found[box])
+                    value *= shown * sum(
+                        share
+                        * multivariate_normal(means[k], covariances[k] + times**2 * own[k]).pdf(found[box])
+                        for share, times in ((1 - OUTLIERS, 1.0), (OUTLIERS, OUTLYING))
+                    )
             total += value
             for k, (box, kind) in enumerate(zip(chosen, what, strict=True)):
                 mass[k, kind] += value
@@ -185,6 +191,20 @@ def test_scores_decide_who_is_new() -> None:
     assert message.association.pairs[0].sum() > 0.95
     assert message.association.new.max() < 0.02
     assert message.association.double.max() > 0.9
+
+
+def test_an_outlying_box_counts_for_less_and_one_that_is_too_small_for_no_more() -> None:
+    """Of one person's box: near, it is a whole observation; far off, in any direction, a ninth of one."""
+    prior, (person, _) = known(existence=8.0), WHO
+    for larger in (0.0, 0.7, -0.7):
+        off = person[None] * [1, 1, 1 + larger, 1 + larger]
+        message = associate(frame(off), prior, BoxDetector(clutter=1e-15, newcomers=1e-9, doubles=1e-9))
+        assert message.association is not None
+        assert message.association.pairs[0, 0] == pytest.approx(1, abs=1e-3)
+        precision, vector = message.association.information
+        expected = (1 / OUTLYING**2 if larger else 1.0) / BoxDetector().noise(person[None])[0]
+        np.testing.assert_allclose(precision[0], expected, rtol=0.1)
+        np.testing.assert_allclose(vector[0] / precision[0], off[0])
 
 
 def test_newcomers_are_a_density() -> None:
