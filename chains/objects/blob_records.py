@@ -37,9 +37,12 @@ RECORD = np.dtype(
         # of a candidate, if it is no such object: log odds of an error that stays or moves, over nothing
         ("errors", np.float64, (2,)),
         ("noticed", np.float64),  # log odds that the detector finds it at present, if it is in sight
-        ("detected", np.int64),  # 1 if the detector has found it; else the next three mean nothing
+        ("detected", np.int64),  # 1 if the detector has found it; else the next five mean nothing
         ("box_mean", np.float64, (4,)),  # px: foot x and y from the patch's corner, width, height
         ("box_variance", np.float64, (4,)),  # px^2
+        ("growth", np.float64),  # 1/s, at which the sides of its box grow, as it comes nearer
+        # of the growth: its variance, and covariances with width and height, as shares of these
+        ("growth_covariance", np.float64, (3,)),
         ("unfound", np.float64),  # s since a box was last found that may be its
         ("coloured", np.int64),  # 1 if an image has shown its colours
         ("start", np.int64),  # of its pixels

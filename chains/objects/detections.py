@@ -2,7 +2,8 @@
 
 Of an object j with its blob at x_j and its box d_j within that, which exists (e_j) and is noticed (n_j):
 
-    p(z | j) = N(z; d_j about x_j, detector's noise), d_j a random walk
+    p(z | j) = N(z; d_j about x_j, detector's noise), d_j a random walk, whose sides also grow at a rate g_j
+    p(g_t | g_t-1): it is forgotten within GROWTH_TIME s, for others of GROWTH_STD
     p(e_t | e_t-1): it leaves after LIFE s on average; p(n_t | n_t-1): a Markov chain of two states, PHASE s
     p(j found | e_j, n_j) = its visible share, times NOTICED or UNNOTICED
 
@@ -43,6 +44,12 @@ PHASE = 0.15  # s, time constant with which the detector begins to notice an obj
 USUALLY = 0.85  # share of the time for which the detector notices an object
 BOX_WALK_STD = 0.03  # heights/s^0.5: how far a box moves against the blob that it is of, by gait
 SIDE_WALK_STD = 0.1  # shares/s^0.5: how fast sides of a box change as an object comes nearer
+GROWTH_STD, GROWTH_TIME = 0.1, 5.0
+"""1/s and s: deviation of the rate at which sides grow, and time constant with which it changes.
+
+Who walks towards a camera 14 m away grows by a tenth a second.
+"""
+
 MASK_ERROR = 0.2  # of a mask's box, in its sides: how far a detector's box may be off
 LEAST = np.array([-np.inf, -np.inf, 1.0, 1.0])  # px: of a box's numbers
 
@@ -61,7 +68,8 @@ FADED = 0.1  # probability of an error below which an unlikely candidate is forg
 SURE = 30.0  # nats, greatest log odds of an error
 
 OF_CANDIDATE = (
-    "velocity", "covariance", "existence", "noticed", "detected", "box_variance", "unfound", "origin",
+    "velocity", "covariance", "existence", "noticed", "detected", "box_variance", "growth",
+    "growth_covariance", "unfound", "origin",
 )  # fmt: skip
 """Fields of a candidate that the object keeps which it becomes."""
 
@@ -86,6 +94,7 @@ def _predict_detections(table: NDArray[np.void], dt: float) -> None:
     table["box_variance"][found] += (
         dt * (sides * [BOX_WALK_STD, BOX_WALK_STD, SIDE_WALK_STD, SIDE_WALK_STD]) ** 2
     )
+    _grow(table, found, dt)
     table["unfound"][found] += dt
     stays, lasts = math.exp(-dt / PHASE), math.exp(-dt / LIFE)
     exists = _probability(table["existence"][found])
@@ -98,6 +107,20 @@ def _predict_detections(table: NDArray[np.void], dt: float) -> None:
     table["errors"][found] = np.log(np.maximum(errors, math.exp(-SURE)) / ended)
     noticed = stays * _probability(table["noticed"][found]) + (1 - stays) * USUALLY
     table["noticed"][found] = _log_odds(noticed)
+
+
+def _grow(table: NDArray[np.void], found: NDArray[np.intp], dt: float) -> None:
+    """Predict the sides of boxes and their growth, an Ornstein-Uhlenbeck process, `dt` seconds ahead."""
+    kept, force = math.exp(-dt / GROWTH_TIME), GROWTH_STD**2
+    reach = GROWTH_TIME * (1 - kept)  # s
+    growth, spread = table["growth"][found], table["growth_covariance"][found]
+    sides, own, both = table["box_mean"][found, WIDTH:], spread[:, :1], spread[:, 1:]
+    added = force * GROWTH_TIME * (2 * dt - 2 * reach - reach**2 / GROWTH_TIME)
+    table["box_variance"][found, WIDTH:] += sides**2 * (2 * reach * both + reach**2 * own + added)
+    table["box_mean"][found, WIDTH:] = sides * np.exp(reach * growth)[:, None]
+    table["growth"][found] = kept * growth
+    both = kept * (both + reach * own) + force * reach**2 / GROWTH_TIME
+    table["growth_covariance"][found] = np.hstack([kept**2 * own + force * (1 - kept**2), both])
 
 
 def box_message(blobs: Blobs, candidates: Blobs, detecting: bool, image: bool) -> BoxMessage:
@@ -163,7 +186,8 @@ def _detect_from_mask(record: np.void, box: list[float]) -> None:
     top, left = record["position"].tolist()
     record["box_mean"] = x + 0.5 * width - left, y + height - top, width, height
     record["box_variance"] = (MASK_ERROR * np.array([width, height, width, height])) ** 2 + 1
-    record["detected"], record["unfound"] = 1, 0.0
+    record["detected"], record["unfound"], record["growth"] = 1, 0.0, 0.0
+    record["growth_covariance"] = GROWTH_STD**2, 0.0, 0.0
 
 
 def new_candidates(born: int, boxes: BoxMessage, size: tuple[int, int], channels: int) -> Blobs:
@@ -184,6 +208,7 @@ def new_candidates(born: int, boxes: BoxMessage, size: tuple[int, int], channels
     # as likely as not the detector does not err again
     table["errors"] = np.log(np.maximum(np.stack([1 - moving, moving], axis=1), 1e-12))
     table["detected"] = 1
+    table["growth_covariance"][:, 0] = GROWTH_STD**2
     table["box_mean"] = np.stack([0.5 * width, height, width, height], axis=1)
     table["box_variance"] = association.noise[found]
     table["origin"] = np.stack([x - 0.5 * width, y - height, width, height], axis=1)
@@ -274,6 +299,11 @@ def _correct_box(record: np.void, place: Numbers, noise: Numbers) -> None:
     record["position"] += along / middle * down_right
     record["velocity"] += both / middle * down_right
     record["covariance"] = [[kept * along, kept * both], [kept * both, speed - both**2 / middle]]
+    # both sides of a detector's box err alike, so growth is corrected by the mean of what they say
+    spread, shares = record["growth_covariance"], mean[WIDTH:] * record["growth_covariance"][1:]
+    record["growth"] += float((shares * off[WIDTH:] / total[WIDTH:]).mean())
+    spread[0] -= float((shares**2 / total[WIDTH:]).mean())
+    spread[1:] *= 1 - gain[WIDTH:]
     record["box_mean"] = np.maximum(mean + gain * off, LEAST)
     record["box_variance"] = (1 - gain) * variance
     record["unfound"] = 0.0

@@ -99,6 +99,33 @@ def test_a_box_corrects_place_velocity_and_size_as_a_dense_filter_does() -> None
     np.testing.assert_allclose(fifth.position, noisy.position)
 
 
+def test_sides_grow_as_a_dense_filter_says() -> None:
+    """State: log of the size, and its rate; frames are short, so that a step of the size is nearly linear."""
+    blob, dt = blob_at(0.0, 0.0).changed(growth=0.0, growth_covariance=(0.01, 0.0, 0.0)), 0.02
+    blob = blob.changed(box_mean=(10, 30, 20, 30), box_variance=(4, 4, 0.16 * 4, 0.16 * 9))
+    mean, covariance = np.array([0.0, 0.0]), np.diag([0.0016, 0.01])
+    kept = np.exp(-dt / detections.GROWTH_TIME)
+    step = np.array([[1.0, dt], [0.0, kept]])
+    force = np.diag([dt * detections.SIDE_WALK_STD**2, (1 - kept**2) * detections.GROWTH_STD**2])
+    for number in range(100):
+        (blob,) = detections.predict(Blobs.of([blob], 3), dt, 0.9, True)
+        mean, covariance = step @ mean, step @ covariance @ step.T + force
+        size, noise = np.exp(0.2 * dt * number), 0.05**2
+        box = np.array([0.0, 0.0, 20 * size, 30 * size])
+        box[:2] = blob.position[::-1] + blob.box_mean[:2]
+        sides = blob.box_mean[2:].copy()
+        told_noise = np.concatenate([[1e9, 1e9], noise * sides**2])
+        (blob,) = detections.correct(Blobs.of([blob.changed(unfound=1.0)], 3), told(box, told_noise))
+        gain = covariance[:, 0] / (covariance[0, 0] + noise)
+        mean = mean + gain * (box[3] / sides[1] - 1)
+        covariance = covariance - np.outer(gain, covariance[0])
+    np.testing.assert_allclose(np.log(blob.box_mean[2:] / [20, 30]), mean[0], rtol=0.02)
+    assert blob.growth == pytest.approx(mean[1], rel=0.05)
+    assert 0.1 < mean[1] < 0.2
+    np.testing.assert_allclose(blob.growth_covariance, covariance[[1, 0, 0], [1, 1, 1]], rtol=0.05)
+    np.testing.assert_allclose(blob.box_variance[2:] / blob.box_mean[2:] ** 2, covariance[0, 0], rtol=0.05)
+
+
 def test_somebody_new_has_the_outline_that_the_detector_gives() -> None:
     box, noise = np.array([60.0, 90.0, 20.0, 40.0]), np.array([6.0, 6.0, 10.0, 12.0])
     picture = np.zeros((1, 120, 160), bool)
@@ -115,7 +142,14 @@ def test_somebody_new_has_the_outline_that_the_detector_gives() -> None:
 
 
 def test_doubt_grows_with_time_alike_in_one_step_and_in_many() -> None:
-    steps = Blobs.of([blob_at(100.0, 50.0).changed(existence=4.0, noticed=3.0, errors=(0.5, 1.5))], 3)
+    steps = Blobs.of(
+        [
+            blob_at(100.0, 50.0).changed(
+                existence=4.0, noticed=3.0, errors=(0.5, 1.5), growth_covariance=(1, 2, 3)
+            )
+        ],
+        3,
+    )
     (once,) = detections.predict(steps, 0.4, 0.9, True)
     for _ in range(10):
         steps = detections.predict(steps, 0.04, 0.9, True)
@@ -130,6 +164,7 @@ def test_doubt_grows_with_time_alike_in_one_step_and_in_many() -> None:
     np.testing.assert_allclose(once.errors, np.log(lasting / left))
     np.testing.assert_allclose(many.covariance, once.covariance)
     np.testing.assert_allclose(many.box_variance, once.box_variance)
+    np.testing.assert_allclose(many.growth_covariance, once.growth_covariance)
     assert once.existence < 4.0
     assert once.noticed < 3.0
 
