@@ -10,10 +10,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from ...chains.body.articulated_pose import ArticulatedPose
 from ...chains.body.dynamics import BodyDynamics
-from ...chains.body.fixed_lag import BLOCK, FixedLag, SmoothedBelief, Smoother, WaitingFrame
+from ...chains.body.fixed_lag import (
+    BLOCK,
+    FixedLag,
+    SmoothedBelief,
+    Smoother,
+    TimedSamples,
+    WaitingFrame,
+)
+from ...chains.body.flesh_state import FleshTracks
 from ...chains.body.flesh_tracker import FleshTracker
 from ...chains.body.hand_labelling import relabel_hands
 from ...chains.body.samples import body_moments, hypotheses
@@ -29,7 +38,7 @@ from ...chains.body.start import (
 )
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models.body.parts import CALIBRATION_FRAMES
-from ...models.body.upper_body import JOINTS, PART_JOINTS, PARTS, UpperBody
+from ...models.body.upper_body import JOINTS, PARTS, UpperBody
 from ...models.core.frame import BoundingBox, Frame
 from ..io.film import SeenFrames
 from ..io.keypoints import Keypoints, given_keypoints, with_keypoints
@@ -60,21 +69,22 @@ ANGLE_NAMES = (
 
 POSES = (
     "joints_2d", "joints_2d_covariances", "joints_3d", "joints_3d_covariances", "angles", "angle_covariances",
-    "samples", "hypotheses", "hypothesis_joints", "seen", "stationary", "missing",
+    "samples", "hypotheses", "hypothesis_joints", "seen", "seen_probability", "stationary", "missing",
 )  # fmt: skip
 """Columns of `poses.npz`, a row a frame, beside `frames` (their numbers) and `times` s: posterior means and
 covariances `joints_2d (8, 2)` px, `joints_2d_covariances (8, 2, 2)`, `joints_3d (8, 3)`,
 `joints_3d_covariances (8, 3, 3)`, `angles (16,)`, `angle_covariances (16, 16)`; `samples (40, 8, 3)` px,
 joints of poses drawn from the posterior; `hypotheses (4,)`, probabilities of hypotheses that differ in where
 the hands are, the best one first, and `hypothesis_joints (4, 8, 3)` px, their means, NaN where there are
-fewer; `seen (3,)`, whether head, left hand and right hand were detected (a hand before face or neck does not
-count, since their skin may be all that was detected); `stationary`, whether nothing at all was; `missing`,
-whether there was no image. Given the whole film: `exchanged`, the probability of exchanged hands, and
-`relabelled`, whether hands were exchanged at the end because of it. `joint_names (8,)`, `part_names (3,)` (of
-`seen`), `angle_names (16,)`, and the body's `length_names` and `lengths` px come once. x is to the right, y
-down, z away from the viewer, 0 at the root; left is the person's own."""
+fewer; `seen_probability (3,)` that head, left hand and right hand are visible where they are stated to be (a
+hand before the face is hardly: the face's skin may be all that is seen), and `seen (3,)`, whether it is above
+one half; `stationary`, whether nothing at all was detected; `missing`, whether there was no image. Given the
+whole film: `exchanged`, the probability of exchanged hands, and `relabelled`, whether hands were exchanged at
+the end because of it. `joint_names (8,)`, `part_names (3,)` (of `seen`), `angle_names (16,)`, and the body's
+`length_names` and `lengths` px come once. x is to the right, y down, z away from the viewer, 0 at the root;
+left is the person's own."""
 
-FACE_AND_NECK = (0.45, 0.62)  # head heights: half axes of the ellipse in which skin need not be a hand's
+NEAR_MEAN = 1.5  # hand radii: a hand that is farther from its stated position is elsewhere
 
 MOST_DECODED = 1000  # frames of a video in which calibration frames are, since all up to them are decoded
 
@@ -204,11 +214,11 @@ class Body(Application[BodyJob]):
         """Return joints and angles, their covariances, some poses of the posterior, and what was detected."""
         assert isinstance(belief, SmoothedBelief)
         frame, body, states = belief.frame, self._start.body, belief.states
-        detected = states[self._flesh.name].unseen == 0
         filtered, samples = states[self._pose.name], belief.samples.samples
         moments = body_moments(body, samples)
         drawn = body.joints(samples.resample(N_DRAWN, self._draws))
-        seen = detected & ~_before_face(moments.joints[PART_JOINTS, :2], body.head_height)
+        probabilities = seen_probabilities(body, states[self._flesh.name], belief.samples)
+        seen = probabilities > 0.5
         answers = hypotheses(body, samples, self._draws)
         row = {
             "joints_2d": moments.joints[:, :2],
@@ -221,6 +231,7 @@ class Body(Application[BodyJob]):
             "hypotheses": answers.weights,
             "hypothesis_joints": answers.joints,
             "seen": seen,
+            "seen_probability": probabilities,
             "stationary": np.bool_(filtered.stationary),
             "missing": np.bool_(frame.missing),
         }
@@ -312,7 +323,15 @@ def lengths(body: UpperBody) -> dict[str, float]:
     return {field.name: float(getattr(body, field.name)) for field in fields(body)}
 
 
-def _before_face(places: Array, head_height: float) -> NDArray[np.bool_]:
-    """`(3,)`: which of the parts at `places` `(3, 2)` px are hands over the head."""
-    away = (places - places[0]) / (np.array(FACE_AND_NECK) * head_height)
-    return np.asarray((np.hypot(*away.T) < 1) & (np.arange(len(places)) > 0))
+def seen_probabilities(body: UpperBody, tracks: FleshTracks, smoothed: TimedSamples) -> Array:
+    """`(3,)`: probability that head, left and right hand are visible, hands near the posterior's mean.
+
+    That of the head is the probability of the hypotheses in which it was detected.
+    """
+    samples, log_odds = smoothed.samples, smoothed.hand_log_odds
+    probabilities = np.asarray(tracks.weights @ (tracks.since == 0), np.float64)
+    if log_odds is not None:
+        hands = body.parts(samples.poses)[:, 1:]
+        apart = np.linalg.norm(hands - np.einsum("n,nhx->hx", samples.weights, hands), axis=2)
+        probabilities[1:] = samples.weights @ ((apart < NEAR_MEAN * body.hand) * expit(log_odds))
+    return probabilities

@@ -28,7 +28,7 @@ from ...models.core.short_repr import short_repr
 from .dynamics import Ancestors, BodyDynamics, concentration, draw_directions
 from .flesh_state import FleshTracks
 from .hand_labelling import NO_EVIDENCE, ExchangeEvidence, Labelling, exchange_evidence, label_hands
-from .likelihood import BodyLikelihood, PoseLikelihood
+from .likelihood import BodyLikelihood, ImageLikelihood, PoseLikelihood
 from .samples import LONGEST, BodySamples
 from .tempering import LogDensity, perturb
 
@@ -178,6 +178,8 @@ class TimedSamples:
     time: float  # s
     samples: BodySamples
     evidence: ExchangeEvidence = NO_EVIDENCE  # of smoothed poses, see `Labelling`
+    # `(n, 2)` nats: log odds that hands are seen, see `ImageLikelihood`; `None` without an image
+    hand_log_odds: Array | None = None
 
     def ancestors(self, time: float) -> Ancestors:
         """Return the poses as ancestors of those at `time`, s."""
@@ -273,12 +275,14 @@ class FixedLag:
             features of the image: `image` of the parts' message. Without it, poses are selected from the
             filter's samples.
         """
-        if not self.lag:
-            return [TimedSamples(frame.number, frame.time, samples)]
-        random = copied(self.waiting.random)
         if image is not None:
             self._likelihoods[frame.number] = self.likelihood(image)
         likelihood = self._likelihoods.get(frame.number)
+        if not self.lag:
+            self._likelihoods = {}
+            log_odds = _hand_log_odds(likelihood, samples.poses)
+            return [TimedSamples(frame.number, frame.time, samples, hand_log_odds=log_odds)]
+        random = copied(self.waiting.random)
         evidence, exchanged = exchange_evidence(self.dynamics, samples, likelihood, random)
         few = thin(samples, CLOUD, random)
         new = WaitingFrame(frame.number, frame.time, few, exchanged, evidence, image)
@@ -348,7 +352,14 @@ class FixedLag:
         n, likelihood = len(poses), self._likelihoods.get(cloud.number)
         samples = replace(cloud.samples, poses=poses, log_weights=np.full(n, -np.log(n)))
         evidence = exchange_evidence(self.dynamics, samples, likelihood, random)[0]
-        return replace(cloud, samples=samples, evidence=evidence)
+        return replace(
+            cloud, samples=samples, evidence=evidence, hand_log_odds=_hand_log_odds(likelihood, poses)
+        )
+
+
+def _hand_log_odds(likelihood: LogDensity | None, poses: BodyPoses) -> Array | None:
+    """`(n, 2)` nats: log odds that hands are seen, of a likelihood that tells."""
+    return likelihood.hand_log_odds(poses) if isinstance(likelihood, ImageLikelihood) else None
 
 
 def thin(samples: BodySamples, n: int, random: np.random.Generator) -> BodySamples:

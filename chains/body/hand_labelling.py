@@ -231,7 +231,8 @@ SHOULDERS, ELBOWS, HANDS = (
 OF_ARMS = slice(ANGLES - 8, ANGLES)
 ROWS = {
     "joints_2d", "joints_2d_covariances", "joints_3d", "joints_3d_covariances", "angles", "angle_covariances",
-    "samples", "hypotheses", "hypothesis_joints", "seen", "relabelled",
+    "samples", "hypotheses", "hypothesis_joints", "seen", "seen_probability",
+    "relabelled",
 }  # fmt: skip
 EXCHANGED_PARTS = [0, 2, 1]
 
@@ -266,6 +267,7 @@ def exchange_hands(body: UpperBody, row: Row) -> dict[str, NDArray[Any]]:
         "samples": samples.astype(np.float32),
         "hypothesis_joints": others,
         "seen": row["seen"][EXCHANGED_PARTS],
+        "seen_probability": row["seen_probability"][EXCHANGED_PARTS],
         "relabelled": ~row["relabelled"],
     }
 

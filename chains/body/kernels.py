@@ -293,6 +293,15 @@ def _in_strip(right, below, arm, half, spread):
 
 
 @helper
+def _in_picture(column, row, picture, spread):
+    """Share of a Gaussian window within a map, of `spread` entries: nothing is known of what is outside."""
+    height, width = picture.shape
+    across = min(column + _f4(0.5), _f4(width) - _f4(0.5) - column)
+    down = min(row + _f4(0.5), _f4(height) - _f4(0.5) - row)
+    return _before(min(across, down), spread)
+
+
+@helper
 def _seen_or_not(nats, hidden):
     """Log of a mixture: seen with a likelihood ratio of `nats`, or `hidden` and then of 1."""
     return logarithm((_f4(1.0) - hidden) * exponential(min(nats, _f4(60.0))) + hidden)
@@ -309,11 +318,12 @@ class HandModel(NamedTuple):
     scores: NDArray[np.float64]
     forearm: NDArray[np.float64]  # `(2,)` px: its length from the elbow to the hand, and half its width
     bare_scores: NDArray[np.float64]  # `(3,)`: the scores of a bare forearm that is seen in its full length
+    faces: NDArray[np.float64]  # `(m, 4)` px: centre and half axes of detected faces, whose skin is no hand's
 
 
 @helper
 def _explained(x, y, parts, roots, k, hand, spread):
-    """Share of a Gaussian window at x, y that head and neck of pose k cover."""
+    """Share of a Gaussian window at x, y that head and neck of pose k, or detected faces, cover."""
     wide, high = _f4(hand.head[0]), _f4(hand.head[1])
     radius = np.sqrt(wide * high)
     neck_x = x - _f4(parts[k, 0, 0] + NECK * (roots[k, 0] - parts[k, 0, 0]))
@@ -322,7 +332,13 @@ def _explained(x, y, parts, roots, k, hand, spread):
     off_y = (y - _f4(parts[k, 0, 1])) / high
     from_head = np.sqrt(off_x * off_x + off_y * off_y) * radius
     from_neck = np.sqrt(neck_x * neck_x + neck_y * neck_y)
-    return max(_inside(from_head, radius, spread), _inside(from_neck, _f4(hand.neck_radius), spread))
+    covered = max(_inside(from_head, radius, spread), _inside(from_neck, _f4(hand.neck_radius), spread))
+    for face in hand.faces:
+        wide, high = _f4(face[2]), _f4(face[3])
+        radius = np.sqrt(wide * high)
+        off_x, off_y = (x - _f4(face[0])) / wide, (y - _f4(face[1])) / high
+        covered = max(covered, _inside(np.sqrt(off_x * off_x + off_y * off_y) * radius, radius, spread))
+    return covered
 
 
 @helper
@@ -335,7 +351,7 @@ def _forearm(parts, elbows, k, side, radius, arm):
 
 
 @compiled
-def hand_terms(parts, roots, elbows, centre, surround, scales, hand, bare, out):
+def hand_terms(parts, roots, elbows, centre, surround, scales, hand, bare, out, nats):
     """Log likelihood ratios of both hands' skin, added to `out` `(n,)`.
 
     A hand is a disc of skin amid none, as two Gaussian windows see it: much in the inner one, little in the
@@ -344,7 +360,8 @@ def hand_terms(parts, roots, elbows, centre, surround, scales, hand, bare, out):
 
     `parts`, `roots`, `elbows` `(n, 3, 2)`, `(n, 2)` and `(n, 2, 2)` px; `centre`, `surround`: maps of skin,
     from 0 to 1, in the inner and the outer window; `scales` `(2,)` are their entries a px, along x and y;
-    `hand`: a `HandModel`; `bare`: whether forearms are bare.
+    `hand`: a `HandModel`; `bare`: whether forearms are bare. Into `nats` `(n, 2)` those of either hand if it
+    is seen are written.
     """
     full, none, hidden = _f4(hand.scores[0]), _f4(hand.scores[1]), _f4(hand.scores[2])
     inner, outer = _f4(hand.windows[0]), _f4(hand.windows[1])
@@ -380,8 +397,10 @@ def hand_terms(parts, roots, elbows, centre, surround, scales, hand, bare, out):
             foreign = max(_at(surround, column, row) - neighbour - around, _f4(0.0))
             response = (max(_at(centre, column, row) - before, _f4(0.0)) - foreign) / ideal
             free = _f4(1.0) - before
-            nats = free * none + (full - none) * min(max(response, _f4(0.0)), free)
-            gain = _seen_or_not(nats, hidden)
+            seen = free * none + (full - none) * min(max(response, _f4(0.0)), free)
+            seen *= _in_picture(column, row, centre, inner * across)
+            nats[k, side - 1] = seen
+            gain = _seen_or_not(seen, hidden)
             least = min(least, gain)
             total += gain
         apart = np.sqrt(squared) / (_f4(2.0) * radius)
@@ -424,7 +443,8 @@ def forearm_terms(parts, roots, elbows, centre, scales, hand, out):
                 row = (y + _f4(0.5)) * down - _f4(0.5)
                 free = _f4(1.0) - before
                 response = max(_at(centre, column, row) / ideal - before, _f4(0.0))
-                nats += free * none + (full - none) * min(response, free)
+                seen = _in_picture(column, row, centre, inner * across)
+                nats += seen * (free * none + (full - none) * min(response, free))
             nats *= arms[side, 2] / (whole * _f4(FOREARM_POINTS))
             out[k] += _seen_or_not(nats, hidden)
 
@@ -476,9 +496,10 @@ def arm_terms(joints, arms, scales, points, weights, torso, missing, out):
                     beside = abs(off_x * axis_x + off_y * axis_y) - broad * length
                     over = off_x * axis_y - off_y * axis_x - above * length
                     outside = min(max(max(beside, over) / blur, _f4(-20.0)), _f4(20.0))
-                    odds = _at(
-                        arms, (here_x + _f4(0.5)) * across - _f4(0.5), (here_y + _f4(0.5)) * down - _f4(0.5)
-                    ) / (_f4(1.0) + exponential(-outside))
+                    column = (here_x + _f4(0.5)) * across - _f4(0.5)
+                    row = (here_y + _f4(0.5)) * down - _f4(0.5)
+                    odds = _at(arms, column, row) / (_f4(1.0) + exponential(-outside))
+                    odds *= _in_picture(column, row, arms, blur * across)
                     total += _f4(weights[part]) * _seen_or_not(odds, hidden)
         out[k] += total
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.image_features import BodyImage
+from ...models.body.parts import FALSE_HANDS, HAND_DETECTED
 from ...models.body.skin import HIGHEST
 from ...models.body.upper_body import PART_JOINTS, BodyPoses, UpperBody
 from ...models.numerics.threads import over_bands
@@ -246,7 +247,7 @@ class ImageLikelihood:
         if self.head is not None:
             head_terms(parts[:, 0], self.head, _scales(self.head, image), np.array(HEAD_SCORES), terms[0])
         if self.skin is not None:
-            terms[1] = self._skin_terms(self.skin, parts, poses.roots, joints[:, [3, 6]])
+            terms[1] = self._skin_terms(self.skin, parts, poses.roots, joints[:, [3, 6]])[0]
         if image.keypoints is not None:
             terms[2] = image.keypoints.log_ratios(body, joints)
         if image.arms is not None:
@@ -257,29 +258,56 @@ class ImageLikelihood:
             )  # fmt: skip
         return terms
 
-    def _skin_terms(self, skin: tuple[Map, Map], parts: Array, roots: Array, elbows: Array) -> Array:
-        """`(n,)` nats of hands and blobs: log of the mixture of bare and covered forearms."""
+    def hand_log_odds(self, poses: BodyPoses) -> Array:
+        """`(n, 2)` nats: log odds that left and right hand are seen where poses have them.
+
+        Of skin, with as many hands and false ones as an image has of either, and of key points. The other end
+        of a bare forearm shows as much skin as the hand.
+        """
+        joints = self.body.joints(poses)[:, :, :2]
+        parts, log_odds = (
+            joints[:, PART_JOINTS],
+            np.full((len(poses), 2), np.log(HAND_DETECTED / FALSE_HANDS)),
+        )
+        if self.skin is not None:
+            log_odds += self._skin_terms(self.skin, parts, poses.roots, joints[:, [3, 6]])[1]
+            log_odds -= np.log1p(self.image.bare * np.exp(log_odds))
+        if self.image.keypoints is not None:
+            none = np.zeros((0, 2))
+            log_odds += self.image.keypoints.mixtures(none, none).log_values(parts)[:, 1:]
+        return log_odds
+
+    def _skin_terms(
+        self, skin: tuple[Map, Map], parts: Array, roots: Array, elbows: Array
+    ) -> tuple[Array, Array]:
+        """Nats of hands and blobs `(n,)`, log of the mixture of bare and covered forearms; of each hand."""
         body, image = self.body, self.image
         neck_radius = NECK_RADIUS if image.moving_skin is image.skin else NO_NECK
         scales = _scales(skin[0], image)
         # weighted by the probability that a blob is a hand
         costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
         reach = body.head_height * np.array(BLOB_REACH)
-        ratios = np.full((2, len(parts)), -np.inf)
+        ratios, nats = np.full((2, len(parts)), -np.inf), np.zeros((2, len(parts), 2))
         for bare, probability in enumerate((1 - image.bare, image.bare)):
             if probability > 0:
                 ratio = np.full(len(parts), np.log(probability))
-                hand = hand_model(body, neck_radius, bool(bare))
-                hand_terms(parts, roots, elbows, *skin, scales, hand, bool(bare), ratio)
+                hand = hand_model(body, neck_radius, bool(bare), image.faces)
+                hand_terms(parts, roots, elbows, *skin, scales, hand, bool(bare), ratio, nats[bare])
                 blob_terms(parts, elbows, image.blobs, costs, reach, bool(bare), ratio)
                 if bare:
                     forearm_terms(parts, roots, elbows, skin[0], scales, hand, ratio)
                 ratios[bare] = ratio
-        return np.asarray(np.logaddexp(*ratios))
+        total = np.asarray(np.logaddexp(*ratios))
+        return total, np.einsum("bn,bnh->nh", np.exp(ratios - total), nats)
 
 
-def hand_model(body: UpperBody, neck_radius: float = NECK_RADIUS, bare: bool = False) -> HandModel:
-    """Return the model of this body's hands, in sleeves or not; the neck's radius is in head heights."""
+def hand_model(
+    body: UpperBody, neck_radius: float = NECK_RADIUS, bare: bool = False, faces: Array | None = None
+) -> HandModel:
+    """Return the model of this body's hands, in sleeves or not; the neck's radius is in head heights.
+
+    `faces` `(m, 4)` px: ellipses of detected faces, centre and half axes.
+    """
     return HandModel(
         body.hand,
         body.hand * np.array(WINDOWS),
@@ -288,6 +316,7 @@ def hand_model(body: UpperBody, neck_radius: float = NECK_RADIUS, bare: bool = F
         np.array(BARE_HAND_SCORES if bare else SKIN_SCORES),
         np.array([body.forearm, 0.25 * (body.forearm_width + body.wrist_width)]),
         np.array(BARE_SCORES),
+        np.zeros((0, 4)) if faces is None else faces,
     )
 
 

@@ -183,6 +183,8 @@ class BodyImage:
     bare: float = 0.0  # probability that forearms are bare
     # nats: log odds of an arm's colour, half as large as the image; `None` without known clothes
     arms: NDArray[np.float32] | None = None
+    # `(m, 4)` px: ellipses of detected faces, centre x, y and half axes
+    faces: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
     _made: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def once(self, key: Hashable, make: Callable[["BodyImage"], Made]) -> Made:

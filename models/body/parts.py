@@ -8,6 +8,7 @@ from typing import Annotated, Any, Self
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from ..core.checks import Positive, Shape, between, checked
 from ..core.frame import BoundingBox, Frame
@@ -26,7 +27,7 @@ from .person import (
     hand_area,
     track_face,
 )
-from .skin import HIGHEST, SkinColour, smoothed, static_skin
+from .skin import HIGHEST, SkinColour, face_ellipses, smoothed, static_skin
 from .upper_body import PARTS
 
 Array = NDArray[np.float64]
@@ -153,6 +154,10 @@ chain that tracks something else recovers."""
 FACE_DETECTED, FALSE_FACES = 0.8, 0.05  # detection probability of a face, and false ones in an image
 HEAD_DETECTED, FALSE_HEADS = 0.6, 3.0  # the same of a head's blob of skin
 HAND_DETECTED, FALSE_HANDS = 0.8, 4.0  # the same of a hand's blob
+RING = (
+    1.2,
+    2.2,
+)  # hand radii: about a hand at rest, in which an arm leads to it; the outer one holds its skin
 CALIBRATION_FRAMES = 24  # frames of a clip in which faces are detected at first, evenly spread
 
 
@@ -243,7 +248,42 @@ class BodyParts:
             return self
         heads = boxes[:, :2] + boxes[:, 2:] * (0.5, CENTRE_OF_BOX)
         clothes = ClothesColour.learned(images, heads, self.head_height, self.skin)
-        return replace(self, bare=self.bare_forearms(images, boxes), clothes=clothes)
+        dressed = replace(self, bare=self.bare_forearms(images, boxes), clothes=clothes)
+        return replace(dressed, static_skin=dressed._without_resting_hands(images, heads))
+
+    def _without_resting_hands(
+        self, images: Sequence[NDArray[np.uint8]], heads: Array
+    ) -> NDArray[np.float32] | None:
+        """Remove what is rather a hand at rest than a thing from the static skin; `heads` are `(n, 2)` px.
+
+        The odds are those of a blob that is a hand against clutter, times those of an arm around it against
+        background, times those that a hand is missing, that moving skin shows fewer than two.
+        """
+        if self.static_skin is None or self.skin is None or self.clothes is None:
+            return self.static_skin
+        height, radius = self.head_height, HAND_RADIUS * self.head_height
+        rate, arms = 0.0, []
+        for image, head in zip(images, heads, strict=True):
+            ellipses = [_ellipses(head[None], shape, height) for shape in (HEAD_ELLIPSE, NECK_ELLIPSE)]
+            colours = smoothed(image)
+            skin = self.skin.log_odds_of(colours)
+            blobs = skin_blobs(self._moving(skin, ellipses[0]), radius, np.concatenate(ellipses))
+            rate += min(float(expit(blobs.log_weights).sum()), 2.0) / 2
+            arms.append(self.clothes.arm_map(colours, height, skin, self.bare))
+        missing = 1 - rate / (len(images) + 1)
+        prior = np.log(HAND_DETECTED / FALSE_HANDS * missing / (1 - missing))
+        arm = cv2.resize(np.mean(arms, axis=0), self.static_skin.shape[::-1])
+        still = np.where(self.static_skin > 0, self.static_skin, np.float32(-HIGHEST))
+        centre = np.median(heads, axis=0)[None]
+        ellipses = [_ellipses(centre, shape, height) for shape in (HEAD_ELLIPSE, NECK_ELLIPSE)]
+        things, kept = skin_blobs(still, radius, np.concatenate(ellipses)), self.static_skin.copy()
+        rows, columns = np.ogrid[: still.shape[0], : still.shape[1]]
+        for (x, y), log_weight in zip(things.means, things.log_weights, strict=True):
+            away = np.hypot(columns - x, rows - y) / radius
+            leads = np.median(arm[(away > RING[0]) & (away < RING[1])])
+            if log_weight + leads + prior > 0:
+                kept[away < RING[1]] = 0
+        return kept
 
     def bare_forearms(self, images: Sequence[NDArray[np.uint8]], boxes: Array) -> float:
         """Return the probability of bare forearms, from images and the face in each, `(n, 4)` px."""
@@ -294,13 +334,13 @@ class BodyParts:
         of_head = np.diag(np.square(np.array(HEAD_STD) * height))
         covariances = np.broadcast_to(of_head, (len(faces), 2, 2)).copy()
         heads = SkinBlobs(centres, covariances, np.zeros(len(faces)))
+        near = (np.linalg.norm(centres[:, None] - known_head, axis=2) < height).any(axis=1)
         hands, moving = SkinBlobs.none(), None
         area = image.shape[0] * image.shape[1]
         detected, false = FACE_DETECTED, np.full(len(faces), FALSE_FACES / area)
         if self.others is not None:
             false += self.others.density(faces[:, :2] + 0.5 * faces[:, 2:])
         if skin is not None:
-            near = np.linalg.norm(centres[:, None] - known_head, axis=2) < height
             known = centres if near.any() else np.concatenate([centres, known_head])
             faces_there = _ellipses(known, HEAD_ELLIPSE, height)
             moving = self._moving(skin, faces_there)
@@ -329,8 +369,10 @@ class BodyParts:
         if points is not None:
             mixtures = mixtures * points.mixtures(hands.means, heads.means)
         seen = BodyImage(
-            skin, moving, edges, directions, hands.means, hands.log_weights, mixtures, points, self.bare, arms
-        )
+            skin, moving, edges, directions,
+            hands.means, hands.log_weights, mixtures, points, self.bare, arms,
+            face_ellipses(faces[near] if near.any() else faces),
+        )  # fmt: skip
         return PartMessage(self.uniform().stacked, seen)
 
     def _faces(self, frame: Frame, known_head: Array) -> Array:

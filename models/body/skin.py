@@ -95,6 +95,11 @@ def look_up(table: NDArray[np.float32], colours: Image) -> NDArray[np.float32]:
     return out
 
 
+def face_ellipses(boxes: Array) -> Array:
+    """`(k, 4)` px: centres and half axes of the skin in a detector's boxes `(k, 4)`: x, y, width, height."""
+    return np.hstack([boxes[:, :2] + boxes[:, 2:] * (0.5, FACE_CENTRE), boxes[:, 2:] * FACE_AXES])
+
+
 def has_colour(image: Image) -> bool:
     """Whether an image differs from a grey one by more than compression causes."""
     if image.ndim == 2:

@@ -131,8 +131,8 @@ def test_poses(finished: Path, scene: SignerScene) -> None:
         "joints_3d": (n, 8, 3), "joints_3d_covariances": (n, 8, 3, 3), "angles": (n, 16),
         "angle_covariances": (n, 16, 16), "samples": (n, N_DRAWN, 8, 3), "hypotheses": (n, 4),
         "hypothesis_joints": (n, 4, 8, 3), "exchanged": (n,), "relabelled": (n,), "seen": (n, 3),
-        "stationary": (n,),
-        "missing": (n,), "joint_names": (8,), "part_names": (3,), "angle_names": (16,),
+        "seen_probability": (n, 3), "stationary": (n,), "missing": (n,),
+        "joint_names": (8,), "part_names": (3,), "angle_names": (16,),
         "length_names": (len(fields(UpperBody)),), "lengths": (len(fields(UpperBody)),),
     }  # fmt: skip
     assert {name: array.shape for name, array in poses.items()} == shapes
@@ -383,3 +383,28 @@ def test_of_several_faces_the_one_that_is_pointed_at(
     assert again.parts.bare == meant.parts.bare
     assert again.parts.others is meant.parts.others
     assert SavedPerson.of(meant).elsewhere().person.parts.others is None
+
+
+def test_where_only_a_face_is_in_view_no_hand_is_seen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A face that moves a little, above neck and shoulders."""
+
+    def detector(frame: Frame) -> NDArray[np.float64]:
+        return np.array([[104 + 6 * np.sin(frame.number - 1), 65, 113, 113]])
+
+    monkeypatch.setattr(body_start, "default_faces", lambda _: detector)
+    pictures = []
+    for number in range(12):
+        picture = np.full((240, 320, 3), (170, 150, 120), np.uint8)
+        x = 160 + round(6 * np.sin(number))
+        cv2.rectangle(picture, (70, 210), (250, 239), (60, 120, 40), cv2.FILLED)
+        for centre, axes in (((x, 110), (52, 75)), ((160, 190), (30, 45))):
+            cv2.ellipse(picture, centre, axes, 0, 0, 360, (90, 130, 200), cv2.FILLED)
+        noise = np.random.default_rng(number).normal(0, 3, picture.shape)
+        pictures.append((picture + noise).clip(0, 255).astype(np.uint8))
+    film = write_pictures(tmp_path / "film", pictures)
+    assert run(film, "--out", tmp_path / "out", *FEW) == 0
+    poses = poses_of(tmp_path / "out")
+    assert poses["seen_probability"][:, 1:].max() < 0.5
+    assert np.linalg.norm(poses["joints_2d"][:, HEAD] - (160, 110), axis=1).max() < 40

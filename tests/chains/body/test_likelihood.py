@@ -90,7 +90,9 @@ def scattered(n: int, random: np.random.Generator, spread: float = 0.3) -> BodyP
     return BodyPoses(roots, np.zeros((n, 3)), 0.5 * spread * random.normal(size=(n, 3)), arms)
 
 
-def hand_scores(image: BodyImage, parts: Array, roots: Array, elbows: Array | None = None) -> Array:
+def hand_scores(
+    image: BodyImage, parts: Array, roots: Array, elbows: Array | None = None, faces: Array | None = None
+) -> Array:
     """`(n,)` as the likelihood calls it; of bare forearms, if there are elbows `(n, 2, 2)`."""
     assert image.skin is not None
     skin = skin_maps(image.skin, BODY.hand)
@@ -98,7 +100,8 @@ def hand_scores(image: BodyImage, parts: Array, roots: Array, elbows: Array | No
     out = np.zeros(len(parts))
     bare = elbows is not None
     elbows = np.zeros((len(parts), 2, 2)) if elbows is None else elbows
-    hand_terms(parts, roots, elbows, *skin, scales, hand_model(BODY, bare=bare), bare, out)
+    nats = np.empty((len(parts), 2))
+    hand_terms(parts, roots, elbows, *skin, scales, hand_model(BODY, bare=bare, faces=faces), bare, out, nats)
     return out
 
 
@@ -129,6 +132,13 @@ def look_up_colours(one: NDArray[np.float32], places: Array) -> Array:
         one, where[:, None].astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
     return np.asarray(values[:, 0], np.float64)
+
+
+def within(places: Array, spread: float) -> Array:
+    """`(n,)`: share of a window at `places` `(n, 2)` px that is in the picture."""
+    edge = np.concatenate([places + 0.5, np.array(SIZE[::-1]) - 0.5 - places], axis=1).min(axis=1)
+    share: Array = 1 / (1 + np.exp(np.clip(-1.7 * edge / spread, -60, 60)))
+    return share
 
 
 def plain_hands(image: BodyImage, parts: Array, roots: Array, elbows: Array | None = None) -> Array:
@@ -164,7 +174,7 @@ def plain_hands(image: BodyImage, parts: Array, roots: Array, elbows: Array | No
         foreign = np.maximum(surround - neighbour - around, 0)
         response = (np.maximum(centre - before, 0) - foreign) / ideal
         free = 1 - before
-        nats = free * none + (full - none) * np.clip(response, 0, free)
+        nats = within(places, inner) * (free * none + (full - none) * np.clip(response, 0, free))
         gains.append(np.log((1 - hidden) * np.exp(nats) + hidden))
     t = np.minimum(apart / (2 * r), 1)
     shared = 2 / np.pi * (np.arccos(t) - t * np.sqrt(1 - t**2))
@@ -187,6 +197,31 @@ def test_hands_equal_plain_numpy(seed: int) -> None:
             plain_hands(image, parts, poses.roots, elbows),
             atol=0.25,
         )
+
+
+def test_nothing_is_known_of_a_hand_outside_of_the_picture() -> None:
+    """Neither skin beyond the border nor none; within the picture, skin and its absence tell."""
+    skin = np.full(SIZE, -4, np.float32)
+    skin[:, :60] = 4
+    image = replace(seen(signing()), skin=skin)
+    places = np.array([[-90.0, 200.0], [320.0, 460.0], [320.0, 250.0]])
+    parts = np.stack(
+        [np.tile(BODY.parts(signing())[0, 0], (3, 1)), places, places + np.array([0.0, 70.0])], axis=1
+    )
+    scores = hand_scores(image, parts, np.tile(signing().roots, (3, 1)))
+    np.testing.assert_allclose(scores[:2], 0, atol=0.05)
+    assert scores[2] < -0.5
+
+
+def test_skin_of_a_detected_face_is_no_hand() -> None:
+    """Even for a pose whose head is elsewhere."""
+    image, true = seen(signing(), without=(0, 1)), BODY.parts(signing())
+    parts = np.stack([true[:, 0] - [150.0, 0.0], true[:, 0], true[:, 0] - [300.0, 0.0]], axis=1)
+    roots = signing().roots - [150.0, 0.0]
+    half = 0.5 * np.array([BODY.head_width, BODY.head_height])
+    alone = hand_scores(image, parts, roots)
+    assert alone > 2
+    assert hand_scores(image, parts, roots, faces=np.array([[*true[0, 0], *half]])) < alone - 2
 
 
 @settings(deadline=None, max_examples=12)
@@ -244,7 +279,8 @@ def test_forearms_equal_plain_numpy(seed: int) -> None:
             if side == 1:
                 covered = np.maximum(covered, plain_strip(places, elbows[:, 0], parts[:, 1], inner))
             shown = np.clip(look_up_colours(centre, places) / ideal - covered, 0, 1 - covered)
-            nats += ((1 - covered) * none + (full - none) * shown) / FOREARM_POINTS
+            shown = within(places, inner) * ((1 - covered) * none + (full - none) * shown)
+            nats += shown / FOREARM_POINTS
         nats *= wrist / (BODY.forearm - BODY.hand)
         expected += np.log((1 - hidden) * np.exp(nats) + hidden)
     out = np.zeros(20)
@@ -308,6 +344,7 @@ def plain_arms(arms: NDArray[np.float32], joints: Array) -> Array:
                 outside = np.maximum(beside, above) / (TRUNK_BLUR * BODY.head_height)
                 rows_and_columns = (0.5 * place[:, ::-1] - 0.25).T
                 odds = map_coordinates(arms, rows_and_columns, order=1, mode="nearest")
+                odds *= within(place, TRUNK_BLUR * BODY.head_height)
                 odds /= 1 + np.exp(-np.clip(outside, -20, 20))
                 total += ARM_WEIGHTS[part] * np.log((1 - NO_SLEEVE) * np.exp(odds) + NO_SLEEVE)
     return total
@@ -410,3 +447,14 @@ def test_who_may_be_in_sleeves_or_not_is_a_mixture() -> None:
     np.testing.assert_allclose(either, np.log(0.7 * np.exp(sleeves) + 0.3 * np.exp(bare)), atol=1e-6)
     assert (bare > sleeves).any()
     assert (bare < sleeves).any()
+
+
+def test_a_hand_is_seen_where_its_skin_is() -> None:
+    """Not without skin, and with bare forearms in one of two cases: they show skin at both ends."""
+    both, one = (BodyLikelihood(BODY)(seen(signing(), without=hands)) for hands in ((), (1,)))
+    assert both.hand_log_odds(signing()).min() > 2
+    left, right = one.hand_log_odds(signing())[0]
+    assert left > 2
+    assert right < -1.5
+    bare = BodyLikelihood(BODY)(replace(seen(signing()), bare=1.0)).hand_log_odds(signing())
+    assert bare.max() < 0

@@ -38,6 +38,7 @@ def row() -> dict[str, NDArray[Any]]:
         "hypotheses": np.array([0.7, 0.3, 0, 0]),
         "hypothesis_joints": np.stack([*joints[:2], *np.full((2, 8, 3), np.nan)]),
         "seen": np.array([True, True, False]),
+        "seen_probability": np.array([0.9, 0.8, 0.1]),
         "relabelled": np.bool_(False),
     }
 
@@ -56,6 +57,7 @@ def test_hands_change_places_and_arms_lead_there(row: dict[str, NDArray[Any]]) -
     assert np.isnan(found["hypothesis_joints"][2:]).all()
     np.testing.assert_allclose(found["joints_3d"][ELBOWS], found["samples"].mean(axis=0)[ELBOWS], atol=1e-3)
     assert found["seen"].tolist() == [True, False, True]
+    assert found["seen_probability"].tolist() == [0.9, 0.1, 0.8]
     assert found["relabelled"]
     assert np.linalg.eigvalsh(found["angle_covariances"]).min() > -1e-9
     np.testing.assert_array_equal(found["angles"][:8], row["angles"][:8])

@@ -112,3 +112,26 @@ def test_the_evidence_of_an_image_holds_the_map() -> None:
         seen = less.evidence(Frame(image, 0.0, 1), node.uniform()).image
         assert seen is not None
         assert seen.arms is None
+
+
+def resting(where: tuple[int, int], n: int = 10) -> BodyParts:
+    """Learned from a film in which one hand moves, and a patch of a hand's size stays where it is."""
+    images = []
+    for k in range(n):
+        image = np.empty((240, 320, 3), np.uint8)
+        image[:] = WALL
+        cv2.rectangle(image, (115, 105), (205, 239), SHIRT, cv2.FILLED)
+        moving = (40 + 12 * k, 100 + 30 * (k % 3))
+        for x, y, across, down in ((160, 60, 22, 29), (*where, 16, 16), (*moving, 16, 16)):
+            cv2.ellipse(image, (x, y), (across, down), 0, 0, 360, SKIN, cv2.FILLED)
+        images.append(image)
+    return BodyParts.learned(images, lambda frame: BOX)
+
+
+def test_a_hand_that_rests_is_no_static_skin() -> None:
+    """On the clothes it is a hand, since an arm may lead there; the same on the wall is a thing."""
+    for (x, y), thing in (((165, 190), False), ((280, 160), True)):
+        still = resting((x, y)).static_skin
+        assert still is not None
+        assert (still[y, x] > 1) == thing
+        assert still[60, 160] > 1  # the face, which is found in every frame
