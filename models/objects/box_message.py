@@ -208,12 +208,10 @@ class Association:
     pairs: Numbers  # (n_objects, n_boxes) probability that the object exists and this is its box
     followed: Numbers  # (n_objects, n_boxes) probability that this is its box, of an object or an error
     unfollowed: Numbers  # (n_objects,) probability that it has no box, and is an object or an error
-    # (n_objects, 4) px^2, of the errors of each one's box, by the size that is expected of it: by the boxes'
-    # own sizes, boxes that are too small would count for more
+    # (n_objects, n_boxes, 4) px^2, of the errors of each box as that of each object, by the size that is
+    # expected of it: by the boxes' own sizes, boxes that are too small would count for more
     own_noise: Numbers
-    worth: (
-        Numbers  # (n_objects, n_boxes) of each as the box of each: 1 of a usual one, less of an outlying one
-    )
+    worth: Numbers  # (n_objects, n_boxes) of the same: 1 of a usual box, less of an outlying one
     errors: Numbers  # (n_objects, 2) nats: log ratio of the boxes if it is an error, over nothing
     expected: Numbers  # (n_objects,) probability that the object, if it exists, would be found
     missed: Numbers  # (n_objects,) probability that the object exists and has no box
@@ -234,7 +232,8 @@ class Association:
         """
         something = np.maximum(self.followed.sum(axis=1) + self.unfollowed, 1e-30)
         weight = self.worth * self.followed / something[:, None]
-        return weight.sum(axis=1)[:, None] / self.own_noise, weight @ self.boxes / self.own_noise
+        precision = weight[:, :, None] / self.own_noise
+        return precision.sum(axis=1), (precision * self.boxes).sum(axis=1)
 
     @property
     def in_sight(self) -> float:

@@ -36,6 +36,8 @@ OUTLIERS, OUTLYING = 0.1, 3.0
 Measured of ACF and DPM on four sequences: errors deviate 1.1 to 1.5 times as far as their median says.
 """
 
+HIDDEN = 0.5  # heights: deviation of the sides of a box that the picture's border cuts; a guess
+
 NO_ERRORS = Errors(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, BOX)))
 SURELY_NOT = 1e-4  # probability of a pair below which nothing is learned from it
 
@@ -98,7 +100,10 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     given = frame.boxes
     assert given is not None
     boxes = prior.in_scene(feet(given.xyxy))
-    noise = detector.noise(boxes) + prior.variances_by_view(boxes)
+    size = _picture(frame, prior, given)
+    noise = detector.noise(boxes)
+    cut = _cut_variances(feet(given.xyxy), noise, size)
+    noise = noise + cut + prior.variances_by_view(boxes)
     tracked = prior.expected
     tracked = tracked.only(np.isin(tracked.identities, prior.existence.identities))
     identities, means, covariances = tracked.moments
@@ -106,12 +111,11 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
 
     exists, noticed = (expit(odds.of(identities)) for odds in (prior.existence, prior.noticed))
     kinds, places = (prior.errors or NO_ERRORS).of(identities)
-    size = _picture(frame, prior, given)
     visible = visible_share(prior.in_frame(means), exists, size)
     phases = np.array([[NOTICED], [UNNOTICED]]) * visible
     expected = noticed * phases[0] + (1 - noticed) * phases[1]
     own = detector.noise(means) + prior.variances_by_view(means)
-    further = _log_densities(boxes, means, covariances, DOUBLE**2 * own)
+    further = _log_densities(boxes, means, covariances, DOUBLE**2 * own, cut)
 
     area = float(size[0] * size[1])
     score = np.ones(len(boxes))
@@ -124,12 +128,12 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     doubles = detector.doubles * (exists * expected) @ np.exp(further)
     alone = np.maximum(new + false + doubles, 1e-300)
 
-    near = (1 - OUTLIERS) * np.exp(_log_densities(boxes, means, covariances, own))
-    far = OUTLIERS * np.exp(_log_densities(boxes, means, covariances, OUTLYING**2 * own))
+    near = (1 - OUTLIERS) * np.exp(_log_densities(boxes, means, covariances, own, cut))
+    far = OUTLIERS * np.exp(_log_densities(boxes, means, covariances, OUTLYING**2 * own, cut))
     own_box = (near + far) / alone
     weights = expected[:, None] * own_box * score
     again = detector.repeated * expected
-    staying = _log_densities(boxes, places, detector.noise(places)[:, None] * np.eye(BOX), own)
+    staying = _log_densities(boxes, places, detector.noise(places)[:, None] * np.eye(BOX), own, cut)
     errors = again[:, None, None] * np.stack([np.exp(staying) / alone, own_box], axis=1)
     is_error = (1 - exists)[:, None] * kinds
     true, wrong = exists[:, None] * weights, (is_error[:, :, None] * errors).sum(axis=1)
@@ -151,7 +155,7 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
         pairs=found.pairs * true / np.maximum(true + wrong, 1e-300),
         followed=found.pairs,
         unfollowed=found.missed * hidden / np.maximum(hidden + nothing, 1e-300),
-        own_noise=own,
+        own_noise=own[:, None] + cut,
         worth=(near + far / OUTLYING**2) / np.maximum(near + far, 1e-300),
         errors=np.log(by_error),
         expected=expected,
@@ -186,6 +190,19 @@ def visible_share(boxes: Numbers, exists: Numbers, size: tuple[int, int]) -> Num
     return np.asarray(np.clip(inside, 0, 1) * np.prod(1 - np.minimum(covered, 1.0) * in_front, axis=1))
 
 
+def _cut_variances(boxes: Numbers, noise: Numbers, size: tuple[int, int]) -> Numbers:
+    """`(n, 4)` px^2: what is unsure of boxes in the frame that end at its border: all that lies behind it.
+
+    `noise` `(n, 4)` px^2 are the variances of their errors. Boxes that reach beyond the border are whole.
+    """
+    (x, y, width, height), (along, down, wide, high) = boxes.T, noise.T
+    left, right = x - 0.5 * width, size[1] - x - 0.5 * width
+    across = np.minimum(left**2, right**2) < along + 0.25 * wide
+    below, above = (size[0] - y) ** 2 < down, (y - height) ** 2 < down + high
+    cut = np.stack([0.5 * across, below, across, across | below | above], axis=1)
+    return np.asarray((HIDDEN * height[:, None] * cut) ** 2)
+
+
 def _picture(frame: Frame, prior: BoxMessage, given: GivenBoxes) -> tuple[int, int]:
     """`(height, width)` px; without an image or a plane, as far as the boxes reach."""
     if frame.image is not None:
@@ -196,12 +213,19 @@ def _picture(frame: Frame, prior: BoxMessage, given: GivenBoxes) -> tuple[int, i
     return bottom, right
 
 
-def _log_densities(boxes: Numbers, means: Numbers, covariances: Numbers, noise: Numbers) -> Numbers:
-    """`(n_objects, n_boxes)` nats: log N(box; mean, covariance + noise)."""
-    root = np.linalg.cholesky(covariances + noise[:, :, None] * np.eye(BOX))
-    off = np.linalg.solve(root, (boxes[None] - means[:, None]).swapaxes(1, 2))
-    scale = np.log(root.diagonal(axis1=1, axis2=2)).sum(axis=1) + 2 * np.log(2 * np.pi)
-    return np.asarray(-0.5 * (off**2).sum(axis=1) - scale[:, None])
+def _log_densities(
+    boxes: Numbers, means: Numbers, covariances: Numbers, noise: Numbers, cut: Numbers
+) -> Numbers:
+    """`(n_objects, n_boxes)` nats: log N(box; mean, covariance + noise of the object + `cut` of the box)."""
+    densities = np.empty((len(means), len(boxes)))
+    alike, kinds = np.unique(cut, axis=0, return_inverse=True)  # most boxes are not cut
+    for kind, more in enumerate(alike):
+        which = kinds.reshape(-1) == kind
+        root = np.linalg.cholesky(covariances + (noise + more)[:, :, None] * np.eye(BOX))
+        off = np.linalg.solve(root, (boxes[which] - means[:, None]).swapaxes(1, 2))
+        scale = np.log(root.diagonal(axis1=1, axis2=2)).sum(axis=1) + 2 * np.log(2 * np.pi)
+        densities[:, which] = -0.5 * (off**2).sum(axis=1) - scale[:, None]
+    return densities
 
 
 def _box_likelihood(association: Association, means: Numbers, covariances: Numbers) -> GaussianMessage:

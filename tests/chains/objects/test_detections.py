@@ -64,7 +64,7 @@ def told(box: NDArray[np.float64], noise: NDArray[np.float64]) -> BoxMessage:
     one = np.ones(1)
     association = Association(
         boxes=box[None], noise=noise[None], scores=one, identities=np.array([7]), pairs=np.ones((1, 1)),
-        followed=np.ones((1, 1)), unfollowed=0 * one, own_noise=noise[None], worth=np.ones((1, 1)),
+        followed=np.ones((1, 1)), unfollowed=0 * one, own_noise=noise[None, None], worth=np.ones((1, 1)),
         errors=np.zeros((1, 2)), expected=one,
         missed=0 * one, visible=one, new=0 * one, double=0 * one, log_evidence=0.0,
     )  # fmt: skip

@@ -207,6 +207,24 @@ def test_an_outlying_box_counts_for_less_and_one_that_is_too_small_for_no_more()
         np.testing.assert_allclose(vector[0] / precision[0], off[0])
 
 
+@pytest.mark.parametrize(("foot_x", "edge"), [(0.0, (0.0, 20.0)), (640.0, (620.0, 640.0))])
+def test_what_the_border_hides_of_a_box_is_unknown(foot_x: float, edge: tuple[float, float]) -> None:
+    """A person who is half outside is found by the visible half, which tells the row of the feet alone."""
+    person, (left, right) = np.array([[foot_x, 300.0, 40.0, 100.0]]), edge
+    half = np.array([[0.5 * (left + right), 300.0, right - left, 100.0]])
+    detector = BoxDetector()
+    told = [
+        associate(frame(each), known(person, existence=8.0), detector).association for each in (person, half)
+    ]
+    assert told[0] is not None
+    assert told[1] is not None
+    whole, cut = (each.information[0][0] for each in told if each is not None)
+    assert told[1].pairs[0, 0] > 0.9
+    np.testing.assert_allclose(whole, 1 / detector.noise(person)[0], rtol=0.1)
+    assert cut[1] > 0.8 * whole[1]
+    assert (cut[[0, 2, 3]] < 0.15 * whole[[0, 2, 3]]).all()
+
+
 def test_newcomers_are_a_density() -> None:
     """Height and width summed over a grid, in one row; times the rows and columns of the picture it is 1.
 
