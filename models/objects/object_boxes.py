@@ -36,7 +36,8 @@ OUTLIERS, OUTLYING = 0.1, 3.0
 Measured of ACF and DPM on four sequences: errors deviate 1.1 to 1.5 times as far as their median says.
 """
 
-HIDDEN = 0.5  # heights: deviation of the sides of a box that the picture's border cuts; a guess
+HIDDEN, AT_BORDER = 0.5, 0.03
+"""Heights: deviation of what the border hides of a box, and how near to it such a box ends; guesses."""
 
 NO_ERRORS = Errors(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, BOX)))
 SURELY_NOT = 1e-4  # probability of a pair below which nothing is learned from it
@@ -102,7 +103,7 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     boxes = prior.in_scene(feet(given.xyxy))
     size = _picture(frame, prior, given)
     noise = detector.noise(boxes)
-    cut = _cut_variances(feet(given.xyxy), noise, size)
+    cut = _cut_variances(feet(given.xyxy), size)
     noise = noise + cut + prior.variances_by_view(boxes)
     tracked = prior.expected
     tracked = tracked.only(np.isin(tracked.identities, prior.existence.identities))
@@ -190,15 +191,15 @@ def visible_share(boxes: Numbers, exists: Numbers, size: tuple[int, int]) -> Num
     return np.asarray(np.clip(inside, 0, 1) * np.prod(1 - np.minimum(covered, 1.0) * in_front, axis=1))
 
 
-def _cut_variances(boxes: Numbers, noise: Numbers, size: tuple[int, int]) -> Numbers:
+def _cut_variances(boxes: Numbers, size: tuple[int, int]) -> Numbers:
     """`(n, 4)` px^2: what is unsure of boxes in the frame that end at its border: all that lies behind it.
 
-    `noise` `(n, 4)` px^2 are the variances of their errors. Boxes that reach beyond the border are whole.
+    Boxes that reach beyond the border are whole.
     """
-    (x, y, width, height), (along, down, wide, high) = boxes.T, noise.T
-    left, right = x - 0.5 * width, size[1] - x - 0.5 * width
-    across = np.minimum(left**2, right**2) < along + 0.25 * wide
-    below, above = (size[0] - y) ** 2 < down, (y - height) ** 2 < down + high
+    x, y, width, height = boxes.T
+    ends = np.abs([x - 0.5 * width, size[1] - x - 0.5 * width, y - height, size[0] - y])
+    left, right, above, below = ends < AT_BORDER * height
+    across = left | right
     cut = np.stack([0.5 * across, below, across, across | below | above], axis=1)
     return np.asarray((HIDDEN * height[:, None] * cut) ** 2)
 

@@ -2,6 +2,11 @@
 
 import numpy as np
 import pytest
+from rsmcm.apps.io import with_boxes
+from rsmcm.apps.scenes import sleeping_man
+from rsmcm.chains import AdaptiveBackground, BlobTracker, DetectorRates
+from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.models import ObjectBoxes, PixelLabels
 
 from .test_blob_tracker import BLUE, DARK, DT, GROUND, SIZE, TALL, identities, run, texture
 from .test_detector_rates import run as run_with_detector
@@ -53,6 +58,41 @@ def test_people_are_tracked_among_false_boxes_and_these_are_not():
         wrong.append(false / seen)
     assert mean_moved_by(shares, -3) > 0.8
     assert mean_moved_by(wrong, 3) < 0.05
+
+
+def test_who_comes_in_with_a_rare_detector_keeps_a_track():
+    """A person whom the border cuts at first, as does the box; the detector runs on every fifth frame."""
+    counts = []
+    for seed in range(20):
+        scene, random = sleeping_man(320, seed=seed, car_leaves=400), np.random.default_rng(seed)
+
+        def found(frame, scene=scene, random=random):
+            rows = []
+            for track in scene.boxes(frame.number - 1):
+                x, y, width, height = np.array(track.box) + 0.03 * track.box[3] * random.normal(size=4)
+                if random.random() < 0.8:
+                    rows.append([x, y, x + width, y + height, random.normal(0.8, 0.1)])
+            if random.random() < 0.3:
+                x, y = random.uniform(0, 280), random.uniform(0, 140)
+                rows.append([x, y, x + 35, y + 90, random.normal(0.5, 0.1)])
+            return rows
+
+        pixels, objects, blobs = PixelLabels(), ObjectBoxes(), BlobTracker()
+        model = MultiChain().connect(AdaptiveBackground(), pixels).connect(blobs, pixels)
+        model = model.connect(blobs, objects).connect(DetectorRates(), objects)
+        names = set()
+        for belief in RecursiveBP(model).run(with_boxes(scene, found, every=5)):
+            people = [each.box for each in scene.boxes(belief.frame.number - 1)]
+            for track in belief["blobs"].tracks():
+                x, y, width, height = track.box
+                if any(
+                    abs(x + 0.5 * width - left - 0.5 * wide) < 0.5 * wide
+                    and abs(y + height - top - high) < 0.4 * high
+                    for left, top, wide, high in people
+                ):
+                    names.add(track.identity)
+        counts.append(len(names))
+    assert mean_moved_by(counts, 3) < 2
 
 
 def mean_moved_by(values, deviations):
