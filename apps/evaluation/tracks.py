@@ -111,7 +111,7 @@ def evaluate_tracks(
         # Two objects may remember the same track; the first one keeps it.
         still &= np.cumsum(still, axis=0) == 1
         open_rows, open_columns = ~still.any(axis=1), ~still.any(axis=0)
-        new = _match(np.where(open_rows[:, None] & open_columns, overlap, 0.0), iou)
+        new = match_boxes(np.where(open_rows[:, None] & open_columns, overlap, 0.0), iou)
         switches += int(np.count_nonzero(partner[objects[new[0]]] >= 0))
         partner[objects[new[0]]] = found[new[1]]
         still[new] = True
@@ -163,7 +163,7 @@ def _seen(
     if not ignored.any():
         return objects, found, overlap
     keep = np.ones(len(found), bool)
-    pairs = _match(overlap, iou)
+    pairs = match_boxes(overlap, iou)
     keep[pairs[1][ignored[pairs[0]]]] = False
     return objects[~ignored], found[keep], overlap[~ignored][:, keep]
 
@@ -233,7 +233,7 @@ def box_overlap(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDAr
     return overlap
 
 
-def _match(overlap: NDArray[np.float64], least: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def match_boxes(overlap: NDArray[np.float64], least: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pair rows with columns that overlap by `least` or more: most pairs, then the greatest overlap."""
     # One forbidden pair costs more than all allowed ones together.
     forbidden = min(overlap.shape) + 1.0

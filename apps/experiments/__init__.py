@@ -69,6 +69,11 @@ EXPERIMENTS = {
         "body:body",
         parallel=True,
     ),
+    "calibration": Entry(
+        "What all applications state of themselves, compared with the truth: probabilities, regions, claims.",
+        "calibration:calibration",
+        parallel=True,
+    ),
 }
 """All experiments, by name."""
 

@@ -12,6 +12,7 @@ SEQUENCES: dict[str, tuple[tuple[str, ...], str]] = {
         "https://motchallenge.net/data/2D_MOT_2015 (boxes of PETS09-S2L1)",
     ),
     "tud-campus": (("gt/gt.txt",), "https://motchallenge.net/data/2D_MOT_2015"),
+    "mot15-kitti-17": (("gt/gt.txt", "det/det.txt"), "https://motchallenge.net/data/2D_MOT_2015"),
     "cdnet-highway": (
         ("input", "groundtruth", "temporalROI.txt"),
         "http://changedetection.net (dataset 2014, baseline)",
@@ -20,6 +21,10 @@ SEQUENCES: dict[str, tuple[tuple[str, ...], str]] = {
     "bobot": (
         ("frame_000100.jpg", "frame_000250.jpg"),
         "https://github.com/davisking/dlib/tree/master/examples/video_frames",
+    ),
+    "middlebury-dino": (
+        ("dino_par.txt", "dino0002.png"),
+        "https://vision.middlebury.edu/mview/data (dinoRing)",
     ),
     "nrsfm-mocap": (("dance.mat", "drink.mat"), "http://cvlab.lums.edu.pk/nrsfm"),
     "nrsfm-torresani": (

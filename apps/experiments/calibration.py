@@ -1,0 +1,404 @@
+"""What the applications state of themselves, against the truth: probabilities, regions, and plain claims.
+
+A probability is right if what was stated with it is so as often; a region of 50 % is right if half of the
+true places are in it; a claim, such as "this camera is known", is a probability of 1. What is not claimed is
+no error, but counted as unknown.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Self
+
+import cv2
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from ...chains.reconstruction import NoStructureError, Reconstruction, reconstruct
+from ...inference import RecursiveBP
+from ...inference.sfm.nonrigid.learning import learn_shape
+from ...models.core.frame import Frame
+from ...models.core.gaussian_message import squared_distances
+from ...models.numerics.rotations import logarithm
+from ..background.application import build_model
+from ..body.measures import HANDS, PLACES
+from ..evaluation.tracks import box_overlap, match_boxes
+from ..io.ground_truth import Kind
+from ..io.point_files import read_shapes
+from ..io.sources.open_source import open_source
+from ..scenes import cylinder, face, signer, sleeping_man, turntable
+from ..scenes.street import mottle
+from ..trackers import BodyTracker, FaceTracker
+from .datasets import data_folder
+from .experiment import Findings, Plot, by_seed, noisy
+from .pets import AnnotatedFilm
+from .record import Expectation, Table, over_seeds
+from .shapes import nearer_image, sequence_file
+
+Numbers = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SEEDS = range(10)
+TENTHS = 10
+LEVELS = (np.arange(TENTHS) + 0.5) / TENTHS  # of regions
+ENOUGH = 30  # cases in a tenth that is judged
+BOUND = 0.1  # by which what is stated may differ from what is observed
+
+
+@dataclass(frozen=True, eq=False)
+class Reliability:
+    """Stated probabilities in tenths from 0 to 1: how many `(10,)`, their sum, and how many were so.
+
+    Regions are counted in each of their `LEVELS`. `unknown` counts cases of which nothing was claimed.
+    """
+
+    count: Numbers
+    stated: Numbers
+    so: Numbers
+    unknown: int = 0
+    regions: bool = False
+
+    @classmethod
+    def nothing(cls) -> Self:
+        """Return that of no statement."""
+        return cls(*np.zeros((3, TENTHS)))
+
+    @classmethod
+    def of_probabilities(cls, stated: NDArray[np.floating], so: Mask) -> Self:
+        """Return that of probabilities and of whether what they were stated of was so, both of one shape."""
+        tenth = np.minimum((stated.ravel() * TENTHS).astype(np.int64), TENTHS - 1)
+        count, sums, shares = (
+            np.bincount(tenth, of.ravel(), TENTHS).astype(np.float64)
+            for of in (np.ones(stated.shape), stated, so)
+        )
+        return cls(count, sums, shares)
+
+    @classmethod
+    def of_regions(cls, squares: Numbers, dimension: int) -> Self:
+        """Return that of Gaussian regions of `LEVELS`, by the squared Mahalanobis distances of the truth."""
+        inside = chi2.cdf(squares.ravel()[:, None], dimension) <= LEVELS
+        count = np.full(TENTHS, float(len(inside)))
+        return cls(count, count * LEVELS, inside.sum(axis=0).astype(np.float64), regions=True)
+
+    @classmethod
+    def of_claims(cls, right: Mask, claimed: Mask) -> Self:
+        """Return that of claims, each of which is or is not right."""
+        made = cls.of_probabilities(np.ones(np.count_nonzero(claimed)), right[claimed])
+        return cls(made.count, made.stated, made.so, int(np.count_nonzero(~claimed)))
+
+    def __add__(self, other: Self) -> Self:
+        sums = self.count + other.count, self.stated + other.stated, self.so + other.so
+        return type(self)(*sums, self.unknown + other.unknown, self.regions or other.regions)
+
+    @property
+    def cases(self) -> int:
+        """How many things something was stated of."""
+        return int(self.count.max() if self.regions else self.count.sum())
+
+    @property
+    def rates(self) -> tuple[Numbers, Numbers]:
+        """Mean probability that was stated, and share that was so, of the tenths with enough cases."""
+        enough = self.count >= ENOUGH
+        return self.stated[enough] / self.count[enough], self.so[enough] / self.count[enough]
+
+    @property
+    def worst(self) -> float:
+        """Largest difference of the rates of a tenth; NaN without enough cases."""
+        stated, so = self.rates
+        return float(np.abs(stated - so).max()) if len(so) else np.nan
+
+    @property
+    def mean(self) -> float:
+        """Mean difference of the rates, weighted by the cases."""
+        return float(np.abs(self.stated - self.so).sum() / max(self.count.sum(), 1))
+
+
+Statements = dict[str, Reliability]
+
+# --- objects and pixels -------------------------------------------------------------------------------------
+
+OVERLAP = 0.5  # of a box that is somebody's
+STREETS: Mapping[str, tuple[str, str, str]] = {
+    "pets2009-s2l1": ("vtest.avi", "gt.txt", "det.txt"),
+    "tud-campus": ("img1", "gt/gt.txt", "det/det.txt"),
+    "mot15-kitti-17": ("img1", "gt/gt.txt", "det/det.txt"),
+}
+"""Film, true boxes and a detector's."""
+
+
+def generated_street(seed: int) -> Statements:
+    """Pixels and boxes of a generated street."""
+    scene, pixels, places = sleeping_man(seed=seed), Reliability.nothing(), Reliability.nothing()
+    for index, belief in enumerate(RecursiveBP(build_model("recursive-bp")).run(scene)):
+        covered = 1 - belief["pixels"].background_probability()
+        pixels += Reliability.of_probabilities(covered, scene.masks[index])
+        tracks, true = belief["blobs"].tracks(), boxes_of(each.box for each in scene.boxes(index))
+        found = boxes_of(track.box for track in tracks)
+        whose, which = match_boxes(box_overlap(true, found), OVERLAP)
+        off = (true[whose] - found[which]) @ TO_MIDDLE
+        unsure = np.array([tracks[each].position_covariance for each in which]).reshape(-1, 2, 2)
+        places += Reliability.of_regions(squared_distances(off, unsure), 2)
+    return {"pixel is foreground": pixels, "middle of a box": places}
+
+
+TO_MIDDLE = np.array([[1, 0], [0, 1], [0.5, 0], [0, 0.5]])
+"""From x, y, width and height."""
+
+
+def boxes_of(boxes: Iterable[tuple[float, float, float, float]]) -> Numbers:
+    """Return `(n, 4)`, also of none."""
+    return np.array(list(boxes), np.float64).reshape(-1, 4)
+
+
+def detected_objects(seed: int) -> Statements:
+    """Existence of objects on streets with a detector."""
+    made = Reliability.nothing()
+    for name, files in STREETS.items():
+        film = AnnotatedFilm.read(name, *(data_folder(name) / file for file in files))
+        with open_source(film.source) as source:
+            frames = film.prepare(source, seed, 1)
+            for belief in RecursiveBP(build_model("recursive-bp")).run(frames):
+                tracks, true = belief["blobs"].tracks(), film.truth.at(belief.frame.number)
+                overlap = box_overlap(true.box, boxes_of(track.box for track in tracks))
+                whose, which = match_boxes(overlap, OVERLAP)
+                so, judged = np.zeros(len(tracks), np.bool_), np.ones(len(tracks), np.bool_)
+                so[which], judged[which[true.kind[whose] == Kind.IGNORED]] = True, False
+                stated = np.array([track.confidence for track in tracks])
+                made += Reliability.of_probabilities(stated[judged], so[judged])
+    return {"detected object exists": made}
+
+
+# --- points and cameras -------------------------------------------------------------------------------------
+
+STEPS = (8.0, 15.0, 23.0, 30.0)  # degrees between the pictures of a turntable
+TURN = 3.0  # degrees by which a camera that is known may be wrong
+
+
+def generated_cylinder(seed: int) -> Statements:
+    """Positions of the points of a cylinder, visible and hidden ones, without drift, which is no noise."""
+    truth = cylinder(seed=seed, p_drift=0)
+    unit = 100.0  # px per radius
+    found = reconstruct(unit * truth.tracks(), camera="affine")
+    pairs = [(found.point_of_track[track], point) for track, point in enumerate(truth.point_of_track)]
+    whose = {int(mine): int(point) for mine, point in pairs if mine >= 0}
+    mine, true = np.array(list(whose)), np.array(list(whose.values()))
+    off = found.positions[:, mine] - unit * truth.positions[:, true]
+    squares, seen = squared_distances(off, found.covariances[:, mine]), found.observed[:, mine]
+    return {
+        "observed point of a shape": Reliability.of_regions(squares[seen], 2),
+        "hidden point of a shape": Reliability.of_regions(squares[~seen], 2),
+    }
+
+
+def generated_turntable(seed: int) -> Statements:
+    """Cameras and focal lengths of turntables, from close pictures to wide ones."""
+    known, focal = Reliability.nothing(), Reliability.nothing()
+    for step in STEPS:
+        scene = turntable(16, (288, 360), step, seed=seed)
+        found = structure_of(scene.frames())
+        right, claimed = right_cameras(found, scene.rotations)
+        known += Reliability.of_claims(right, claimed)
+        focal += focal_length(found, scene.focal)
+    return {"camera is known": known, "focal length": focal}
+
+
+def real_turntable(seed: int) -> Statements:
+    """Cameras and focal lengths of a plaster dinosaur: all pictures, and some of them."""
+    folder = data_folder("middlebury-dino")
+    lines = [line.split() for line in (folder / "dino_par.txt").read_text(encoding="utf-8").splitlines()[1:]]
+    truth = {line[0]: np.array(line[10:19], np.float64).reshape(3, 3) for line in lines}
+    paths = [path for path in sorted(folder.glob("*.png")) if path.name in truth]
+    random = np.random.default_rng(seed)
+    some = np.sort(random.choice(len(paths), 16, replace=False))
+    known, focal = Reliability.nothing(), Reliability.nothing()
+    for chosen in (some, np.arange(seed % 2, len(paths), 2), np.arange(seed % 3, len(paths), 3)):
+        frames = [picture(paths[index], number) for number, index in enumerate(chosen, 1)]
+        found = structure_of([noisy(frame, seed) for frame in frames])
+        right, claimed = right_cameras(found, np.array([truth[paths[index].name] for index in chosen]))
+        known += Reliability.of_claims(right, claimed)
+        focal += focal_length(found, float(lines[0][1]))
+    return {"camera is known": known, "focal length": focal}
+
+
+def picture(path: Path, number: int) -> Frame:
+    """Return a grey picture as frame of a film."""
+    return Frame(np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)), number / 25, number)
+
+
+def structure_of(frames: Sequence[Frame]) -> Reconstruction | None:
+    """Return the structure, or `None` where the application says that there is none."""
+    try:
+        return reconstruct(frames)
+    except NoStructureError:
+        return None
+
+
+def right_cameras(found: Reconstruction | None, truth: Numbers) -> tuple[Mask, Mask]:
+    """Return of each frame whether its rotation is right and whether it was stated.
+
+    The world's axes are arbitrary: they are those of the camera by which most others are right.
+    """
+    nothing = np.zeros(len(truth), np.bool_)
+    if found is None or found.perspective is None:
+        return nothing, nothing
+    rotations, claimed = found.perspective.cameras.rotations, found.perspective.frame_determined
+    axes = np.swapaxes(truth[claimed], 1, 2) @ rotations[claimed]
+    apart = np.swapaxes(truth @ axes[:, None], 2, 3) @ rotations
+    wrong = np.degrees(np.linalg.norm(logarithm(apart.reshape(-1, 3, 3)), axis=1)).reshape(apart.shape[:2])
+    best = np.argmin(np.median(wrong[:, claimed], axis=1))
+    return wrong[best] <= TURN, claimed
+
+
+def focal_length(found: Reconstruction | None, truth: float) -> Reliability:
+    """Return whether the true focal length is in the regions of the stated one, if one is stated."""
+    known = None if found is None else found.perspective
+    if known is None or not 2 * known.focal_deviation < known.cameras.focal:
+        return Reliability.of_claims(np.zeros(1, np.bool_), np.zeros(1, np.bool_))
+    off = (known.cameras.focal - truth) / known.focal_deviation
+    return Reliability.of_regions(np.array([off**2]), 1)
+
+
+# --- faces, bodies, shapes ----------------------------------------------------------------------------------
+
+N_FRAMES = 80
+NEAR = 0.25  # of a face's or a head's size: what is tracked is within that
+
+
+def generated_face(seed: int) -> Statements:
+    """Places of the vertices of a face, and whether it is where it is stated to be."""
+    scene, tracker = face(N_FRAMES, seed=seed), FaceTracker(model=scene.model, seed=seed)
+    places, tracked = Reliability.nothing(), Reliability.nothing()
+    for frame, true in zip(scene, scene.vertices, strict=True):
+        found = tracker.update(frame.image, landmarks=scene.vertices[0], time=frame.time)
+        assert found is not None
+        off, size = found.vertices[:, :2] - true, float(np.ptp(true[:, 0]))
+        near = np.linalg.norm(off, axis=1).mean() < NEAR * size
+        tracked += Reliability.of_claims(np.array([near]), np.array([not found.lost]))
+        if not found.lost:
+            places += Reliability.of_regions(squared_distances(off, found.covariances[:, :2, :2]), 2)
+    return {"vertex of a face": places, "face is not lost": tracked}
+
+
+def nobody(seed: int) -> Statements:
+    """Faces and people in films of smooth random texture, where there are none."""
+    random, statements = np.random.default_rng(seed), {}
+    texture = 128 + 40 * mottle((320, 240), 40.0, random)
+    noise = 3 * random.standard_normal((30, *texture.shape))
+    film = np.repeat(np.clip(texture + noise, 0, 255).astype(np.uint8)[..., None], 3, axis=3)
+    trackers = {"face is there": FaceTracker(seed=seed), "person is there": BodyTracker(seed=seed)}
+    for name, tracker in trackers.items():
+        stated = any(tracker.update(image) is not None for image in film)
+        statements[name] = Reliability.of_claims(np.zeros(1, np.bool_), np.array([stated]))
+    return statements
+
+
+def generated_signer(seed: int) -> Statements:
+    """Places of the hands of a signer, and whether they are seen."""
+    scene, tracker = signer(N_FRAMES, seed), BodyTracker(seed=seed)
+    places, seen = Reliability.nothing(), Reliability.nothing()
+    head, hands = scene.body.head_height, PLACES[HANDS]
+    x, y = scene.joints[0, 0, :2]
+    box = (x - 0.4 * head, y - 0.5 * head, x + 0.4 * head, y + 0.5 * head)
+    for frame, joints in zip(scene, scene.joints, strict=True):
+        found = tracker.update(frame.image, head=box, time=frame.time)
+        assert found is not None
+        off = (found.joints - joints)[hands, :2]
+        places += Reliability.of_regions(squared_distances(off, found.covariances[hands, :2, :2]), 2)
+        seen += Reliability.of_claims(np.linalg.norm(off, axis=1) < 2 * NEAR * head, found.seen[1:])
+    return {"hand of a body": places, "hand is seen": seen}
+
+
+def noisy_shape(seed: int) -> Statements:
+    """Points in space of a deforming shape whose tracks have noise."""
+    truth = read_shapes(sequence_file("jaws"))
+    size = np.ptp(truth[..., :2])
+    noise = np.random.default_rng(seed).normal(0, 0.002 * size, truth[..., :2].shape)
+    learned = learn_shape(truth[..., :2] + noise, 3)
+    found, unsure = learned.shapes(), learned.shape_covariances()
+    off = nearer_image(found, truth) - (truth - truth.mean(axis=1, keepdims=True))
+    flat = squared_distances(found[..., :2] - truth[..., :2], unsure[..., :2, :2])
+    return {
+        "point of a deforming shape, in the picture": Reliability.of_regions(flat, 2),
+        "depth of a deforming shape": Reliability.of_regions(off[..., 2] ** 2 / unsure[..., 2, 2], 1),
+    }
+
+
+# --- the experiment -----------------------------------------------------------------------------------------
+
+CASES: Mapping[str, Callable[[int], Statements]] = {
+    "generated street": generated_street,
+    "three streets with a detector": detected_objects,
+    "cylinder": generated_cylinder,
+    "generated turntables": generated_turntable,
+    "middlebury-dino": real_turntable,
+    "generated face": generated_face,
+    "random texture": nobody,
+    "generated signer": generated_signer,
+    "jaws with noise": noisy_shape,
+}
+"""What makes the statements of a seed, by what they are stated of."""
+LINE = ("of", "statement", "cases", "unknown, %", "mean difference", "largest in a tenth")
+EXPLANATION = (
+    "Difference between the probability that is stated and the share that is so: mean over all cases, and in "
+    f"the worst tenth of probabilities with {ENOUGH} cases or more. Regions are Gaussian, of 5, 15, ... 95 %. "
+    "A plain claim counts as a probability of 1; unknown: cases without a claim."
+)
+
+
+def calibration() -> Findings:
+    """Compare what all applications state of themselves with the truth.
+
+    Raises
+    ------
+    OSError
+        if a sequence cannot be found.
+    """
+    made = by_seed("calibration", _statements, list(CASES), SEEDS)
+    lines, totals = [], {}
+    for of, statements in made.items():
+        for what, seeds in statements.items():
+            total = totals[f"{what}, {of}"] = sum(seeds, Reliability.nothing())
+            unknown = 100 * total.unknown / max(total.cases + total.unknown, 1)
+            lines.append([of, what, total.cases, unknown, total.mean, total.worst])
+    return Findings(
+        "Calibration",
+        [Table(LINE, lines, EXPLANATION)],
+        over_seeds(expectations_of, made),
+        [
+            Plot(
+                "calibration.png",
+                partial(draw, totals),
+                (13.0, 13.0),
+                "Stated against observed; exact: diagonal.",
+            )
+        ],
+    )
+
+
+def _statements(case: str, seed: int) -> Statements:
+    return CASES[case](seed)
+
+
+def expectations_of(made: Mapping[str, Mapping[str, Sequence[Reliability]]]) -> list[Expectation]:
+    """Return how far what is stated is from what is observed."""
+    return [
+        Expectation(f"{what}, {of}: mean difference", sum(seeds, Reliability.nothing()).mean, "<=", BOUND)
+        for of, statements in made.items()
+        for what, seeds in statements.items()
+    ]
+
+
+def draw(totals: Mapping[str, Reliability], canvas: Figure) -> None:
+    """Draw the rates of every statement."""
+    columns = 4
+    all_axes = canvas.subplots(-(-len(totals) // columns), columns, squeeze=False).reshape(-1)
+    for axes in all_axes[len(totals) :]:
+        axes.set_visible(False)
+    for axes, (name, total) in zip(all_axes, totals.items(), strict=False):
+        axes.plot([0, 1], [0, 1], color="#9a9a9a", linewidth=1)
+        axes.plot(*total.rates, "o-", color="#1f5fa8", markersize=4)
+        axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal", xlabel="stated", ylabel="observed")
+        axes.set_title(name.replace(", ", "\n"), fontsize=8)
