@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from ...chains.reconstruction import NoStructureError, Reconstruction, reconstruct
+from ...chains.reconstruction import Reconstruction, reconstruct
 from ...inference import RecursiveBP
 from ...inference.sfm.nonrigid.learning import learn_shape
 from ...models.core.frame import Frame
@@ -41,7 +41,7 @@ from .shapes import nearer_image, sequence_file
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SEEDS = range(10)
+SEEDS = range(5)
 TENTHS = 10
 LEVELS = (np.arange(TENTHS) + 0.5) / TENTHS  # of regions
 ENOUGH = 30  # cases in a tenth that is judged
@@ -173,7 +173,7 @@ def detected_objects(seed: int) -> Statements:
 
 # --- points and cameras -------------------------------------------------------------------------------------
 
-STEPS = (8.0, 15.0, 23.0, 30.0)  # degrees between the pictures of a turntable
+STEPS = (6.0, 10.0, 15.0, 23.0)  # degrees between the pictures of a turntable
 TURN = 3.0  # degrees by which a camera that is known may be wrong
 
 
@@ -232,7 +232,7 @@ def structure_of(frames: Sequence[Frame]) -> Reconstruction | None:
     """Return the structure, or `None` where the application says that there is none."""
     try:
         return reconstruct(frames)
-    except NoStructureError:
+    except ValueError:
         return None
 
 
@@ -353,8 +353,8 @@ CASES: Mapping[str, Callable[[int], Statements]] = {
 LINE = ("of", "statement", "cases", "unknown, %", "mean difference", "largest in a tenth")
 EXPLANATION = (
     "Difference between the probability that is stated and the share that is so: mean over all cases, and "
-    f"in the worst tenth of probabilities with {ENOUGH} cases or more. Regions are Gaussian, of 5, 15, ... 95%. "
-    "A plain claim counts as a probability of 1; unknown: cases without a claim."
+    f"in the worst tenth of probabilities with {ENOUGH} cases or more. Regions are Gaussian, of 5, 15, ... "
+    "95 %. A plain claim counts as a probability of 1; unknown: cases without a claim."
 )
 
 
