@@ -199,8 +199,7 @@ def generated_turntable(seed: int) -> Statements:
     for step in STEPS:
         scene = turntable(16, (288, 360), step, seed=seed)
         found = structure_of(scene.frames())
-        right, claimed = right_cameras(found, scene.rotations)
-        known += Reliability.of_claims(right, claimed)
+        known += known_cameras(found, scene.rotations)
         focal += focal_length(found, scene.focal)
     return {"camera is known": known, "focal length": focal}
 
@@ -217,8 +216,7 @@ def real_turntable(seed: int) -> Statements:
     for chosen in (some, np.arange(seed % 2, len(paths), 2), np.arange(seed % 3, len(paths), 3)):
         frames = [picture(paths[index], number) for number, index in enumerate(chosen, 1)]
         found = structure_of([noisy(frame, seed) for frame in frames])
-        right, claimed = right_cameras(found, np.array([truth[paths[index].name] for index in chosen]))
-        known += Reliability.of_claims(right, claimed)
+        known += known_cameras(found, np.array([truth[paths[index].name] for index in chosen]))
         focal += focal_length(found, float(lines[0][1]))
     return {"camera is known": known, "focal length": focal}
 
@@ -236,20 +234,25 @@ def structure_of(frames: Sequence[Frame]) -> Reconstruction | None:
         return None
 
 
-def right_cameras(found: Reconstruction | None, truth: Numbers) -> tuple[Mask, Mask]:
-    """Return of each frame whether its rotation is right and whether it was stated.
+def known_cameras(found: Reconstruction | None, truth: Numbers) -> Reliability:
+    """Return whether rotations `(n_frames, 3, 3)` of the cameras that are stated to be known are right."""
+    right, known = np.zeros((2, len(truth)), np.bool_)
+    if found is not None and found.perspective is not None:
+        known = found.perspective.frame_determined
+        right[known] = wrong_by(found.perspective.cameras.rotations[known], truth[known]) <= TURN
+    return Reliability.of_claims(right, known)
 
-    The world's axes are arbitrary: they are those of the camera by which most others are right.
+
+def wrong_by(rotations: Numbers, truth: Numbers) -> Numbers:
+    """Return by how many degrees each rotation `(n, 3, 3)` is wrong.
+
+    The world's axes are arbitrary: they are those of the one by which most others are right.
     """
-    nothing = np.zeros(len(truth), np.bool_)
-    if found is None or found.perspective is None:
-        return nothing, nothing
-    rotations, claimed = found.perspective.cameras.rotations, found.perspective.frame_determined
-    axes = np.swapaxes(truth[claimed], 1, 2) @ rotations[claimed]
-    apart = np.swapaxes(truth @ axes[:, None], 2, 3) @ rotations
-    wrong = np.degrees(np.linalg.norm(logarithm(apart.reshape(-1, 3, 3)), axis=1)).reshape(apart.shape[:2])
-    best = np.argmin(np.median(wrong[:, claimed], axis=1))
-    return wrong[best] <= TURN, claimed
+    worlds = np.swapaxes(truth, 1, 2) @ rotations
+    off = (truth @ worlds[:, None]) @ np.swapaxes(rotations, 1, 2)
+    wrong = np.degrees(np.linalg.norm(logarithm(off.reshape(-1, 3, 3)), axis=1)).reshape(off.shape[:2])
+    best: Numbers = wrong[np.argmin(np.median(wrong, axis=1))]
+    return best
 
 
 def focal_length(found: Reconstruction | None, truth: float) -> Reliability:
