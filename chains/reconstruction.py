@@ -80,6 +80,9 @@ class Reconstruction:
         `cameras` are its affine approximations at the mean depth.
     affine_reason
         why there is no perspective camera; empty if none was requested.
+    dropped
+        `(n_frames,)`: tracked positions of each frame that no point explains: outliers, rejected tracks, and
+        all of a frame whose camera is unknown. `None` where they were not counted.
     """
 
     positions: Numbers
@@ -97,6 +100,7 @@ class Reconstruction:
     reason: str = ""
     perspective: PerspectiveStructure | None = None
     affine_reason: str = ""
+    dropped: NDArray[np.int64] | None = None
 
     @property
     def n_points(self) -> int:
@@ -307,7 +311,8 @@ def reconstruction_of(
     has_structure = result.geometry != "none" or lens.focal is not None
     if camera != "affine" and result.n_points >= FEWEST_POINTS and has_structure:
         result = _in_perspective(result, solution, n_tracks, camera, lens)
-    return _without_false_depth(result, from_images)
+    result = _without_false_depth(result, from_images)
+    return replace(result, dropped=_dropped(solution, result, n_tracks))
 
 
 def _before_affine_cameras(solution: Solution, n_tracks: int | None) -> Reconstruction:
@@ -430,8 +435,27 @@ def _points_of_tracks(
     point_of = dict(zip(structure.identities.tolist(), structure.point_of_track.tolist(), strict=True))
     for absorbed, by in tracks.absorbed.tolist():
         point_of[absorbed] = point_of.get(by, -1)
-    identities = sorted(point_of) if n_tracks is None else range(n_tracks)
+    identities = _identities(solution, n_tracks).tolist()
     return np.array([point_of.get(identity, -1) for identity in identities], np.int64)
+
+
+def _identities(solution: Solution, n_tracks: int | None) -> NDArray[np.int64]:
+    """Return the identities of the tracks, in their order."""
+    if n_tracks is not None:
+        return np.arange(n_tracks)
+    tracks: PointTrajectory = solution["tracker"]
+    structure: StructureTrajectory = solution["structure"]
+    return np.union1d(structure.identities, tracks.absorbed[:, 0])
+
+
+def _dropped(solution: Solution, result: Reconstruction, n_tracks: int | None) -> NDArray[np.int64]:
+    """Return how many tracked positions of each frame no point explains."""
+    identities, dropped = _identities(solution, n_tracks), []
+    for evidence, observed in zip(solution.evidence("points"), result.observed, strict=True):
+        shown, _, _ = evidence.positions.moments
+        point = result.point_of_track[places_of(identities, shown)]
+        dropped.append(np.count_nonzero((point < 0) | ~observed[point]))
+    return np.array(dropped, np.int64)
 
 
 def _observations_of_points(

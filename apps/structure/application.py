@@ -186,6 +186,7 @@ class _StructureRun:
         """Write all results; return the content of `summary.json`."""
         folder, film, frames = self.job.out, self._film, self._film.frames
         notes = [*film.notes, *_notes(result, diagnosis, film.n_tracks is not None)]
+        notes += _note_on_dropped(result, frames)
         lens = result.perspective
         if lens is not None:
             known = zip(frames, lens.frame_determined.tolist(), strict=True)
@@ -323,6 +324,17 @@ def _write_video(path: Path, frames: Sequence[Frame], result: Reconstruction, ra
         for index, frame in enumerate(frames):
             video.add(frame, partial(view_row, result, index))
             progress.update()
+
+
+def _note_on_dropped(result: Reconstruction, frames: Sequence[Frame]) -> list[str]:
+    """Return a note on the tracked positions that no point explains, if there are any."""
+    if result.dropped is None or not result.dropped.any():
+        return []
+    tracked = result.dropped + result.observed.sum(axis=1)
+    mostly = [frame.number for frame, most in zip(frames, 2 * result.dropped > tracked, strict=True) if most]
+    where = f", more than half in {listed(mostly)}" if mostly else ""
+    share = result.dropped.sum() / tracked.sum()
+    return [f"No point explains {share:.0%} of the tracked positions{where}; they were dropped."]
 
 
 def _notes(result: Reconstruction, diagnosis: Diagnosis | None, given: bool) -> list[str]:

@@ -79,6 +79,10 @@ def write_cameras(path: Path, result: Reconstruction, frames: Sequence[Frame]) -
         if result.geometry == "euclidean":
             entry |= {"scale": scale, "rotation": rotation, "translation": camera[:, 3]}
         entries.append(entry)
+    if result.dropped is not None:
+        seen = result.observed.sum(axis=1).tolist()
+        for entry, used, dropped in zip(entries, seen, result.dropped.tolist(), strict=True):
+            entry |= {"observations": used, "dropped_observations": dropped}
     content = {"geometry": result.geometry, "camera": "affine", "convention": CONVENTION, "frames": entries}
     if result.perspective is not None:
         content |= _perspective(result.perspective, entries)

@@ -63,6 +63,7 @@ def facts_of(result: Reconstruction) -> dict[str, Any]:
     return {
         "points": result.n_points,
         "observations": result.n_observations,
+        "dropped_observations": None if result.dropped is None else int(result.dropped.sum()),
         "reprojection_rmse_px_per_point": result.reprojection_error,
         "reprojection_rmse_px_per_coordinate": result.reprojection_error / math.sqrt(2),
         "noise_px_per_coordinate": float(np.sqrt(result.noise_variance)),
