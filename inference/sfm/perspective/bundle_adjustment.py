@@ -385,10 +385,12 @@ class BundleCovariance:
     cameras: Array
     points: Array
     points_and_cameras: Array
+    # 1/px: standard deviation of 1 / focal length by a lens that is not as assumed; 0 where that was given
+    curvature_by_lens: float
 
     @property
     def curvature_deviation(self) -> float:
-        """Standard deviation of 1 / focal length, 1/px; 0 where that was given."""
+        """Standard deviation of 1 / focal length by noise, 1/px; 0 where that was given."""
         return float(np.sqrt(self.cameras[0, -1, -1]))
 
 
@@ -408,6 +410,9 @@ def covariance_of(
     equations = normal_equations(listed, counted, bundle.cameras, bundle.shape)
     equations = equations._replace(points=equations.points + np.linalg.inv(prior))
     whole, inverses = _of_cameras(listed, equations, bundle.cameras, focal_known=focal_known)
+    by_lens = 0.0
+    if not focal_known:
+        by_lens = float(np.linalg.norm(whole[-1] @ _pulled_by_lens(listed, counted, equations, bundle)))
 
     n_frames, n_points = len(bundle.cameras.scales), len(bundle.shape)
     columns = CAMERA * listed.other[:, None] + np.arange(CAMERA)
@@ -431,7 +436,33 @@ def covariance_of(
         whole[frames[:, :, None], frames[:, None, :]],
         0.5 * (points + points.transpose(0, 2, 1)),
         -inverses @ reach,
+        by_lens,
     )
+
+
+PRINCIPAL, DISTORTION = 0.06, 0.003
+"""Of half the larger extent of what is seen: standard deviations of the principal point, and of the radial
+displacement at its edge, of lenses that nobody has calibrated."""
+
+
+def _pulled_by_lens(
+    listed: SparseObservations, weights: Array, equations: NormalEquations, bundle: Bundle
+) -> Array:
+    """Return how a lens that is not as assumed changes the reduced vector: `(6 n_frames + 1, 3)`.
+
+    By one standard deviation of either coordinate of the principal point, and of cubic radial distortion.
+    """
+    x, y = listed.x, listed.y
+    extent = max(np.abs(x).max(), np.abs(y).max())
+    cubic = DISTORTION * (x**2 + y**2) / extent**2
+    before = reduced(listed, equations, 0.0, focal_known=False)[1]
+    pulls = []
+    for right, down in ((PRINCIPAL * extent, 0.0), (0.0, PRINCIPAL * extent), (cubic * x, cubic * y)):
+        moved = listed._replace(x=x + right, y=y + down)
+        pulled = normal_equations(moved, weights, bundle.cameras, bundle.shape)
+        pulled = pulled._replace(points=equations.points)
+        pulls.append(reduced(moved, pulled, 0.0, focal_known=False)[1] - before)
+    return np.stack(pulls, axis=1)
 
 
 def _of_cameras(

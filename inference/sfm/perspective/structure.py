@@ -428,8 +428,9 @@ class PerspectiveStructure:
         of observations of weight 1; of all observations, nats.
     parameters, observations
         number of fitted parameters, and of observed coordinates.
-    curvature_deviation
-        1/px, standard deviation of 1 / focal length; 0 for a given one.
+    curvature_noise, curvature_by_lens
+        1/px, standard deviations of 1 / focal length by the noise of observations, and by a principal point
+        and a distortion of the lens that nobody has measured; 0 for a given one.
     """
 
     size: tuple[int, int]
@@ -443,7 +444,13 @@ class PerspectiveStructure:
     log_likelihood: float
     parameters: int
     observations: int
-    curvature_deviation: float
+    curvature_noise: float
+    curvature_by_lens: float
+
+    @property
+    def curvature_deviation(self) -> float:
+        """Standard deviation of 1 / focal length, 1/px; 0 for a given one."""
+        return math.hypot(self.curvature_noise, self.curvature_by_lens)
 
     @property
     def focal_deviation(self) -> float:
@@ -454,10 +461,10 @@ class PerspectiveStructure:
 
     @property
     def focal_determined(self) -> bool:
-        """Whether the focal length is known to be finite, by Schwarz's criterion for its one number."""
-        if self.curvature_deviation == 0:
+        """Whether the tracks show that it is finite, by Schwarz's criterion for its one number."""
+        if self.curvature_noise == 0:
             return True
-        return (self.cameras.curvature / self.curvature_deviation) ** 2 > math.log(self.observations)
+        return (self.cameras.curvature / self.curvature_noise) ** 2 > math.log(self.observations)
 
     def agrees(self, positions: Array, weights: Array) -> Mask:
         """Return which positions `(n_frames, n_points)` are observed and no outliers."""
@@ -537,7 +544,8 @@ def perspective_structure(
         log_likelihood=found.log_likelihood,
         parameters=freedom(listed, focal_known=fixed),
         observations=2 * len(listed.x),
-        curvature_deviation=covariance.curvature_deviation,
+        curvature_noise=covariance.curvature_deviation,
+        curvature_by_lens=covariance.curvature_by_lens,
     )
 
 
