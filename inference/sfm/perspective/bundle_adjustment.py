@@ -385,8 +385,8 @@ class BundleCovariance:
     cameras: Array
     points: Array
     points_and_cameras: Array
-    # 1/px: standard deviation of 1 / focal length by a lens that is not as assumed; 0 where that was given
-    curvature_by_lens: float
+    # 1/px: standard deviation of 1 / focal length by `systematic_fields`; 0 where that was given
+    systematic_curvature: float
 
     @property
     def curvature_deviation(self) -> float:
@@ -410,9 +410,10 @@ def covariance_of(
     equations = normal_equations(listed, counted, bundle.cameras, bundle.shape)
     equations = equations._replace(points=equations.points + np.linalg.inv(prior))
     whole, inverses = _of_cameras(listed, equations, bundle.cameras, focal_known=focal_known)
-    by_lens = 0.0
+    systematic = 0.0
     if not focal_known:
-        by_lens = float(np.linalg.norm(whole[-1] @ _pulled_by_lens(listed, counted, equations, bundle)))
+        fields = systematic_fields(listed, bundle.noise)
+        systematic = float(np.linalg.norm(whole[-1] @ _pulled(listed, counted, equations, bundle, fields)))
 
     n_frames, n_points = len(bundle.cameras.scales), len(bundle.shape)
     columns = CAMERA * listed.other[:, None] + np.arange(CAMERA)
@@ -436,29 +437,42 @@ def covariance_of(
         whole[frames[:, :, None], frames[:, None, :]],
         0.5 * (points + points.transpose(0, 2, 1)),
         -inverses @ reach,
-        by_lens,
+        systematic,
     )
 
 
 PRINCIPAL, DISTORTION = 0.06, 0.003
 """Of half the larger extent of what is seen: standard deviations of the principal point, and of the radial
 displacement at its edge, of lenses that nobody has calibrated."""
+SMOOTH = 3  # degree of the polynomials over the picture that systematic errors of positions are
 
 
-def _pulled_by_lens(
-    listed: SparseObservations, weights: Array, equations: NormalEquations, bundle: Bundle
-) -> Array:
-    """Return how a lens that is not as assumed changes the reduced vector: `(6 n_frames + 1, 3)`.
+def systematic_fields(listed: SparseObservations, noise: StudentNoise) -> Array:
+    """Return errors `(k, 2, n)` px that all observations may have in common, each of one deviation.
 
-    By one standard deviation of either coordinate of the principal point, and of cubic radial distortion.
+    A principal point and a radial distortion that are not as assumed; and errors of tracks that are smooth
+    over the picture, by the light and the slant of surfaces, as large as their random ones.
     """
     x, y = listed.x, listed.y
     extent = max(np.abs(x).max(), np.abs(y).max())
-    cubic = DISTORTION * (x**2 + y**2) / extent**2
+    off = np.full_like(x, PRINCIPAL * extent)
+    nothing, cubic = np.zeros_like(x), DISTORTION * (x**2 + y**2) / extent**2
+    powers = [(i, j) for i in range(SMOOTH + 1) for j in range(SMOOTH + 1 - i)]
+    smooth, _ = np.linalg.qr(np.stack([(x / extent) ** i * (y / extent) ** j for i, j in powers], axis=1))
+    smooth *= math.sqrt(noise.variance * len(x))
+    lens = [(off, nothing), (nothing, off), (cubic * x, cubic * y)]
+    tracks = [pair for each in smooth.T for pair in ((each, nothing), (nothing, each))]
+    return np.array([*lens, *tracks])
+
+
+def _pulled(
+    listed: SparseObservations, weights: Array, equations: NormalEquations, bundle: Bundle, fields: Array
+) -> Array:
+    """Return how errors `(k, 2, n)` px of observations change the reduced vector: `(6 n_frames + 1, k)`."""
     before = reduced(listed, equations, 0.0, focal_known=False)[1]
     pulls = []
-    for right, down in ((PRINCIPAL * extent, 0.0), (0.0, PRINCIPAL * extent), (cubic * x, cubic * y)):
-        moved = listed._replace(x=x + right, y=y + down)
+    for right, down in fields:
+        moved = listed._replace(x=listed.x + right, y=listed.y + down)
         pulled = normal_equations(moved, weights, bundle.cameras, bundle.shape)
         pulled = pulled._replace(points=equations.points)
         pulls.append(reduced(moved, pulled, 0.0, focal_known=False)[1] - before)

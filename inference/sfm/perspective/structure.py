@@ -428,9 +428,9 @@ class PerspectiveStructure:
         of observations of weight 1; of all observations, nats.
     parameters, observations
         number of fitted parameters, and of observed coordinates.
-    curvature_noise, curvature_by_lens
-        1/px, standard deviations of 1 / focal length by the noise of observations, and by a principal point
-        and a distortion of the lens that nobody has measured; 0 for a given one.
+    curvature_noise, systematic_curvature
+        1/px, standard deviations of 1 / focal length by the noise of observations, and by errors that all
+        have in common, of the lens and of tracks; 0 for a given one.
     """
 
     size: tuple[int, int]
@@ -445,12 +445,12 @@ class PerspectiveStructure:
     parameters: int
     observations: int
     curvature_noise: float
-    curvature_by_lens: float
+    systematic_curvature: float
 
     @property
     def curvature_deviation(self) -> float:
         """Standard deviation of 1 / focal length, 1/px; 0 for a given one."""
-        return math.hypot(self.curvature_noise, self.curvature_by_lens)
+        return math.hypot(self.curvature_noise, self.systematic_curvature)
 
     @property
     def focal_deviation(self) -> float:
@@ -545,7 +545,7 @@ def perspective_structure(
         parameters=freedom(listed, focal_known=fixed),
         observations=2 * len(listed.x),
         curvature_noise=covariance.curvature_deviation,
-        curvature_by_lens=covariance.curvature_by_lens,
+        systematic_curvature=covariance.systematic_curvature,
     )
 
 
