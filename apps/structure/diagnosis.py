@@ -70,6 +70,14 @@ def too_little(frames: Sequence[Frame], n_tracks: int | None) -> Diagnosis | Non
             "Give tracks of more points.",
             {"frames": present, "tracks": len(seen)},
         )
+    places = [frame.points.positions for frame in frames if frame.points is not None]
+    if not any((each != each[:1]).any() for each in places):
+        return Diagnosis(
+            f"No structure: all {len(seen)} points are in one place in every frame.",
+            "They may be one point that was given several times.",
+            "Give tracks of points that differ.",
+            {"frames": present, "tracks": len(seen)},
+        )
     return None
 
 

@@ -25,6 +25,21 @@ def test_tracks_of_a_cylinder_become_its_points() -> None:
     assert scores.shape_error < 0.02
 
 
+def test_tracked_positions_are_explained_or_dropped() -> None:
+    truth = cylinder(n_points=20, n_frames=15, p_loose=0.02, p_drift=0.0, seed=3)
+    tracks = 100 * truth.tracks()
+    wrong = tracks.copy()
+    wrong[4, :3] += 40.0
+    for given, n_wrong in ((tracks, 0), (wrong, np.count_nonzero(~np.isnan(wrong[4, :3, 0])))):
+        found = reconstruct(given)
+        assert found.dropped is not None
+        point, seen = found.point_of_track, ~np.isnan(given[..., 0])
+        explained = found.observed[:, point] & (point >= 0)
+        np.testing.assert_array_equal(found.dropped, np.count_nonzero(seen & ~explained, axis=1))
+        assert found.dropped[4] >= n_wrong
+        assert found.dropped.sum() < n_wrong + 0.05 * seen.sum()
+
+
 def test_frames_with_points_are_as_good_as_tracks() -> None:
     tracks = PX * cylinder(n_frames=12, n_points=15, p_loose=0.0, p_drift=0.0, seed=1).tracks()
     of_tracks = reconstruct(tracks, association="none", camera="affine")

@@ -149,3 +149,9 @@ def test_pictures_that_move_too_fast() -> None:
     assert "--step" not in no_points(frames[:1] * 6, tracks, "").advice, "they stand still"
     long = np.random.default_rng(9).uniform(0, 150, (6, 20, 2))
     assert "do not belong to one rigid object: too few agree" in no_points(frames, long, "too few agree").why
+
+
+def test_points_that_are_all_in_one_place(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    np.savez(tmp_path / "tracks.npz", tracks=np.full((10, 20, 2), 50.0))
+    diagnosis = fails(tmp_path / "tracks.npz", tmp_path / "out", capfd)
+    assert diagnosis["missing"] == "No structure: all 20 points are in one place in every frame."
