@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rsmcm.apps import BodyTracker, FaceTracker, ObjectTracker, PointTracker, trackers
+from rsmcm.apps import BodyTracker, FaceTracker, ObjectTracker, PointTracker
 from rsmcm.apps.background.application import build_model
 from rsmcm.apps.scenes import face, signer, sleeping_man, turntable
+from rsmcm.apps.trackers import body
 from rsmcm.chains import ArticulatedPose, FleshTracker, GFlow, RecursiveStructure
 from rsmcm.chains import PointTracker as PointChain
 from rsmcm.chains.body.start import start_from_head
@@ -194,8 +195,8 @@ def test_until_there_is_a_face_or_a_person_there_is_no_result() -> None:
 
 
 def test_a_face_that_a_second_look_does_not_confirm_is_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trackers, "default_faces", lambda *_: lambda frame: np.array([[10.0, 9, 20, 20]]))
-    monkeypatch.setattr(trackers, "confirmed_faces", lambda image, boxes, detector: boxes[:0])
+    monkeypatch.setattr(body, "default_faces", lambda *_: lambda frame: np.array([[10.0, 9, 20, 20]]))
+    monkeypatch.setattr(body, "confirmed_faces", lambda image, boxes, detector: boxes[:0])
     assert BodyTracker().update(IMAGE) is None
 
 
