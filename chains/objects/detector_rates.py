@@ -3,6 +3,7 @@
 Of the share pi that is detected, the rates c of false boxes, d of second boxes, b of newcomers:
 
     pi ~ Beta, c, d, b ~ Gamma, all forgotten slowly
+    false boxes in a place where the detector has erred again and again: a Poisson rate there, besides c
     p(score | true) = N(m_1, s^2), p(score | false) = N(m_0, s^2), m_1 - m_0 = 1.4 s
     u_t = u_t-1 (1 - pi) + b dt, people in the picture who were not detected yet (Poisson)
     mu_{detector -> boxes} = the detector with the means of all these
@@ -23,7 +24,7 @@ from ...inference.engine.protocols import Incoming, Port
 from ...models.core.checks import Positive, Probability, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
-from ...models.objects.box_message import BoxMessage, Scores
+from ...models.objects.box_message import BOX, Association, BoxMessage, ErrorPlaces, Scores
 from ...models.objects.object_boxes import ObjectBoxes
 
 Array = NDArray[np.float64]
@@ -34,6 +35,13 @@ APART = 1.4
 
 Measured of ACF and DPM on four sequences: 1.2 to 1.6. Learned it shrinks, as false boxes count as true.
 """
+
+CHANCE, SINCE = 5.0, 20.0
+"""False boxes in one place that are there by chance, and frames without one before the first; guesses."""
+
+ALIKE = 2.0  # deviations of its errors by which a box may be off a place
+OVER = 1.0  # s without a box after which the candidate of a place has ended, which explained its boxes
+FADED = 0.1  # boxes, below which a place is forgotten
 
 UNDETECTED = 3.0  # people in the picture at the first frame; a guess, forgotten within a few frames
 
@@ -85,6 +93,9 @@ class DetectorState:
     exposures: Array  # (4,): of objects in sight, frames, detected objects, seconds
     scores: ScoreMoments
     undetected: float  # people in the picture who were not detected yet
+    places: Array  # (n, 4) px: boxes where the detector has erred
+    # (n, 3) of each: false boxes of candidates that have ended and of a present one, and s since the last
+    errors: Array
     area: float  # px of the picture
     elapsed: float  # s since the detector has run
 
@@ -129,6 +140,8 @@ class DetectorRates:
             exposures=np.zeros(4),
             scores=ScoreMoments.empty(),
             undetected=UNDETECTED,
+            places=np.zeros((0, BOX)),
+            errors=np.zeros((0, 3)),
             area=float(height * width),
             elapsed=0.0,
         )
@@ -141,13 +154,16 @@ class DetectorRates:
             counts=kept * state.counts,
             exposures=kept * state.exposures,
             scores=state.scores.scaled(kept),
+            errors=state.errors * [kept, kept, 1.0] + [0.0, 0.0, dt],
             elapsed=state.elapsed + dt,
         )
 
     def message(self, state: DetectorState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage:
         """Return the detector with the mean rates (mu_{detector -> objects})."""
         detected, clutter, doubles, arriving = self._rates(state)
+        rates = np.maximum(state.errors[:, 0] - CHANCE, 0) / (SINCE + state.exposures[1])
         return BoxMessage(
+            places=ErrorPlaces(state.places, rates),
             detector=replace(
                 feature.detector,
                 found=detected,
@@ -155,22 +171,30 @@ class DetectorRates:
                 doubles=doubles,
                 newcomers=state.undetected + state.elapsed * arriving,
                 scores=state.scores.distributions(),
-            )
+            ),
         )
 
     def update(self, state: DetectorState, incoming: Incoming) -> DetectorState:
         """Return the counts with a frame's detected, missed and false boxes, each by its probability."""
-        association = incoming.evidence(ObjectBoxes).association
-        if association is None:
+        association, view = incoming.evidence(ObjectBoxes).association, incoming[ObjectBoxes].view
+        if association is not None:
+            state = self._updated(state, association)
+        if view is None or view.begins is None:
             return state
+        return replace(state, places=view.map.boxes(state.places))
+
+    def _updated(self, state: DetectorState, association: Association) -> DetectorState:
         true, new = association.true, float(association.new.sum())
         hits = float(association.pairs.sum())
         false = float((1 - true - association.double - association.wrong).sum())
         detected, _, _, arriving = self._rates(state)
         counts = np.array([hits, false, float(association.double.sum()), new])
         exposures = np.array([hits + float(association.in_sight), 1.0, hits + new, state.elapsed])
+        places, errors = _with_errors(state.places, state.errors, association)
         return replace(
             state,
+            places=places,
+            errors=errors,
             counts=state.counts + counts,
             exposures=state.exposures + exposures,
             scores=state.scores.updated(association.scores, true),
@@ -186,3 +210,24 @@ class DetectorRates:
             (assumed * weight + state.counts) / (weight + state.exposures)
         ).tolist()
         return min(detected, 0.99), clutter, doubles, newcomers
+
+
+def _with_errors(places: Array, errors: Array, association: Association) -> tuple[Array, Array]:
+    """Places and their errors with the false boxes of a frame, each by its probability."""
+    boxes, false = association.boxes, np.clip(1 - association.true - association.double, 0, 1)
+    over = errors[:, 2] > OVER
+    errors = np.where(over[:, None], errors @ [[1.0, 0, 0], [1, 0, 0], [0, 0, 1]], errors)
+    off = (np.abs(boxes[:, None] - places) / np.sqrt(association.noise)[:, None]).max(axis=2)
+    is_new = off.min(axis=1, initial=np.inf) > ALIKE
+    places, errors = np.concatenate([places, boxes[is_new]]), np.pad(errors, ((0, int(is_new.sum())), (0, 0)))
+    nearest = np.empty(len(boxes), np.intp)
+    nearest[~is_new] = off[~is_new].argmin(axis=1) if len(off.T) else 0
+    nearest[is_new] = len(places) - is_new.sum() + np.arange(is_new.sum())
+    shares, sums = np.zeros(len(places)), np.zeros(places.shape)
+    np.add.at(shares, nearest, false)
+    np.add.at(sums, nearest, false[:, None] * (boxes - places[nearest]))
+    errors[:, 1] += shares
+    errors[nearest, 2] = 0.0
+    count = errors[:, :2].sum(axis=1)
+    places = places + sums / np.maximum(count, FADED)[:, None]
+    return places[count > FADED], errors[count > FADED]

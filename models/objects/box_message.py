@@ -197,6 +197,16 @@ class Errors:
 
 
 @short_repr
+@checked
+@dataclass(frozen=True, eq=False)
+class ErrorPlaces:
+    """Where a detector errs again and again: boxes `(n, 4)` px, and mean numbers of errors `(n,)` a frame."""
+
+    boxes: Annotated[Numbers, Shape("n", BOX)]
+    rates: Annotated[Numbers, Shape("n")]
+
+
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Association:
     """Joint association of the boxes of a frame with expected and new objects."""
@@ -267,6 +277,7 @@ class BoxMessage:
     existence: LogOdds = EVEN  # that an object is one of those that the detector is made to find
     noticed: LogOdds = EVEN  # that it is in a phase in which the detector finds it when it is in sight
     errors: Errors | None = None  # what candidates are if they are no such object; at most one sender
+    places: ErrorPlaces | None = None  # where the detector errs again and again; at most one sender
     newcomers: Newcomers | None = None  # where and how large new objects are; at most one sender
     detector: BoxDetector | None = None  # how reliable the detector is; at most one sender
     # from the evidence: which detection belongs to whom; None if no detector has run
@@ -274,7 +285,7 @@ class BoxMessage:
     view: View | None = None  # map from the scene, in whose px all boxes are, to the frame; None: the same
 
     def __mul__(self, other: Self) -> Self:
-        for name in ("errors", "newcomers", "detector", "association"):
+        for name in ("errors", "places", "newcomers", "detector", "association"):
             if getattr(self, name) is not None and getattr(other, name) is not None:
                 raise ValueError(f"box message: got two factors {name}, expected at most one")
         return type(self)(
@@ -283,6 +294,7 @@ class BoxMessage:
             self.existence * other.existence,
             self.noticed * other.noticed,
             self.errors or other.errors,
+            self.places or other.places,
             self.newcomers or other.newcomers,
             self.detector or other.detector,
             # one without boxes, which is false, says that the detector has run

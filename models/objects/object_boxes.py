@@ -14,7 +14,16 @@ from ..core.checks import checked
 from ..core.frame import Frame, GivenBoxes
 from ..core.gaussian_message import GaussianMessage
 from ..core.short_repr import short_repr
-from .box_message import BOX, Association, BoxDetector, BoxMessage, Errors, LogOdds, log_anywhere
+from .box_message import (
+    BOX,
+    Association,
+    BoxDetector,
+    BoxMessage,
+    ErrorPlaces,
+    Errors,
+    LogOdds,
+    log_anywhere,
+)
 
 Numbers = NDArray[np.float64]
 
@@ -40,6 +49,7 @@ HIDDEN, AT_BORDER = 0.5, 0.03
 """Heights: deviation of what the border hides of a box, and how near to it such a box ends; guesses."""
 
 NO_ERRORS = Errors(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, BOX)))
+NO_PLACES = ErrorPlaces(np.zeros((0, BOX)), np.zeros(0))
 SURELY_NOT = 1e-4  # probability of a pair below which nothing is learned from it
 
 
@@ -125,7 +135,10 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     anywhere = log_anywhere(boxes, area)
     entering = anywhere if prior.newcomers is None else prior.newcomers.log_density(boxes, noise)
     new = detector.newcomers * detector.found * np.exp(entering) * score
-    false = detector.clutter * area * np.exp(anywhere)
+    known = prior.places or NO_PLACES
+    usual = detector.noise(known.boxes)
+    there = _log_densities(boxes, known.boxes, usual[:, None] * np.eye(BOX), usual, cut)
+    false = detector.clutter * area * np.exp(anywhere) + known.rates @ np.exp(there)
     doubles = detector.doubles * (exists * expected) @ np.exp(further)
     alone = np.maximum(new + false + doubles, 1e-300)
 
@@ -146,7 +159,7 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     by_error = (1 - again)[:, None] + (errors * found.open[:, None]).sum(axis=2)
     otherwise = 1 - kinds.sum(axis=1) + (kinds * by_error).sum(axis=1)
     by_phase = np.log(np.maximum(1 - phases + phases * support, 1e-30))
-    poisson = detector.newcomers * detector.found + detector.clutter * area
+    poisson = detector.newcomers * detector.found + detector.clutter * area + float(known.rates.sum())
     poisson += float(detector.doubles * exists @ expected)
     association = Association(
         boxes=boxes,

@@ -1,10 +1,12 @@
 """A detector whose rates are known, and what the chain makes of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains import BlobTracker, DetectorRates, GroundPlane
-from rsmcm.chains.objects.detector_rates import APART, ASSUMED, TRUE, ScoreMoments
+from rsmcm.chains.objects.detector_rates import APART, ASSUMED, CHANCE, SINCE, TRUE, ScoreMoments
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.inference.engine.recursive_bp import Belief
 from rsmcm.models import Frame, GivenBoxes, ObjectBoxes, PixelLabels
@@ -57,6 +59,28 @@ def test_rates_and_scores_are_learned_on_any_scale() -> None:
         [scale * one.true, scale * one.false, scale * one.deviation]
     )
     assert 0.4 < scores.false / scale < scores.true / scale < 0.8
+
+
+def test_where_the_detector_erred_again_and_again_nobody_new_is_expected() -> None:
+    """A figure in a window is found for 3 s and, 3 s later, again: no candidate is needed to know it then."""
+    figure, frames = (
+        np.array([[300.0, 60.0, 330.0, 140.0]]),
+        walkers(0, 90, found=0.9, clutter=0.0, scale=1.0),
+    )
+    shown = [not 40 <= frame.number < 70 for frame in frames]
+    for number, frame in enumerate(frames):
+        assert frame.boxes is not None
+        assert frame.boxes.confidence is not None
+        edges, scores = np.concatenate([frame.boxes.xyxy, figure]), np.append(frame.boxes.confidence, 0.5)
+        if shown[number] and number >= 10:
+            frames[number] = replace(frame, boxes=GivenBoxes(edges, scores))
+    beliefs = run(frames)
+    before, after = (beliefs[number]["objects"].association.new[-1] for number in (10, 70))
+    assert before > 1e-3  # with a low score, and where the plane expects nobody
+    assert after < 1e-3 * before
+    places, rates = beliefs[69]["detector"].places, beliefs[69]["objects"].places.rates
+    np.testing.assert_allclose(places[rates > 0], [[315, 140, 30, 80]])
+    assert rates.max() == pytest.approx((29 - CHANCE) / (SINCE + 70), rel=0.3)
 
 
 def test_what_was_learned_is_forgotten() -> None:

@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models import Frame, GivenBoxes, ObjectBoxes
 from rsmcm.models.core.gaussian_message import GaussianMessage
-from rsmcm.models.objects.box_message import BoxDetector, BoxMessage, Errors, LogOdds, Newcomers, Scores
+from rsmcm.models.objects.box_message import (
+    BoxDetector,
+    BoxMessage,
+    ErrorPlaces,
+    Errors,
+    LogOdds,
+    Newcomers,
+    Scores,
+)
 from rsmcm.models.objects.object_boxes import (
     DOUBLE,
     NOTICED,
@@ -74,6 +82,10 @@ def summed(found: Numbers, prior: BoxMessage, detector: BoxDetector) -> Summed:
         wide = covariance + np.diag(DOUBLE**2 * detector.noise(mean[None])[0])
         second = multivariate_normal(mean, wide).pdf(found).reshape(-1)
         alone = alone + detector.doubles * is_there * share * second
+    assert prior.places is not None
+    for place, rate in zip(prior.places.boxes, prior.places.rates, strict=True):
+        wide = np.diag(2 * detector.noise(place[None])[0])
+        alone = alone + rate * multivariate_normal(place, wide).pdf(found).reshape(-1)
     assert prior.errors is not None
     kinds, places = prior.errors.of(identities)
     own = [np.diag(detector.noise(mean[None])[0]) for mean in means]
@@ -115,7 +127,7 @@ def summed(found: Numbers, prior: BoxMessage, detector: BoxDetector) -> Summed:
     ratio = np.log(mass[:, 1] / (mass.sum(axis=1) - mass[:, 1])) - np.log(exists / (1 - exists))
     errors = np.log(mass[:, 2:] / mass[:, :1]) - np.log(kinds / (1 - kinds.sum(axis=1, keepdims=True)))
     poisson = detector.clutter * area + detector.newcomers * detector.found
-    poisson += detector.doubles * float(exists @ seen)
+    poisson += detector.doubles * float(exists @ seen) + float(prior.places.rates.sum())
     return Summed(pairs / total, followed / total, ratio, errors, float(np.log(total)) - poisson)
 
 
@@ -133,7 +145,8 @@ def test_one_object_or_one_box_is_exact(
     prior, detector = known(means, existence), BoxDetector()
     places = means + random.normal(0, (8, 8, 4, 10), means.shape)
     errors = Errors(np.arange(1, n_objects + 1), errs + np.tile([0.0, 0.7], (n_objects, 1)), places)
-    prior = replace(prior, errors=errors)
+    steady = ErrorPlaces(WHO + random.normal(0, (8, 8, 4, 10)), random.uniform(0, 0.5, 2))
+    prior = replace(prior, errors=errors, places=steady)
     message = associate(frame(found), prior, detector)
     assert message.association is not None
     oracle = summed(found, prior, detector)
