@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Self
+from tempfile import TemporaryDirectory
+from typing import Literal, Self
 
 import cv2
 import numpy as np
@@ -24,6 +25,8 @@ from ...models.core.frame import Frame
 from ...models.core.gaussian_message import squared_distances
 from ...models.numerics.rotations import logarithm
 from ..background.application import build_model
+from ..body.application import run_body
+from ..body.job import BodyJob
 from ..body.measures import HANDS, LEAST_VARIANCE, PLACES
 from ..evaluation.tracks import box_overlap, match_boxes
 from ..io.ground_truth import Kind
@@ -33,7 +36,7 @@ from ..scenes import cylinder, face, signer, sleeping_man, turntable
 from ..scenes.street import mottle
 from ..trackers import BodyTracker, FaceTracker
 from .datasets import data_folder
-from .experiment import Findings, Plot, by_seed, noisy
+from .experiment import Findings, Image, Plot, by_seed, noisy
 from .pets import AnnotatedFilm
 from .record import Expectation, Table, over_seeds
 from .shapes import nearer_image, sequence_file
@@ -287,7 +290,7 @@ def generated_face(seed: int) -> Statements:
 
 
 def in_the_picture(off: Numbers, covariances: Numbers) -> Reliability:
-    """Return that of places in the picture, of samples that may all coincide."""
+    """Return that of places in the picture, of experts that may all coincide."""
     return Reliability.of_regions(
         squared_distances(off, covariances[:, :2, :2] + LEAST_VARIANCE * np.eye(2)), 2
     )
@@ -309,18 +312,76 @@ def nobody(seed: int) -> Statements:
 
 def generated_signer(seed: int) -> Statements:
     """Places of the hands of a signer, and whether they are seen."""
-    scene, tracker = signer(N_FRAMES, seed), BodyTracker(seed=seed)
-    places, seen = Reliability.nothing(), Reliability.nothing()
-    head, hands = scene.body.head_height, PLACES[HANDS]
+    scene = signer(N_FRAMES, seed)
+    head = scene.body.head_height
     x, y = scene.joints[0, 0, :2]
-    box = (x - 0.4 * head, y - 0.5 * head, x + 0.4 * head, y + 0.5 * head)
-    for frame, joints in zip(scene, scene.joints, strict=True):
-        found = tracker.update(frame.image, head=box, time=frame.time)
-        assert found is not None
-        off = (found.joints - joints)[hands, :2]
-        places += in_the_picture(off, found.covariances[hands])
-        seen += Reliability.of_claims(np.linalg.norm(off, axis=1) < 2 * NEAR * head, found.seen[1:])
-    return {"hand of a body": places, "hand is seen": seen}
+    box = f"{x - 0.4 * head:.0f},{y - 0.5 * head:.0f},{0.8 * head:.0f},{head:.0f}"
+    truth = scene.joints[:, PLACES[HANDS], :2]
+    images = (frame.image for frame in scene)
+    return hands_of(images, truth, 2 * NEAR * head, seed, head=box, hidden=scene.hidden[:, 1:])
+
+
+def real_signers(seed: int) -> Statements:
+    """Hands of real people, and of one of whom only the face is in view."""
+    total: Statements = {}
+    for name, near in (("soup", 25.0), ("wave", 80.0)):
+        path = data_folder("sign-pose") / f"{name}.mp4"
+        table = np.genfromtxt(path.with_suffix(".csv"), delimiter=",", skip_header=1)
+        total = joined(total, hands_of_film(path, table[:, 1:], near, seed))
+    nowhere = np.full((60, 4), np.inf)
+    return joined(total, hands_of_film(data_folder("talking-face") / "franck.webm", nowhere, 1.0, seed))
+
+
+def joined(one: Statements, other: Statements) -> Statements:
+    """Return the statements of both."""
+    return {what: one.get(what, Reliability.nothing()) + each for what, each in other.items()}
+
+
+def hands_of_film(path: Path, places: Numbers, near: float, seed: int) -> Statements:
+    """Return the statements on the first frames of a film; `places` `(n, 4)` px are of both palms."""
+    with open_source(str(path), stop=len(places)) as source:
+        images = [noisy(frame, seed).image for frame in source]
+    return hands_of(images, places.reshape(-1, 2, 2), near, seed)
+
+
+def hands_of(
+    images: Iterable[Image | None],
+    truth: Numbers,
+    near: float,
+    seed: int,
+    *,
+    head: str | None = None,
+    hidden: Mask | Literal[False] = False,
+) -> Statements:
+    """Return what `rsmcm body` states of the hands.
+
+    Truth is `(n, 2, 2)` px, infinite for a hand that is not in the image and NaN for one of which nothing is
+    known. It is right that a hand is seen if it is within so many px, and not `hidden` `(n, 2)`.
+    """
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "film").mkdir()
+        for number, image in enumerate(images):
+            assert image is not None
+            cv2.imwrite(str(folder / "film" / f"{number:04d}.png"), image)
+        try:
+            run_body(BodyJob(str(folder / "film"), out=folder / "out", head=head, seed=seed))
+        except ValueError:  # nobody is there
+            nothing = np.zeros(2 * len(truth), np.bool_)
+            return {
+                "hand of a body": Reliability.nothing(),
+                "hand is seen": Reliability.of_claims(nothing, nothing),
+            }
+        poses = np.load(folder / "out" / "poses.npz")
+        stated = poses["seen_probability"][:, 1:]
+        off = poses["joints_2d"][:, PLACES[HANDS]] - truth
+        unsure = poses["joints_2d_covariances"][:, PLACES[HANDS]] + LEAST_VARIANCE * np.eye(2)
+    known, placed = ~np.isnan(off).any(axis=2), np.isfinite(off).all(axis=2)
+    right = (np.linalg.norm(off, axis=2) < near) & ~np.asarray(hidden)
+    return {
+        "hand of a body": Reliability.of_regions(squared_distances(off[placed], unsure[placed]), 2),
+        "hand is seen": Reliability.of_probabilities(stated[known], right[known]),
+    }
 
 
 def noisy_shape(seed: int) -> Statements:
@@ -350,6 +411,7 @@ CASES: Mapping[str, Callable[[int], Statements]] = {
     "generated face": generated_face,
     "random texture": nobody,
     "generated signer": generated_signer,
+    "real people": real_signers,
     "jaws with noise": noisy_shape,
 }
 """What makes the statements of a seed, by what they are stated of."""
@@ -382,7 +444,7 @@ def calibration() -> Findings:
         over_seeds(expectations_of, made),
         [
             Plot(
-                "calibration.png",
+                "fig-reliability.png",
                 partial(draw, totals),
                 (13.0, 13.0),
                 "Stated against observed; exact: diagonal.",

@@ -39,6 +39,10 @@ SEQUENCES: dict[str, tuple[tuple[str, ...], str]] = {
         ("sfm_shape_3448.bin", "expression_blendshapes_3448.bin", "sfm_reference.obj", "ibug_to_sfm.txt"),
         "https://github.com/patrikhuber/eos/tree/master/share",
     ),
+    "sign-pose": (
+        ("soup.mp4", "soup.csv", "wave.mp4", "wave.csv"),
+        "https://github.com/sign-language-processing/pose (films); palms by MMPose and MediaPipe",
+    ),
     "signer": (
         ("signseg_demo_video.mp4",),
         "https://github.com/RenzKa/sign-segmentation (demo/sample_data/demo_video.mp4)",
