@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...chains.body.articulated_pose import ArticulatedPose
+from ...chains.body.dynamics import BodyDynamics
+from ...chains.body.fixed_lag import FixedLag
 from ...chains.body.flesh_tracker import FleshTracker
 from ...chains.body.samples import body_moments
 from ...chains.body.start import (
@@ -23,6 +25,7 @@ from ...inference import MultiChain, RecursiveBP
 from ...models.core.checks import Count, Positive, Shape, checked
 from ...models.core.frame import Frame, GivenKeypoints
 from ...models.face.detectors import confirmed_faces, default_faces
+from ..body.application import seen_probabilities
 from .tracker import DetectingTracker, Floats, Picture, size_of
 
 
@@ -37,15 +40,20 @@ class TrackedBody:
         the person's left side, and of the right one.
     angles, angle_covariances
         `(16,)` px and rad, and `(16, 16)`.
-    seen
-        `(3,)`: whether the image shows head, left hand and right hand.
+    seen_probability
+        `(3,)`: that head, left hand and right hand are visible where they are stated to be.
     """
 
     joints: Floats
     covariances: Floats
     angles: Floats
     angle_covariances: Floats
-    seen: NDArray[np.bool_]
+    seen_probability: Floats
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """`(3,)`: whether the probability is above one half."""
+        return np.asarray(self.seen_probability > 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,14 +127,16 @@ class BodyTracker(DetectingTracker[SavedPerson, TrackedBody | None]):
         frame = self._frame(image, time, keypoints=given)
         if not self._started(frame, lambda first: self._find(first, head)):
             return None
-        states = self._step(frame).states
-        found = body_moments(self._body, states[ArticulatedPose.name])
+        belief = self._step(frame)
+        samples = belief.states[ArticulatedPose.name]
+        found = body_moments(self._body, samples)
+        (timed,) = self._seen.add(frame, samples, belief.evidence(self._parts).image)
         return TrackedBody(
             found.joints,
             found.joint_covariances,
             found.angles,
             found.angle_covariances,
-            np.asarray(states[FleshTracker.name].unseen == 0),
+            seen_probabilities(self._body, belief.states[FleshTracker.name], timed),
         )
 
     def _find(self, frame: Frame, head: ArrayLike | None) -> SavedPerson | None:
@@ -148,9 +158,11 @@ class BodyTracker(DetectingTracker[SavedPerson, TrackedBody | None]):
         if start is None:
             return None
         person = start.start(self._detector)
-        self._body, parts = person.body, person.parts
-        model = MultiChain().connect(FleshTracker(self._body), parts)
-        return RecursiveBP(model.connect(ArticulatedPose(self._body, self._samples, seed=self._seed), parts))
+        self._body, self._parts = person.body, person.parts
+        self._seen = FixedLag(BodyDynamics(self._body), 0, seed=self._seed)
+        pose = ArticulatedPose(self._body, self._samples, seed=self._seed)
+        model = MultiChain().connect(FleshTracker(self._body), self._parts)
+        return RecursiveBP(model.connect(pose, self._parts))
 
     def _chains(self) -> Mapping[str, Any]:
         return {FleshTracker.name: FleshTracker, ArticulatedPose.name: ArticulatedPose}

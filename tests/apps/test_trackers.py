@@ -200,6 +200,17 @@ def test_a_face_that_a_second_look_does_not_confirm_is_nobody(monkeypatch: pytes
     assert BodyTracker().update(IMAGE) is None
 
 
+def test_parts_of_a_body_are_seen_with_a_probability_and_not_where_nothing_looks_like_skin() -> None:
+    case = _body()
+    tracker = case.make()
+    shown = case.results(tracker, 0, N_FRAMES)[-1]
+    assert np.all((shown.seen_probability >= 0) & (shown.seen_probability <= 1))
+    np.testing.assert_array_equal(shown.seen, shown.seen_probability > 0.5)
+    assert shown.seen[0]
+    for nothing in (None, np.full_like(case.images[0], (120, 60, 20))):
+        assert not tracker.update(nothing).seen.any()
+
+
 def test_a_missing_image_is_predicted(detected: Any) -> None:
     tracker, objects, _ = detected
     state = tracker.state
