@@ -36,6 +36,12 @@ NOTICED, UNNOTICED = 0.98, 0.05
 Misses come in bursts: what a detector does not find in one frame it hardly finds in the next.
 """
 
+BEHIND = 0.1
+"""Heights by which the feet of who hides another wholly are lower: two people are not in one place.
+
+So one of two tracks of the same person, which share a box, is doubted in time; a guess.
+"""
+
 DOUBLE = np.array([3.0, 3.0, 1.0, 1.0])
 """So many times as far off as its first box may the second one of an object be, in place and size."""
 
@@ -190,7 +196,10 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
 
 
 def visible_share(boxes: Numbers, exists: Numbers, size: tuple[int, int]) -> Numbers:
-    """Return `(n,)` share of each box `(n, 4)` that is in the picture and not covered by one in front."""
+    """Return `(n,)` share of each box `(n, 4)` that is in the picture and not covered by one in front.
+
+    The less one stands in front, by the rows of the feet, the less it covers (see `BEHIND`).
+    """
     x, y, width, height = boxes.T
     left, right, top = x - 0.5 * width, x + 0.5 * width, y - height
     in_x = np.minimum(right, size[1]) - np.maximum(left, 0.0)
@@ -200,7 +209,7 @@ def visible_share(boxes: Numbers, exists: Numbers, size: tuple[int, int]) -> Num
     across = np.minimum(right[:, None], right) - np.maximum(left[:, None], left)
     down = np.minimum(y[:, None], y) - np.maximum(top[:, None], top)
     covered = np.maximum(across, 0.0) * np.maximum(down, 0.0) / whole[:, None]
-    in_front = (y > y[:, None]) * exists
+    in_front = np.clip((y - y[:, None]) / (BEHIND * np.maximum(height[:, None], 1.0)), 0, 1) * exists
     return np.asarray(np.clip(inside, 0, 1) * np.prod(1 - np.minimum(covered, 1.0) * in_front, axis=1))
 
 

@@ -21,6 +21,7 @@ from rsmcm.models.objects.box_message import (
     Scores,
 )
 from rsmcm.models.objects.object_boxes import (
+    BEHIND,
     DOUBLE,
     NOTICED,
     OUTLIERS,
@@ -181,6 +182,10 @@ def test_who_is_hidden_or_outside_is_not_doubted() -> None:
     np.testing.assert_allclose(
         visible_share(np.array([[0.0, 300.0, 60.0, 140.0]]), np.ones(1), SIZE), [0.5], atol=1e-9
     )
+    # in one place there is one person: nobody hides a double of their own
+    for off, expected in ((0.0, 1.0), (0.5, 0.5), (1.0, 0.0), (2.0, 0.0)):
+        near = np.array([[200.0, 290.0 + off * BEHIND * 50.0, 40.0, 100.0], [200.0, 290.0, 40.0, 50.0]])
+        np.testing.assert_allclose(visible_share(near, np.ones(2), SIZE), [1, expected], atol=1e-9)
     doubted = associate(frame(np.zeros((0, 4))), known(behind, existence=8.0), BoxDetector()).existence
     assert doubted.values[0] < -1
     assert doubted.values[1] > -0.01
