@@ -25,7 +25,7 @@ class BodyJob(FilmJob):
     head
         x,y,width,height in px of the head in the first frame, from chin to the top of the skull. It replaces
         the detector: the head is then tracked by colour and edges. With --detector, it selects one of several
-        faces; by default that is the largest.
+        faces; by default that is the one with most hands below, or the largest.
     keypoints
         Keypoints of a detector of poses or hands, or clicked in a few frames: CSV with the columns frame,
         person, joint, x, y and score (person and score may be left out), COCO's JSON of results, or a folder

@@ -99,8 +99,8 @@ def start_from_faces(
 
     `name`: of the source; `images` `(height, width[, 3])` uint8 BGR, at least one; `detector`: model file of
     YuNet; OpenCV's cascade without it; `head`: x, y, width, height px of the person's head in the first
-    image; the person with the largest face without it. Raises `ValueError` if there is no face or no
-    detector, `FileNotFoundError` if there is no such model file.
+    image; without it the person with most hands, or the largest face. Raises `ValueError` if there is no face
+    or no detector, `FileNotFoundError` if there is no such model file.
     """
     try:
         faces = default_faces(detector)

@@ -19,6 +19,7 @@ from ..numerics.threads import side_by_side
 from .image_features import BodyImage, SkinBlobs, edge_distances, skin_blobs
 from .keypoints import SeenKeypoints
 from .person import (
+    REACH,
     ClothesColour,
     OtherFaces,
     bare_probability,
@@ -202,8 +203,8 @@ class BodyParts:
     ) -> Self:
         """Learn head size, skin colour and clothes from the faces detected in some frames of a clip.
 
-        The person with the largest face is selected, unless `face` is given; faces of others are kept in
-        `OtherFaces`.
+        Unless `face` is given, the person is selected below whose face most hands move; of equal ones, that
+        with the largest face. Faces of others are kept in `OtherFaces`.
 
         Parameters
         ----------
@@ -227,11 +228,9 @@ class BodyParts:
             raise ValueError(f"images: got no face in {len(chosen)} of {len(images)}, expected one at least")
         if face is None:
             sure = [confirmed_faces(images[k], each, detector) for k, each in zip(chosen, faces, strict=True)]
-            picture, which = find_largest_face(sure)
-            start = picture, int((faces[picture] == sure[picture][which]).all(axis=1).argmax())
+            own = _with_most_hands([images[number] for number in chosen], faces, sure)
         else:
-            start = find_face_at(faces, np.array(face))
-        own = track_face(faces, start)
+            own = track_face(faces, find_face_at(faces, np.array(face)))
         seen = [images[number] for number, one in zip(chosen, own, strict=True) if one is not None]
         boxes = np.array([each[one] for each, one in zip(faces, own, strict=True) if one is not None])
         height = float(np.median(boxes[:, 3]))
@@ -416,6 +415,60 @@ class BodyParts:
         means, covariances = prior.predicted.moments(float(shape[0] * shape[1]), (shape[1] / 2, shape[0] / 2))
         known = np.linalg.eigvalsh(covariances[0])[-1] < (KNOWN * self.head_height) ** 2
         return means[:1] if known else np.zeros((0, 2))
+
+
+def _with_most_hands(
+    images: Sequence[NDArray[np.uint8]], faces: Sequence[Array], sure: Sequence[Array]
+) -> list[int | None]:
+    """Return the face of one person in every image, as `track_face`: that with most hands, or the largest.
+
+    `faces`, `sure`: by image, `(k, 4)` px: all faces, and those of them with which a person may begin. Who is
+    found less than half as often as somebody else is nobody.
+    """
+    people: list[list[int | None]] = []
+    left = list(sure)
+    while not people or any(map(len, left)):
+        picture, which = find_largest_face(left)
+        face = int((faces[picture] == left[picture][which]).all(axis=1).argmax())
+        people.append(track_face(faces, (picture, face)))
+        for k, one in enumerate(people[-1]):
+            if one is not None:
+                left[k] = left[k][(left[k] != faces[k][one]).any(axis=1)]
+    found = [{k: faces[k][one] for k, one in enumerate(own) if one is not None} for own in people]
+    often = [k for k, boxes in enumerate(found) if 2 * len(boxes) >= max(map(len, found))]
+    if len(often) == 1:
+        return people[often[0]]
+    ranks = {}
+    for person in often:
+        boxes, where = np.array([*found[person].values()]), list(found[person])
+        hands = _hands_below([images[k] for k in where], boxes, [faces[k] for k in where])
+        ranks[person] = round(hands), float(np.median(boxes[:, 3]))
+    return people[max(ranks, key=lambda person: ranks[person])]
+
+
+def _hands_below(images: Sequence[NDArray[np.uint8]], boxes: Array, faces: Sequence[Array]) -> float:
+    """Return how many hands move within reach below a person's face, in boxes `(n, 4)` px, on average.
+
+    `faces`: by image, `(k, 4)` px, of all people. A hand is that of the nearest face, in units of its height.
+    """
+    skin = SkinColour.learned(images, boxes)
+    if skin is None:
+        return 0.0
+    still, total = static_skin(skin, images), 0.0
+    for image, box, others in zip(images, boxes, faces, strict=True):
+        height = HEAD_OF_BOX * box[3]
+        odds = skin.log_odds(image) - (0 if still is None else still)
+        blobs = skin_blobs(
+            np.maximum(odds, np.float32(-HIGHEST)), HAND_RADIUS * height, face_ellipses(others)
+        )
+        steps = (blobs.means[:, None] - others[:, :2] - 0.5 * others[:, 2:]) / others[:, 3:]
+        away = np.linalg.norm(steps, axis=2)
+        own = (others == box).all(axis=1).argmax()
+        theirs = (
+            (away.argmin(axis=1) == own) & (away[:, own] < REACH * HEAD_OF_BOX) & (steps[:, own, 1] > 0.5)
+        )
+        total += min(float(expit(blobs.log_weights[theirs]).sum()), 2.0)
+    return total / len(images)
 
 
 def _ellipses(heads: Array, shape: tuple[float, ...], height: float) -> Array:

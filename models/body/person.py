@@ -163,6 +163,7 @@ IN_SLEEVE, WITH_FOREARM = 0.65, 1.9
 discs are mostly foreshortened."""
 
 BETWEEN_PEOPLE, BETWEEN_FRAMES = 0.2, 0.4  # standard deviations of log areas
+SURELY_LESS = 3.0  # standard deviations below the mean area of a hand from which a patch is none
 SURE = 0.02  # probabilities within this of 0 or 1 are rounded to it
 SKIN_FROM = 1.0  # nats: log odds from which a pixel counts
 HEAD_MARGIN = 1.15  # factor of the ellipses of head and neck, whose rims are no hands
@@ -173,9 +174,10 @@ def bare_probability(areas: Sequence[float]) -> float:
     """Return the probability of bare forearms, from `hand_area` of some frames.
 
     Log areas are normal about one of two means, with a deviation of the person and one of each frame; the
-    frames' median is used. The prior is even.
+    frames' median is used, without those in which no patch is as large as a hand. The prior is even.
     """
-    seen = [area for area in areas if area > 0]
+    least = IN_SLEEVE * np.exp(-SURELY_LESS * np.hypot(BETWEEN_PEOPLE, BETWEEN_FRAMES))
+    seen = [area for area in areas if area > least]
     if not seen:
         return 0.5
     low, high = np.log(IN_SLEEVE), np.log(WITH_FOREARM)

@@ -15,6 +15,8 @@ def test_the_probability_is_that_of_two_gaussians() -> None:
     for middle in (0.9, 1.1, 1.3, 1.5):
         low, high = (norm.pdf(np.log(middle), np.log(mean), deviation) for mean in (IN_SLEEVE, WITH_FOREARM))
         assert bare_probability([0.3, middle, 4.0]) == pytest.approx(high / (low + high))
+        # frames in which there is no patch of a hand's size tell nothing
+        assert bare_probability([0.3, middle, 4.0, *[0.05] * 20]) == bare_probability([0.3, middle, 4.0])
 
 
 def test_the_area_is_that_of_the_largest_patch_beside_the_head() -> None:

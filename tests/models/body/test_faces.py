@@ -1,8 +1,10 @@
 """One person among the faces of several pictures."""
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rsmcm.models.body.parts import HEAD_OF_BOX, BodyParts
 from rsmcm.models.body.person import OtherFaces, find_face_at, find_largest_face, track_face
 
 Array = NDArray[np.float64]
@@ -64,3 +66,24 @@ def test_the_density_of_others_counts_them() -> None:
     assert np.abs(grid[density.argmax()] - (302.5, 90)).max() <= 1
     alone = OtherFaces.learned([faces((100, 80, 60))], [0])
     np.testing.assert_array_equal(alone.density(grid[:5]), 0)
+
+
+def test_of_two_people_the_one_with_hands_is_meant() -> None:
+    """A larger face without hands, as on a screen, is another's; without any hands it is the person's."""
+
+    def learned(hands: bool) -> float:
+        images, boxes = [], faces((420, 80, 70), (150, 90, 45))
+        for k in range(12):
+            image = np.full((300, 560, 3), (170, 150, 120), np.uint8)
+            for x, y, side in ((420, 80, 70), (150, 90, 45)):
+                cv2.ellipse(
+                    image, (x, y), (round(0.4 * side), round(0.6 * side)), 0, 0, 360, (90, 130, 200), -1
+                )
+                cv2.rectangle(image, (x - side, y + side), (x + side, 299), (60, 120, 40), -1)
+            for x in (110, 190) if hands else ():
+                cv2.circle(image, (x + 15 * (k % 3), 170 + 6 * k), 17, (90, 130, 200), -1)
+            images.append(image)
+        return BodyParts.learned(images, lambda frame: boxes).head_height
+
+    assert learned(hands=True) == pytest.approx(HEAD_OF_BOX * 45)
+    assert learned(hands=False) == pytest.approx(HEAD_OF_BOX * 70)
