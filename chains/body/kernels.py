@@ -323,7 +323,7 @@ class HandModel(NamedTuple):
 
 @helper
 def _explained(x, y, parts, roots, k, hand, spread):
-    """Share of a Gaussian window at x, y that head and neck of pose k, or detected faces, cover."""
+    """Share of a Gaussian window at x, y that head and neck of pose k, or faces of other heads, cover."""
     wide, high = _f4(hand.head[0]), _f4(hand.head[1])
     radius = np.sqrt(wide * high)
     neck_x = x - _f4(parts[k, 0, 0] + NECK * (roots[k, 0] - parts[k, 0, 0]))
@@ -334,6 +334,10 @@ def _explained(x, y, parts, roots, k, hand, spread):
     from_neck = np.sqrt(neck_x * neck_x + neck_y * neck_y)
     covered = max(_inside(from_head, radius, spread), _inside(from_neck, _f4(hand.neck_radius), spread))
     for face in hand.faces:
+        away_x = (_f4(parts[k, 0, 0]) - _f4(face[0])) / _f4(hand.head[0])
+        away_y = (_f4(parts[k, 0, 1]) - _f4(face[1])) / _f4(hand.head[1])
+        if away_x * away_x + away_y * away_y < _f4(1.0):
+            continue  # it is this head's
         wide, high = _f4(face[2]), _f4(face[3])
         radius = np.sqrt(wide * high)
         off_x, off_y = (x - _f4(face[0])) / wide, (y - _f4(face[1])) / high

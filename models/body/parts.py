@@ -370,7 +370,7 @@ class BodyParts:
         seen = BodyImage(
             skin, moving, edges, directions,
             hands.means, hands.log_weights, mixtures, points, self.bare, arms,
-            face_ellipses(faces[near] if near.any() else faces),
+            face_ellipses(faces[near] if len(known_head) else faces),
         )  # fmt: skip
         return PartMessage(self.uniform().stacked, seen)
 
