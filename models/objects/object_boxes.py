@@ -36,10 +36,11 @@ NOTICED, UNNOTICED = 0.98, 0.05
 Misses come in bursts: what a detector does not find in one frame it hardly finds in the next.
 """
 
-BEHIND = 0.1
+BEHIND = 0.05
 """Heights by which the feet of who hides another wholly are lower: two people are not in one place.
 
-So one of two tracks of the same person, which share a box, is doubted in time; a guess.
+So one of two tracks of the same person, which share a box, is doubted in time. At eye level, 20 m away, it is
+somebody 1 m further away.
 """
 
 DOUBLE = np.array([3.0, 3.0, 1.0, 1.0])
