@@ -70,10 +70,11 @@ UNKNOWN_COLOUR = -1e4  # in an appearance: no colour is known of this pixel
 
 
 class Picture(NamedTuple):
-    """Frame as loops read it: image, log odds of background, and P(B=1)."""
+    """Frame as loops read it: image, log odds of background with and without shade, and P(B=1)."""
 
     image: NDArray[np.uint8]
     log_odds: NDArray[np.int8]
+    unshaded: NDArray[np.int8]
     prior: np.float32
 
 

@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.identities import find
-from ...models.numerics.compiled import compiled, exponential, put
+from ...models.numerics.compiled import compiled, exponential, logarithm, put
 from ...models.numerics.threads import side_by_side, thread_count
 from ...models.objects.box_message import HEIGHT, WIDTH, BoxMessage
-from ...models.pixels.background import StoredPlanes
+from ...models.pixels.background import ODDS_STEPS, StoredPlanes
 from ...models.pixels.layers import LayerStack
 from ...models.pixels.pixel_labels import PixelMessage
 from .blob_records import (
@@ -379,6 +379,21 @@ def _set_explained(scene, top, left, out):
 
 
 @compiled
+def _contest_shade(unshaded, top, left, explained, log_odds):
+    """Take from the log odds of a box what shade adds where objects explain as well what is seen.
+
+    Each pixel shows the scene, the scene in shade, or an object with its mask and colours as they are known.
+    """
+    rows, columns = log_odds.shape
+    for y in range(max(top, 0), min(top + rows, unshaded.shape[0])):
+        for x in range(max(left, 0), min(left + columns, unshaded.shape[1])):
+            plain, odds = _f4(unshaded[y, x]) * _f4(1 / ODDS_STEPS), log_odds[y - top, x - left]
+            if odds > plain:
+                contested = odds - logarithm(explained[y - top, x - left])
+                log_odds[y - top, x - left] = max(plain, contested)
+
+
+@compiled
 def _inside(top, left, rows, columns, height, width):
     """Rows and columns of a patch that lie in the picture: first and end of either."""
     return (
@@ -504,6 +519,7 @@ def learn_all(which, before, old, blobs, pools, picture, scene, rule, alive, scr
         cover_by(patch.free, top, left, before[:k], old)
         explained, rest = rest[:size].reshape(blob.rows, blob.columns), rest[size:]
         _set_explained(scene, top, left, explained)
+        _contest_shade(picture.unshaded, top, left, explained, patch.log_odds)
         if not blob.coloured:
             blob.coloured = 1
             for row in range(blob.rows):

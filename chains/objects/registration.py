@@ -361,8 +361,10 @@ def make_picture(pixels: PixelMessage) -> Picture:
     assert pixels.subtraction is not None
     image = np.ascontiguousarray(pixels.image)
     image = image if image.ndim == 3 else image[:, :, None]
-    odds = pixels.subtraction.smoothed.reshape(image.shape[:2])
-    return Picture(image, odds, np.float32(pixels.background.prior))
+    odds, unshaded = (
+        each.reshape(image.shape[:2]) for each in (pixels.subtraction.smoothed, pixels.subtraction.unshaded)
+    )
+    return Picture(image, odds, unshaded, np.float32(pixels.background.prior))
 
 
 def register_blobs(

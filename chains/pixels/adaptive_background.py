@@ -34,6 +34,7 @@ from .empty_scene import empty_scene
 from .gaussians import MEAN_STEPS, Gaussians
 from .light import LightField, light_grid, share_of_blocks, track_light
 from .second_colours import SETTLED, SecondColours, Settling, learn_second_colours, update_behind
+from .shade import shade_in, update_shade
 from .sway import Sway, sway_reach, update_rates
 
 Planes = NDArray[np.float32]
@@ -72,6 +73,7 @@ class BackgroundState:
     light: Planes  # (block_rows, block_columns): today's light relative to that of `mean`
     covered: Planes  # share of each block behind known objects
     sway: Planes  # how often its pixels show what is beside them, as leaves do
+    shade: Planes  # (2, *grid) shares of blocks; see `shade_in`
     candidate: NDArray[np.uint8]  # (n_pixels * channels,) colours that are neither background nor an object
     # (n_pixels,): how much of the settling time they have lasted; see `SecondColours`
     seen: NDArray[np.uint16]
@@ -172,6 +174,7 @@ class AdaptiveBackground:
             light=np.ones(grid, np.float32),
             covered=np.zeros(grid, np.float32),
             sway=np.zeros(grid, np.float32),
+            shade=np.zeros((2, *grid), np.float32),
             candidate=np.zeros(image.size, np.uint8),
             seen=np.zeros(height * width, np.uint16),
             elapsed=0.0,
@@ -215,7 +218,7 @@ class AdaptiveBackground:
         composed = incoming.others(PixelLabels).layers.composition(image, state.size)
         if len(composed.regions):
             update_behind(
-                composed.regions, composed.shift, flat, subtraction.smoothed, prediction.pixels, light,
+                composed.regions, composed.shift, flat, subtraction.unshaded, prediction.pixels, light,
                 prediction.model, prediction.rounding, colour.to_pixels(channels), after, second, covered,
             )  # fmt: skip
         sway = update_rates(
@@ -232,7 +235,7 @@ class AdaptiveBackground:
                 np.float32(UNSURE_VARIANCE if state.age < BOOTSTRAP_TIME else np.inf),
             )
             learn_second_colours(
-                flat, subtraction.smoothed, covered, light,
+                flat, subtraction.unshaded, covered, light,
                 colour.from_pixels(channels), colour.to_pixels(channels), settling, after, second,
             )  # fmt: skip
         return replace(
@@ -241,6 +244,9 @@ class AdaptiveBackground:
             light=prediction.light.blocks,
             covered=share_of_blocks(covered.reshape(state.size), state.light.shape),
             sway=sway,
+            shade=update_shade(
+                state.shade, prediction.shade_counts(image), state.size, state.age, state.elapsed
+            ),
             candidate=second.colours,
             seen=second.seen,
             elapsed=0.0,
@@ -309,4 +315,5 @@ class AdaptiveBackground:
             second=SecondColours(state.candidate, state.seen),
             tolerance=8.0 * len(state.mean) * self.noise,
             sway=Sway(state.sway, sway_reach(state.size)),
+            shade=shade_in(state.shade, state.size),
         )

@@ -9,6 +9,7 @@ Comparing an image with the prediction is the one pass over all pixels of a fram
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,7 @@ from .gaussians import (
 )
 from .light import LightField
 from .second_colours import SecondColours, recall
+from .shade import Shade, recall_shaded
 from .sway import LEAST_RATE, Sway, recall_moved
 
 _f4, _i4 = np.float32, np.int32
@@ -60,7 +62,7 @@ _UNSURE = np.int8(-128)  # where the log odds are not known yet
 
 _HIGHEST = HIGHEST_VARIANCE * VARIANCE_STEPS
 
-HALO = 2  # rows beyond a band that its own log odds depend on
+HALO = 2  # rows beyond a band that its smoothed log odds depend on
 BLOCK = 32  # rows that are worked on at a time: small enough to stay in the cache
 
 
@@ -247,37 +249,33 @@ def compare_rows(first, end, pixels, before, light_field, model, fast, rounding,
     """Write log odds of background in rows `first` to `end`, of each pixel by itself, and the update.
 
     `fast` is what pixels need of the `model` that show background for sure, `rounding` what is added to
-    numbers before they are cut off. `log_odds` begin `HALO` rows before `first` and end as many after `end`,
-    within the picture: what rows of other bands add is computed here again, so that no band waits for another
-    one. Returns the greatest variance from `first` to `end`, as it is stored.
+    numbers before they are cut off. Returns the greatest variance from `first` to `end`, as it is stored.
     """
-    channels, (height, width) = before.mean.shape[0], (light_field.positions.size, light_field.rows.shape[1])
-    top, bottom = max(first - HALO, 0), min(end + HALO, height)
-    beyond = Gaussians(
-        np.empty((channels, HALO * width), np.int16),
-        np.empty(HALO * width, np.uint16),
-        np.empty(HALO * width, np.uint16),
-    )
-    most, start = _i4(0), top
-    while start < bottom:
-        # one call for all rows: a copy of the loops inside is compiled for each
-        is_own = first <= start < end
-        if is_own:
-            stop, to, updated = min(start + BLOCK, end), start * width, after
-        else:
-            stop, to, updated = first if start < first else bottom, 0, beyond
-        odds = log_odds[(start - top) * width : (stop - top) * width]
+    channels, width = before.mean.shape[0], light_field.rows.shape[1]
+    most = _i4(0)
+    for start in range(first, end, BLOCK):
+        stop, to = min(start + BLOCK, end), start * width
+        odds = log_odds[(start - first) * width : (stop - first) * width]
         if channels == 3:
-            fast_rows_of_colour(start, stop, pixels, before, light_field, fast, rounding, to, updated, odds)
+            fast_rows_of_colour(start, stop, pixels, before, light_field, fast, rounding, to, after, odds)
         else:
-            fast_rows_of_grey(start, stop, pixels, before, light_field, fast, rounding, to, updated, odds)
-        highest = slow_rows(start, stop, pixels, before, light_field, model, rounding, to, updated, odds)
-        most = max(most, highest) if is_own else most
-        start = stop
+            fast_rows_of_grey(start, stop, pixels, before, light_field, fast, rounding, to, after, odds)
+        most = max(
+            most, slow_rows(start, stop, pixels, before, light_field, model, rounding, to, after, odds)
+        )
     return most
 
 
 Planes = NDArray[np.float32]
+
+
+class Compared(NamedTuple):
+    """What an image says of a prediction, and what follows."""
+
+    subtraction: Subtraction
+    after: Gaussians | None
+    shade_counts: NDArray[np.int64]  # see `recall_shaded`
+
 
 CERTAIN = 6.0  # nats: the bound of the log odds of a pixel by itself
 
@@ -307,9 +305,8 @@ class BackgroundPrediction:
     second: SecondColours  # once known, what is within `tolerance` of it is background too
     tolerance: float  # squared grey levels, four times the variance of all channels
     sway: Sway  # how often pixels show what is beside them
-    _compared: dict[int, tuple[NDArray[np.uint8], Subtraction, Gaussians | None]] = field(
-        default_factory=dict
-    )
+    shade: Shade  # how often they stand in something's shade
+    _compared: dict[int, tuple[NDArray[np.uint8], "Compared"]] = field(default_factory=dict)
 
     @property
     def colours(self) -> StoredPlanes:
@@ -342,16 +339,24 @@ class BackgroundPrediction:
 
     def compare(self, image: NDArray[np.uint8]) -> Subtraction:
         """Compare an image with the prediction; the same image is compared only once."""
-        if id(image) not in self._compared:
-            self._compared[id(image)] = image, *self._subtract(image)
-        return self._compared[id(image)][1]
+        return self._comparison(image).subtraction
+
+    def shade_counts(self, image: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Return how much of each block is not the plain scene, and in shade; see `recall_shaded`."""
+        return self._comparison(image).shade_counts
 
     def update(self, image: NDArray[np.uint8]) -> Gaussians:
         """Return the background after the image. The caller owns the arrays: they are forgotten here."""
-        subtraction = self.compare(image)
-        after = self._compared[id(image)][2]
-        self._compared[id(image)] = image, subtraction, None
-        return after or self._subtract(image)[1]
+        compared = self._comparison(image)
+        self._compared[id(image)] = image, compared._replace(after=None)
+        after = compared.after or self._subtract(image).after
+        assert after is not None
+        return after
+
+    def _comparison(self, image: NDArray[np.uint8]) -> "Compared":
+        if id(image) not in self._compared:
+            self._compared[id(image)] = image, self._subtract(image)
+        return self._compared[id(image)][1]
 
     def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None) -> float:
         """Return the log probability of the image (nats), summed over pixels as if independent.
@@ -366,34 +371,51 @@ class BackgroundPrediction:
         uniform = np.log1p(-self.prior) - len(self.pixels.mean) * np.log(256.0)
         return float(total + uniform * self.size[0] * self.size[1])
 
-    def _subtract(self, image: NDArray[np.uint8]) -> tuple[Subtraction, Gaussians]:
+    def _subtract(self, image: NDArray[np.uint8]) -> Compared:
         mean, variance, noise = self.pixels
         after = Gaussians(np.empty_like(mean), np.empty_like(variance), np.empty_like(noise))
-        log_odds, smoothed = np.empty((2, self.size[0] * self.size[1]), np.int8)
+        log_odds, smoothed, unshaded = np.empty((3, self.size[0] * self.size[1]), np.int8)
         flat = np.ascontiguousarray(image).reshape(-1)
         light, fast = self.light.along_rows, fast_path_thresholds(self.model, len(mean))
         prior, rounding = _prior_steps(self.prior), self.rounding
 
         (height, width), tolerance, pooling = self.size, np.float32(self.tolerance), np.float32(self.pooling)
-        sways = bool(self.sway.rates.max() >= LEAST_RATE)
+        sways, highest = bool(self.sway.rates.max() >= LEAST_RATE), []
 
-        def work(first: int, end: int) -> None:
-            top, bottom = max(first - HALO, 0), min(end + HALO, height)
-            band = slice(first * width, end * width)
-            own = np.empty((bottom - top) * width, np.int8)  # of each pixel by itself
+        def compare(first: int, end: int) -> None:
+            own = log_odds[first * width : end * width]
             most = compare_rows(first, end, flat, self.pixels, light, self.model, fast, rounding, after, own)
-            recall(top * width, flat, self.second, tolerance, self.model, own)
+            highest.append(most)
+            recall(first * width, flat, self.second, tolerance, self.model, own)
             if sways:
-                recall_moved(top, flat, self.pixels, light, self.model, self.sway, own)
-            log_odds[band] = own[(first - top) * width : (end - top) * width]
-            around = smoothed[top * width : bottom * width]
-            smooth_log_odds(first - top, end - top, bottom - top, width, own, prior, pooling, around)
-            if most > HIGHEST_VARIANCE * VARIANCE_STEPS:  # neighbours say nothing of an unknown value
-                unknown = variance[band] > HIGHEST_VARIANCE * VARIANCE_STEPS
-                smoothed[band][unknown] = np.int8(self.model.label_odds * np.float32(ODDS_STEPS))
+                recall_moved(first, flat, self.pixels, light, self.model, self.sway, own)
 
-        over_bands(work, self.size[0])
-        return Subtraction(log_odds, smoothed), after
+        over_bands(compare, height)
+        some_unknown = max(highest) > HIGHEST_VARIANCE * VARIANCE_STEPS
+        counts = []
+
+        def pool(first: int, end: int) -> None:
+            top, bottom = max(first - HALO, 0), min(end + HALO, height)
+            band, of_band = slice(first * width, end * width), np.zeros((2, *self.shade.log_odds.shape), int)
+            shaded = log_odds[top * width : bottom * width].copy()
+            recall_shaded(
+                first, end, HALO, flat, self.pixels, light, self.model, self.shade, log_odds, shaded, of_band
+            )
+            counts.append(of_band)
+            around = smoothed[top * width : bottom * width]
+            smooth_log_odds(first - top, end - top, bottom - top, width, shaded, prior, pooling, around)
+            unshaded[band] = smoothed[band]
+            changed = np.flatnonzero(shaded != log_odds[top * width : bottom * width]) // width + top
+            if changed.size:
+                rows = max(changed[0] - HALO, first), min(changed[-1] + HALO + 1, end)
+                smooth_log_odds(*rows, height, width, log_odds, prior, pooling, unshaded)
+            if some_unknown:  # neighbours say nothing of an unknown value
+                unknown = variance[band] > HIGHEST_VARIANCE * VARIANCE_STEPS
+                for each in (smoothed, unshaded):
+                    each[band][unknown] = np.int8(self.model.label_odds * np.float32(ODDS_STEPS))
+
+        over_bands(pool, height)
+        return Compared(Subtraction(log_odds, smoothed, unshaded), after, np.sum(counts, axis=0))
 
 
 def fixed_point(mean: Planes, variance: Planes, noise: Planes) -> Gaussians:

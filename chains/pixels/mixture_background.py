@@ -283,7 +283,8 @@ class MixturePrediction:
             )
 
         over_bands(subtract, height)
-        return Subtraction(log_odds, smooth(log_odds, self.size, self.prior, self.pooling))
+        smoothed = smooth(log_odds, self.size, self.prior, self.pooling)
+        return Subtraction(log_odds, smoothed, smoothed)
 
 
 @short_repr

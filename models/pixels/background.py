@@ -66,11 +66,13 @@ class EmptyScene:
 class Subtraction:
     """Log odds of an image against a predicted background, `(n_pixels,)` int8 in steps of 1/20 nat.
 
-    `log_odds`, of P(B=1) N(I; ...) over P(B=0) U, within +-6 nats; `smoothed`, with the neighbours' share.
+    `log_odds`, of P(B=1) N(I; ...) over P(B=0) U, within +-6 nats; `smoothed`, with the neighbours' share,
+    where the scene in something's shade is background too; `unshaded`, where it is not.
     """
 
     log_odds: NDArray[np.int8]
     smoothed: NDArray[np.int8]
+    unshaded: NDArray[np.int8]
 
 
 class BackgroundFactor(Protocol):

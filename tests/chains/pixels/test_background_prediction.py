@@ -8,6 +8,7 @@ from rsmcm.chains.pixels import gaussians as kernels
 from rsmcm.chains.pixels import second_colours as seconds
 from rsmcm.chains.pixels.background_prediction import BackgroundPrediction, fixed_point, stored_planes
 from rsmcm.chains.pixels.light import LightField
+from rsmcm.chains.pixels.shade import shade_in
 from rsmcm.chains.pixels.sway import Sway
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from rsmcm.models.pixels import colour
@@ -55,6 +56,7 @@ def scene(channels, seed=0, size=(23, 37), prior=0.9, **changes):
         ),
         "tolerance": 100.0,
         "sway": Sway(np.zeros((3, 4), np.float32), 3),
+        "shade": shade_in(np.zeros((2, 3, 4), np.float32), size),
     }
     image = np.clip(remembered + rng.normal(0, 6, shape), 0, 255)
     strange = image[5:15, 10:20]

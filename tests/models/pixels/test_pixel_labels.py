@@ -8,6 +8,7 @@ from rsmcm.chains.pixels.background_prediction import BackgroundPrediction, colo
 from rsmcm.chains.pixels.gaussians import Gaussians
 from rsmcm.chains.pixels.light import LightField
 from rsmcm.chains.pixels.second_colours import KNOWN, REVEALED, SecondColours, update_behind
+from rsmcm.chains.pixels.shade import shade_in
 from rsmcm.chains.pixels.sway import Sway
 from rsmcm.models import PixelLabels
 from rsmcm.models.pixels.layers import Layer, LayerStack
@@ -44,6 +45,7 @@ def background(channels=3, **changes):
         "second": SecondColours(np.zeros(n_pixels * channels, np.uint8), np.zeros(n_pixels, np.uint16)),
         "tolerance": 50.0,
         "sway": Sway(np.zeros((3, 4), np.float32), 3),
+        "shade": shade_in(np.zeros((2, 3, 4), np.float32), SIZE),
     }
     return BackgroundPrediction(**{**values, **changes})
 
