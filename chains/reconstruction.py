@@ -39,6 +39,7 @@ Numbers = NDArray[np.float64]
 Geometry = Literal["euclidean", "affine", "none"]
 Coherence = Literal["second-order", "none"]
 Association = Literal["dual-chain", "none"]
+Robust = Literal["outliers", "none"]
 Camera = Literal["auto", "affine", "perspective"]
 
 MOST_ROUNDS = 20
@@ -145,6 +146,7 @@ def reconstruct(
     *,
     coherence: Coherence = "second-order",
     association: Association = "dual-chain",
+    robust: Robust = "outliers",
     camera: Camera = "auto",
     lens: Lens | None = None,
     after_round: Callable[[], None] = lambda: None,
@@ -155,7 +157,7 @@ def reconstruct(
     ----------
     film
         frames with images or with given points; or tracks, `(n_frames, n_tracks, 2)` px, NaN where missing.
-    coherence, association
+    coherence, association, robust
         as of `structure_engine`.
     camera, lens
         as of `reconstruction_of`.
@@ -174,24 +176,30 @@ def reconstruct(
     frames = frames_of_tracks(film) if isinstance(film, np.ndarray) else film
     n_tracks = film.shape[1] if isinstance(film, np.ndarray) else None
     best: Any = None
-    for solution in structure_engine(frames, coherence, association).rounds(frames):
+    for solution in structure_engine(frames, coherence, association, robust).rounds(frames):
         best = solution
         after_round()
-    return reconstruction_of(best, camera, lens, n_tracks)
+    return reconstruction_of(best, camera, lens, n_tracks, robust)
 
 
 @checked
 def structure_engine(
-    frames: Sequence[Frame], coherence: Coherence = "second-order", association: Association = "dual-chain"
+    frames: Sequence[Frame],
+    coherence: Coherence = "second-order",
+    association: Association = "dual-chain",
+    robust: Robust = "outliers",
 ) -> CoordinateAscent:
     """Return the engine with tracker and shape for frames with images or with given points.
 
     `coherence` says whether the camera moves smoothly, `association` whether the tracker receives the
-    shape's messages and tracks that show one point become one.
+    shape's messages and tracks that show one point become one, `robust` whether positions may be outliers
+    or count alike, as in least squares.
     """
     dual = association == "dual-chain"
     model, points = _following(frames)
-    shape = FactorStructure(coherence=coherence == "second-order", associate=dual)
+    shape = FactorStructure(
+        coherence=coherence == "second-order", associate=dual, outliers=robust == "outliers"
+    )
     model.connect(shape, points, feedback=dual)
     return CoordinateAscent(model, MOST_ROUNDS)
 
@@ -278,7 +286,11 @@ def lens_of(frames: Sequence[Frame], focal: Positive | None = None) -> Lens:
 
 @checked
 def reconstruction_of(
-    solution: Solution, camera: Camera = "auto", lens: Lens | None = None, n_tracks: int | None = None
+    solution: Solution,
+    camera: Camera = "auto",
+    lens: Lens | None = None,
+    n_tracks: int | None = None,
+    robust: Robust = "outliers",
 ) -> Reconstruction:
     """Read points, cameras and tracks from the engine's solution, and choose the camera.
 
@@ -292,6 +304,8 @@ def reconstruction_of(
         what is known of the camera; that of `lens_of` if not given.
     n_tracks
         how many tracks were given; `None` where points are to be called in the order of their identities.
+    robust
+        as of the engine.
 
     Raises
     ------
@@ -310,7 +324,7 @@ def reconstruction_of(
     # may see a plane
     has_structure = result.geometry != "none" or lens.focal is not None
     if camera != "affine" and result.n_points >= FEWEST_POINTS and has_structure:
-        result = _in_perspective(result, solution, n_tracks, camera, lens)
+        result = _in_perspective(result, solution, n_tracks, camera, lens, robust == "outliers")
     result = _without_false_depth(result, from_images)
     return replace(result, dropped=_dropped(solution, result, n_tracks))
 
@@ -350,7 +364,12 @@ def _before_affine_cameras(solution: Solution, n_tracks: int | None) -> Reconstr
 
 
 def _in_perspective(
-    affine: Reconstruction, solution: Solution, n_tracks: int | None, camera: Camera, lens: Lens
+    affine: Reconstruction,
+    solution: Solution,
+    n_tracks: int | None,
+    camera: Camera,
+    lens: Lens,
+    outliers: bool,
 ) -> Reconstruction:
     """Return the reconstruction with a perspective camera; outliers and rejected tracks are tried again."""
     chain: StructureTrajectory = solution["structure"]
@@ -361,11 +380,11 @@ def _in_perspective(
     places, observed = _observations_of_points(solution, chain, affine.n_points + n_alone)
     weights = observed.astype(np.float64)
     shape = np.concatenate([affine.shape, np.zeros((n_alone, 3))])
-    robust = affine_fit(places, weights, affine.cameras, shape)
-    perspective = perspective_structure(places, weights, robust, lens)
+    in_affine = affine_fit(places, weights, affine.cameras, shape, outliers=outliers)
+    perspective = perspective_structure(places, weights, in_affine, lens, outliers=outliers)
     if perspective is None:
         return replace(affine, affine_reason="no perspective camera was found")
-    if camera == "auto" and not perspective.better_than(robust):
+    if camera == "auto" and not perspective.better_than(in_affine):
         reason = (
             "it explains the tracks better than a perspective one with square pixels does"
             if perspective.focal_determined

@@ -128,7 +128,7 @@ class _StructureRun:
         lacking = too_little(film.frames, film.n_tracks)
         if lacking is not None:
             return self._nothing(lacking)
-        self._engine = structure_engine(film.frames, job.coherence, job.association)
+        self._engine = structure_engine(film.frames, job.coherence, job.association, job.robust)
         after = None if saved is None else self._engine.load(saved, film.frames)[0]
         try:
             solution = self._ascended(after)
@@ -137,7 +137,7 @@ class _StructureRun:
             return self._nothing(no_points(film.frames, track_points(film.frames), reason))
         lens, about_lens = known_lens(film.frames, job.focal, next(iter(film.pictures), None))
         try:
-            found = reconstruction_of(solution, job.camera, lens, film.n_tracks)
+            found = reconstruction_of(solution, job.camera, lens, film.n_tracks, job.robust)
         except NoStructureError:
             return self._nothing(no_points(film.frames, tracks_of(solution), ""))
         lost = film.stream is not None and film.stream["lost"] is not None

@@ -11,6 +11,7 @@ Engine = Literal["coordinate-ascent", "recursive-bp"]
 ASCENT, RECURSIVE = (f"--engine {engine}" for engine in get_args(Engine))
 Coherence = Literal["second-order", "none"]
 Association = Literal["dual-chain", "none"]
+Robust = Literal["outliers", "none"]
 Camera = Literal["auto", "affine", "perspective"]
 
 
@@ -31,6 +32,8 @@ class StructureJob(FilmJob):
     association
         dual-chain: shape and tracker correct each other, and tracks of the same point are joined. none: no
         messages from the shape to the tracker, every track is a separate point.
+    robust
+        outliers: positions may be wrong, and then count less. none: all count alike, as in least squares.
     camera
         affine: for a distant camera. perspective: one focal length, square pixels, the principal point in the
         middle of the image. auto: perspective if that explains the video better.
@@ -44,6 +47,7 @@ class StructureJob(FilmJob):
 
     coherence: Coherence = "second-order"
     association: Association = "dual-chain"
+    robust: Robust = "outliers"
     camera: Camera = "auto"
     focal: float | None = None
 
@@ -53,6 +57,7 @@ class StructureJob(FilmJob):
         ("--from", ASCENT, "the second, which is the default, takes all frames together"),
         ("--coherence none", RECURSIVE),
         ("--association none", RECURSIVE),
+        ("--robust none", RECURSIVE),
         ("--camera affine", RECURSIVE),
         ("--camera perspective", RECURSIVE),
         ("--focal", RECURSIVE),
@@ -63,4 +68,4 @@ class StructureJob(FilmJob):
         """Return what the results depend on, beside the source."""
         if self.engine == "recursive-bp":
             return {"engine": self.engine, **super().settings()}
-        return self.plain(("coherence", "association", "camera", "focal", *Job.OF_RUNS))
+        return self.plain(("coherence", "association", "robust", "camera", "focal", *Job.OF_RUNS))

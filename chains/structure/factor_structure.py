@@ -101,10 +101,13 @@ class FactorStructure:
     associate
         whether partial tracks may show the same point; see `associate_tracks`. If not, every track is a
         separate point.
+    outliers
+        whether positions may be outliers; if not, cameras and shape are those of least squares.
     """
 
     coherence: bool = True
     associate: bool = True
+    outliers: bool = True
     name: str = "structure"
 
     ports = (Port(PointTracks, Cavity.OTHERS),)
@@ -121,10 +124,10 @@ class FactorStructure:
         """
         identities, positions, weights = observations(incoming_over_time)
         if self.associate:
-            found = associate_tracks(positions, weights, coherence=self.coherence)
+            found = associate_tracks(positions, weights, coherence=self.coherence, outliers=self.outliers)
             fit, point, trusted = found.factorisation, found.point_of_track, found.trusted
         else:
-            robust = factorise_robustly(positions, weights, coherence=self.coherence)
+            robust = factorise_robustly(positions, weights, coherence=self.coherence, outliers=self.outliers)
             kept, trusted = robust.consistent, robust.trusted
             fit = robust.factorisation.of_points(kept)
             point = np.where(kept, np.cumsum(kept) - 1, -1)

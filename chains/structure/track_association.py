@@ -280,16 +280,20 @@ class TrackAssociation:
 
 
 def associate_tracks(
-    positions: ArrayLike, weights: ArrayLike | None = None, *, coherence: bool = False
+    positions: ArrayLike,
+    weights: ArrayLike | None = None,
+    *,
+    coherence: bool = False,
+    outliers: bool = True,
 ) -> TrackAssociation:
     """Find points, cameras, and which tracks belong to which point.
 
-    Arguments and errors are those of `factorise`. Who shows what is decided by positions that are known;
-    cameras and points are found from all.
+    Arguments and errors are those of `factorise_robustly`. Who shows what is decided by positions that are
+    known; cameras and points are found from all.
     """
     where, weight = as_arrays(positions, weights)
     where = np.where(weight[..., None] > 0, where, 0.0)
-    robust = factorise_robustly(where, weight, coherence=coherence)
+    robust = factorise_robustly(where, weight, coherence=coherence, outliers=outliers)
     trusted = robust.weights * robust.trusted
     whole = ~np.isnan(where).any(axis=2)
     kept, fit = robust.consistent & (trusted * whole > 0).any(axis=0), robust.factorisation

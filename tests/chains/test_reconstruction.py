@@ -6,6 +6,7 @@ from rsmcm.apps.evaluation.structure import score_structure
 from rsmcm.apps.scenes import cylinder
 from rsmcm.chains import reconstruct
 from rsmcm.chains.reconstruction import lens_of
+from rsmcm.inference.sfm.factor_analysis.factorisation import factorise, predicted
 from rsmcm.inference.sfm.perspective.structure import Lens
 from rsmcm.models import Frame, frames_of_tracks
 
@@ -45,6 +46,23 @@ def test_frames_with_points_are_as_good_as_tracks() -> None:
     of_tracks = reconstruct(tracks, association="none", camera="affine")
     of_frames = reconstruct(frames_of_tracks(tracks), association="none", camera="affine")
     np.testing.assert_array_equal(of_frames.shape, of_tracks.shape)
+
+
+def test_without_outliers_it_is_least_squares() -> None:
+    """As `factorise` has it; one wrong position then spoils the fit, which it else does not."""
+    truth = cylinder(n_frames=12, n_points=15, p_loose=0.0, p_drift=0.0, seed=1)
+    tracks = PX * truth.tracks()
+    tracks[5, 3] += 30.0
+    plain, robust = (
+        reconstruct(tracks, association="none", camera="affine", coherence="none", robust=each)
+        for each in ("none", "outliers")
+    )
+    expected, _ = predicted(factorise(tracks))
+    np.testing.assert_allclose(plain.positions, expected, atol=1e-3)
+    assert plain.dropped is not None
+    assert not plain.dropped.any()
+    exact = PX * truth.positions[:, truth.point_of_track]
+    assert np.abs(plain.positions - exact).max() > 2 * np.abs(robust.positions - exact).max()
 
 
 def test_a_near_thing_has_a_perspective_camera() -> None:

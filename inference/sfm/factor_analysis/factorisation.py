@@ -618,9 +618,15 @@ class RobustFactorisation:
 
 
 def factorise_robustly(
-    positions: ArrayLike, weights: ArrayLike | None = None, *, coherence: bool = False
+    positions: ArrayLike,
+    weights: ArrayLike | None = None,
+    *,
+    coherence: bool = False,
+    outliers: bool = True,
 ) -> RobustFactorisation:
     """Estimate cameras and shape with outliers among the positions; arguments and errors as of `factorise`.
+
+    Without `outliers` all positions are right: least squares.
 
     A position is an inlier with noise of its weight, or an outlier with a larger variance: a contaminated
     normal (Tukey, "A survey of sampling from contaminated distributions", 1960), fitted by EM with learned
@@ -629,6 +635,8 @@ def factorise_robustly(
     are near 1, and the result is that of `factorise`.
     """
     where, given = as_arrays(positions, weights)
+    if not outliers:
+        return RobustFactorisation(factorise(where, given, coherence=coherence), given, np.sign(given))
     fit = _roughly(where, given, coherence, "grow")
     frames, points = np.nonzero(given > 0)
     seen: tuple[Indices, Indices] = frames.astype(np.int64), points.astype(np.int64)

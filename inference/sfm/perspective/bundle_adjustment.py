@@ -45,8 +45,11 @@ class StudentNoise:
     freedom: float
 
     @classmethod
-    def of_errors(cls, squares: Array, weight: Array) -> "StudentNoise":
-        """Return the noise under which squared distances `(n,)` px^2 of such weights are likeliest."""
+    def of_errors(cls, squares: Array, weight: Array, *, outliers: bool = True) -> "StudentNoise":
+        """Return the noise under which squared distances `(n,)` px^2 of such weights are likeliest.
+
+        Without `outliers` it is as good as normal.
+        """
         middle = float(np.median(weight * squares))
 
         def of_freedom(log_freedom: float) -> "StudentNoise":
@@ -55,6 +58,8 @@ class StudentNoise:
             start = cls(max(middle / (freedom * (2 ** (2 / freedom) - 1)), LEAST_VARIANCE), freedom)
             return start.rescaled(squares, weight)
 
+        if not outliers:
+            return of_freedom(math.log(LIGHTEST))
         found = minimize_scalar(
             lambda at: -of_freedom(at).log_likelihood(squares, weight),
             bounds=(np.log(HEAVIEST), np.log(LIGHTEST)),
@@ -198,6 +203,7 @@ def adjust(
     shape: Array,
     *,
     focal_known: bool,
+    outliers: bool = True,
     most_steps: int = 100,
     tolerance: float = 0.1,
 ) -> Bundle:
@@ -207,7 +213,7 @@ def adjust(
     a row gain less than `tolerance` nats each.
     """
     squares = squares_of(listed, cameras, shape)
-    noise = StudentNoise.of_errors(squares, listed.weight)
+    noise = StudentNoise.of_errors(squares, listed.weight, outliers=outliers)
 
     def linearised(at: Bundle) -> Callable[[float], Bundle | None]:
         squares = squares_of(listed, at.cameras, at.shape)

@@ -7,8 +7,9 @@ bundle adjustment whenever the film has grown.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Self
 
 import cv2
@@ -290,7 +291,9 @@ class AffineFit:
     log_likelihood: float
 
 
-def affine_fit(positions: ArrayLike, weights: ArrayLike, cameras: Array, shape: Array) -> AffineFit:
+def affine_fit(
+    positions: ArrayLike, weights: ArrayLike, cameras: Array, shape: Array, *, outliers: bool = True
+) -> AffineFit:
     """Make observations likelier, by weighted least squares whose weights follow from the round before.
 
     Arguments and errors are those of `factorise` and a start; frames may fall into sets that share no
@@ -302,7 +305,7 @@ def affine_fit(positions: ArrayLike, weights: ArrayLike, cameras: Array, shape: 
     best: AffineFit | None = None
     for _ in range(FIT_ROUNDS):
         squares = np.sum((where - projected(cameras, shape)) ** 2, axis=2)[seen]
-        noise = StudentNoise.of_errors(squares, given[seen])
+        noise = StudentNoise.of_errors(squares, given[seen], outliers=outliers)
         likelihood = noise.log_likelihood(squares, given[seen])
         before = -np.inf if best is None else best.log_likelihood
         if likelihood > before:
@@ -357,36 +360,41 @@ def grown_starts(places: Array, principal: Array, width: float, focal: float | N
             yield replace(cameras, principal=principal), shape
 
 
-def best_bundle(listed: SparseObservations, starts: Iterable[Start], *, focal_known: bool) -> Bundle | None:
+def best_bundle(
+    listed: SparseObservations, starts: Iterable[Start], *, focal_known: bool, outliers: bool = True
+) -> Bundle | None:
     """Adjust the bundle from the start that grows most; `None` where there is none.
 
     Of an unknown focal length the sign is free, too: a negative one is that of the mirrored shape.
     """
-    trials = [_tried(listed, start, focal_known) for start in starts]
+    fit = partial(_round, listed, focal_known=focal_known, outliers=outliers)
+    trials = [_tried(fit, start) for start in starts]
     if not trials:
         return None
     trials.sort(key=lambda each: -each.log_likelihood)
-    ends = [_settled(listed, trial, focal_known) for trial in trials[:FINALISTS]]
+    ends = [_settled(fit, trial) for trial in trials[:FINALISTS]]
     return max(ends, key=lambda each: each.log_likelihood)
 
 
-def _tried(listed: SparseObservations, start: Start, focal_known: bool) -> Bundle:
-    found = _round(listed, start, focal_known, TRIAL_STEPS)
-    return _round(listed, (found.cameras, found.shape), focal_known, TRIAL_STEPS)
+def _tried(fit: Callable[..., Bundle], start: Start) -> Bundle:
+    found = fit(start, most_steps=TRIAL_STEPS)
+    return fit((found.cameras, found.shape), most_steps=TRIAL_STEPS)
 
 
-def _settled(listed: SparseObservations, bundle: Bundle, focal_known: bool) -> Bundle:
+def _settled(fit: Callable[..., Bundle], bundle: Bundle) -> Bundle:
     for _ in range(MOST_ROUNDS):
         before = bundle.log_likelihood
-        bundle = _round(listed, (bundle.cameras, bundle.shape), focal_known)
+        bundle = fit((bundle.cameras, bundle.shape))
         if bundle.log_likelihood < before + SETTLED:
             break
     return bundle
 
 
-def _round(listed: SparseObservations, start: Start, focal_known: bool, most_steps: int = 100) -> Bundle:
+def _round(
+    listed: SparseObservations, start: Start, *, focal_known: bool, outliers: bool, most_steps: int = 100
+) -> Bundle:
     """Bundle adjustment and new points, before cameras of a focal length that is not negative."""
-    found = adjust(listed, *start, focal_known=focal_known, most_steps=most_steps)
+    found = adjust(listed, *start, focal_known=focal_known, outliers=outliers, most_steps=most_steps)
     if found.cameras.curvature < 0:
         found = replace(found, cameras=found.cameras.mirrored(), shape=found.shape @ MIRROR)
     return replace(found, shape=retriangulated(listed, found))
@@ -500,7 +508,7 @@ class PerspectiveStructure:
 
 
 def perspective_structure(
-    positions: Array, weights: Array, affine: AffineFit, lens: Lens
+    positions: Array, weights: Array, affine: AffineFit, lens: Lens, *, outliers: bool = True
 ) -> PerspectiveStructure | None:
     """Estimate perspective cameras, focal length and shape; `None` if no start is found.
 
@@ -522,7 +530,7 @@ def perspective_structure(
         *(affine_starts(metric, *about_lens) if metric.determined else ()),
         *grown_starts(places, *about_lens),
     ]
-    found = best_bundle(listed, starts, focal_known=fixed)
+    found = best_bundle(listed, starts, focal_known=fixed, outliers=outliers)
     if found is None:
         return None
     # a point of one frame has a direction, and the depth of all others
