@@ -336,8 +336,8 @@ def _explained(x, y, parts, roots, k, hand, spread):
     for face in hand.faces:
         away_x = (_f4(parts[k, 0, 0]) - _f4(face[0])) / _f4(hand.head[0])
         away_y = (_f4(parts[k, 0, 1]) - _f4(face[1])) / _f4(hand.head[1])
-        if away_x * away_x + away_y * away_y < _f4(1.0):
-            continue  # it is this head's
+        if away_x * away_x + away_y * away_y < _f4(0.25):
+            continue  # this head is well within it, and explains it
         wide, high = _f4(face[2]), _f4(face[3])
         radius = np.sqrt(wide * high)
         off_x, off_y = (x - _f4(face[0])) / wide, (y - _f4(face[1])) / high
