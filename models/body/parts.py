@@ -269,7 +269,7 @@ class BodyParts:
             blobs = skin_blobs(self._moving(skin, ellipses[0]), radius, np.concatenate(ellipses))
             rate += min(float(expit(blobs.log_weights).sum()), 2.0) / 2
             arms.append(self.clothes.arm_map(colours, height, skin, self.bare))
-        missing = 1 - rate / (len(images) + 1)
+        missing = 1 - (rate + 0.5) / (len(images) + 1)  # Jeffreys' prior
         prior = np.log(HAND_DETECTED / FALSE_HANDS * missing / (1 - missing))
         arm = cv2.resize(np.mean(arms, axis=0), self.static_skin.shape[::-1])
         still = np.where(self.static_skin > 0, self.static_skin, np.float32(-HIGHEST))

@@ -135,3 +135,13 @@ def test_a_hand_that_rests_is_no_static_skin() -> None:
         assert still is not None
         assert (still[y, x] > 1) == thing
         assert still[60, 160] > 1  # the face, which is found in every frame
+
+
+def test_where_no_skin_moves_at_all_resting_hands_are_looked_for() -> None:
+    parts = resting((165, 190))
+    empty = np.empty((240, 320, 3), np.uint8)
+    empty[:] = WALL
+    cv2.rectangle(empty, (115, 105), (205, 239), SHIRT, cv2.FILLED)
+    still = parts.dressed([empty] * 3, np.repeat(BOX, 3, axis=0)).static_skin
+    assert still is not None
+    assert np.isfinite(still).all()
