@@ -120,7 +120,7 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     boxes = prior.in_scene(feet(given.xyxy))
     size = _picture(frame, prior, given)
     noise = detector.noise(boxes)
-    cut = _cut_variances(feet(given.xyxy), size)
+    cut = _cut_variances(feet(given.xyxy), size, boxes[:, 3])
     noise = noise + cut + prior.variances_by_view(boxes)
     tracked = prior.expected
     tracked = tracked.only(np.isin(tracked.identities, prior.existence.identities))
@@ -214,17 +214,17 @@ def visible_share(boxes: Numbers, exists: Numbers, size: tuple[int, int]) -> Num
     return np.asarray(np.clip(inside, 0, 1) * np.prod(1 - np.minimum(covered, 1.0) * in_front, axis=1))
 
 
-def _cut_variances(boxes: Numbers, size: tuple[int, int]) -> Numbers:
+def _cut_variances(boxes: Numbers, size: tuple[int, int], heights: Numbers) -> Numbers:
     """`(n, 4)` px^2: what is unsure of boxes in the frame that end at its border: all that lies behind it.
 
-    Boxes that reach beyond the border are whole.
+    Boxes that reach beyond the border are whole. `heights` `(n,)` are those in the scene, in whose px it is.
     """
     x, y, width, height = boxes.T
     ends = np.abs([x - 0.5 * width, size[1] - x - 0.5 * width, y - height, size[0] - y])
     left, right, above, below = ends < AT_BORDER * height
     across = left | right
     cut = np.stack([0.5 * across, below, across, across | below | above], axis=1)
-    return np.asarray((HIDDEN * height[:, None] * cut) ** 2)
+    return np.asarray((HIDDEN * heights[:, None] * cut) ** 2)
 
 
 def _picture(frame: Frame, prior: BoxMessage, given: GivenBoxes) -> tuple[int, int]:

@@ -40,6 +40,17 @@ def test_boxes_that_a_known_map_moves_are_those_of_a_camera_that_stands() -> Non
     np.testing.assert_allclose(seen.objects.moments[1], still.objects.moments[1], atol=1e-4)
 
 
+def test_what_the_border_hides_is_measured_in_the_scene() -> None:
+    """A box whose feet are at the border of a frame that shows the scene larger by a fifth."""
+    box = np.array([[100.0, SIZE[0], 48.0, 96.0]])
+    still = NODE.evidence(detected(box), prior(None)).association
+    seen = NODE.evidence(detected(box), prior(view(ZOOM))).association
+    assert still is not None
+    assert seen is not None
+    assert still.noise[0, 1] > 40**2
+    np.testing.assert_allclose(seen.noise, still.noise / 1.2**2, rtol=1e-4)
+
+
 @pytest.mark.parametrize("unsure", [3.0, 20.0])
 def test_what_the_map_is_unsure_of_is_noise_of_boxes(unsure: float) -> None:
     sure, not_sure = (
