@@ -161,9 +161,10 @@ class DetectorRates:
     def message(self, state: DetectorState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage:
         """Return the detector with the mean rates (mu_{detector -> objects})."""
         detected, clutter, doubles, arriving = self._rates(state)
-        rates = np.maximum(state.errors[:, 0] - CHANCE, 0) / (SINCE + state.exposures[1])
+        often = state.errors[:, 0] > CHANCE
+        rates = (state.errors[often, 0] - CHANCE) / (SINCE + state.exposures[1])
         return BoxMessage(
-            places=ErrorPlaces(state.places, rates),
+            places=ErrorPlaces(state.places[often], rates),
             detector=replace(
                 feature.detector,
                 found=detected,

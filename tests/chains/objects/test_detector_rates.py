@@ -78,9 +78,9 @@ def test_where_the_detector_erred_again_and_again_nobody_new_is_expected() -> No
     before, after = (beliefs[number]["objects"].association.new[-1] for number in (10, 70))
     assert before > 1e-3  # with a low score, and where the plane expects nobody
     assert after < 1e-3 * before
-    places, rates = beliefs[69]["detector"].places, beliefs[69]["objects"].places.rates
-    np.testing.assert_allclose(places[rates > 0], [[315, 140, 30, 80]])
-    assert rates.max() == pytest.approx((29 - CHANCE) / (SINCE + 70), rel=0.3)
+    known = beliefs[69]["objects"].places
+    np.testing.assert_allclose(known.boxes, [[315, 140, 30, 80]])
+    assert known.rates == pytest.approx((29 - CHANCE) / (SINCE + 70), rel=0.3)
 
 
 def test_what_was_learned_is_forgotten() -> None:
