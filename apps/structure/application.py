@@ -332,9 +332,9 @@ def _note_on_dropped(result: Reconstruction, frames: Sequence[Frame]) -> list[st
         return []
     tracked = result.dropped + result.observed.sum(axis=1)
     mostly = [frame.number for frame, most in zip(frames, 2 * result.dropped > tracked, strict=True) if most]
-    where = f", more than half in {listed(mostly)}" if mostly else ""
-    share = result.dropped.sum() / tracked.sum()
-    return [f"No point explains {share:.0%} of the tracked positions{where}; they were dropped."]
+    where = f"; in {listed(mostly)} more than half" if mostly else ""
+    count = f"{result.dropped.sum()} of {tracked.sum()}"
+    return [f"{count} tracked positions were dropped, since no point explains them{where}."]
 
 
 def _notes(result: Reconstruction, diagnosis: Diagnosis | None, given: bool) -> list[str]:
