@@ -73,7 +73,7 @@ class BackgroundState:
     light: Planes  # (block_rows, block_columns): today's light relative to that of `mean`
     covered: Planes  # share of each block behind known objects
     sway: Planes  # how often its pixels show what is beside them, as leaves do
-    shade: Planes  # (2, *grid) shares of blocks; see `shade_in`
+    shade: Planes  # (3, *grid) shares of blocks; see `shade_in`
     candidate: NDArray[np.uint8]  # (n_pixels * channels,) colours that are neither background nor an object
     # (n_pixels,): how much of the settling time they have lasted; see `SecondColours`
     seen: NDArray[np.uint16]
@@ -174,7 +174,7 @@ class AdaptiveBackground:
             light=np.ones(grid, np.float32),
             covered=np.zeros(grid, np.float32),
             sway=np.zeros(grid, np.float32),
-            shade=np.zeros((2, *grid), np.float32),
+            shade=np.zeros((3, *grid), np.float32),
             candidate=np.zeros(image.size, np.uint8),
             seen=np.zeros(height * width, np.uint16),
             elapsed=0.0,

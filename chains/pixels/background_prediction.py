@@ -396,7 +396,7 @@ class BackgroundPrediction:
 
         def pool(first: int, end: int) -> None:
             top, bottom = max(first - HALO, 0), min(end + HALO, height)
-            band, of_band = slice(first * width, end * width), np.zeros((2, *self.shade.log_odds.shape), int)
+            band, of_band = slice(first * width, end * width), np.zeros((3, *self.shade.log_odds.shape), int)
             shaded = log_odds[top * width : bottom * width].copy()
             recall_shaded(
                 first, end, HALO, flat, self.pixels, light, self.model, self.shade, log_odds, shaded, of_band

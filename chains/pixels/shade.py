@@ -31,6 +31,8 @@ CHROMA_SURPRISE = 9.2  # squared distance over the variance that one in a hundre
 INDEPENDENT = 8.0  # of the places around: they are near each other
 DISTANCES = 0.006, 0.016, 0.028  # shares of the picture's longer side at which they lie, in eight directions
 
+CAST = 0.5  # of what looks like shade: something else has to be near, or it is a smooth dark object
+NO_SHADE = -20.0  # nats, where nothing is near that casts it
 UNUSUAL = 0.01  # share of shade in what is not the plain scene, before any was seen
 LITTLE = 0.001, 0.01  # share of the picture, and of a place, that has to be so for it to tell by itself
 SHADE_TIME = 10.0  # s for which it is remembered
@@ -47,17 +49,22 @@ class Shade(NamedTuple):
 def shade_in(seen: NDArray[np.float32], size: tuple[int, int]) -> Shade:
     """Return what is expected of a picture of `size` `(height, width)` px.
 
-    `seen` `(2, block_rows, block_columns)` are shares of blocks: of what is not the plain scene, and of
-    shade. A place is as the film, and the film as others are, as far as they were not seen themselves.
+    `seen` `(3, block_rows, block_columns)` are shares of blocks: of what is not the plain scene, of shade,
+    and of what looks like shade. A place is as the film, and the film as others are, as far as they were not
+    seen themselves. There is no shade where hardly anything is near that looks otherwise.
     """
     near = cv2.blur(seen.transpose(1, 2, 0), (3, 3)).transpose(2, 0, 1)
-    foreground, shade = np.maximum(near, 0)  # which running sums may miss by their rounding
+    foreground, shade, alike = np.maximum(near, 0)  # which running sums may miss by their rounding
     usual = (shade.mean() + UNUSUAL * LITTLE[0]) / (foreground.mean() + LITTLE[0])
     share = (shade + usual * LITTLE[1]) / (foreground + LITTLE[1])
     steps = [math.ceil(distance * max(size)) for distance in DISTANCES]
     eight = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x]
     around = np.array([(step * y, step * x) for step in steps for y, x in eight])
-    return Shade((np.log(share) - np.log1p(-share)).astype(np.float32), around)
+    others = foreground - alike
+    usual_others = others.mean() / (alike.mean() + LITTLE[0])
+    casts = (others + usual_others * LITTLE[1]) / (alike + LITTLE[1]) > CAST
+    log_odds = np.where(casts, np.log(share) - np.log1p(-share), NO_SHADE)
+    return Shade(log_odds.astype(np.float32), around)
 
 
 def update_shade(
@@ -65,7 +72,7 @@ def update_shade(
 ) -> NDArray[np.float32]:
     """Return the shares of blocks after a frame, `elapsed` s after the last; the first was `age` s ago.
 
-    `counts` `(2, block_rows, block_columns)` are those of `recall_shaded`.
+    `counts` `(3, block_rows, block_columns)` are those of `recall_shaded`.
     """
     now = counts * (counts[0].size / (COUNT_STEPS * size[0] * size[1]))
     share = 1 - math.exp(-elapsed / (min(age, SHADE_TIME) + 1))
@@ -111,8 +118,8 @@ def recall_shaded(first, end, halo, pixels, before, light_field, model, shade, l
     """Turn foreground of rows `first` to `end` that shade explains into background.
 
     That is in `shaded`, their log odds and those of `halo` rows on either side; `log_odds` are those of the
-    whole picture without shade. `counts` `(2, block_rows, block_columns)` get how many pixels of the rows are
-    not the plain scene, and the sum of their probabilities of shade, in `COUNT_STEPS`.
+    whole picture without shade. `counts` `(3, block_rows, block_columns)` get how many pixels of the rows are
+    not the plain scene, the sum of their probabilities of shade, and how many look like it, in `COUNT_STEPS`.
     """
     height, width = light_field.positions.size, light_field.rows.shape[1]
     (block_rows, block_columns), around = shade.log_odds.shape, shade.around
@@ -146,6 +153,7 @@ def recall_shaded(first, end, halo, pixels, before, light_field, model, shade, l
                         agree += 2
                     else:
                         agree -= 2
+                counts[2, block_row, block] += step if agree > 0 else 0
                 ratio = shade.log_odds[block_row, block] + evidence * _f4(agree) / _f4(asked)
                 counts[1, block_row, block] += int(_f4(step) * sigmoid(ratio))
                 ratio = min(ratio + model.label_odds, _f4(MOST_RECALLED))

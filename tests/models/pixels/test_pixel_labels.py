@@ -45,7 +45,7 @@ def background(channels=3, **changes):
         "second": SecondColours(np.zeros(n_pixels * channels, np.uint8), np.zeros(n_pixels, np.uint16)),
         "tolerance": 50.0,
         "sway": Sway(np.zeros((3, 4), np.float32), 3),
-        "shade": shade_in(np.zeros((2, 3, 4), np.float32), SIZE),
+        "shade": shade_in(np.zeros((3, 3, 4), np.float32), SIZE),
     }
     return BackgroundPrediction(**{**values, **changes})
 
