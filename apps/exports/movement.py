@@ -120,10 +120,10 @@ def _times(numbers: range, measured: NDArray[np.int64], times: Numbers, rate: fl
 
 
 def _body(run: FinishedRun) -> "xarray.Dataset":
-    poses = _read_poses(run, ("times", "joints_2d", "seen", "joint_names"))
+    poses = _read_poses(run, ("times", "joints_2d", "seen_probability", "joint_names"))
     joints = [str(name) for name in poses["joint_names"]]
     confidence = np.full(poses["joints_2d"].shape[:2], np.nan)
-    confidence[:, [joints.index(part) for part in PARTS]] = poses["seen"]
+    confidence[:, [joints.index(part) for part in PARTS]] = poses["seen_probability"]
     return _poses(run, poses["times"], poses["joints_2d"], confidence, joints)
 
 

@@ -389,7 +389,7 @@ def _contest_shade(unshaded, top, left, explained, log_odds):
         for x in range(max(left, 0), min(left + columns, unshaded.shape[1])):
             plain, odds = _f4(unshaded[y, x]) * _f4(1 / ODDS_STEPS), log_odds[y - top, x - left]
             if odds > plain:
-                contested = odds - logarithm(explained[y - top, x - left])
+                contested = odds - logarithm(max(explained[y - top, x - left], _f4(1)))
                 log_odds[y - top, x - left] = max(plain, contested)
 
 

@@ -115,6 +115,7 @@ class BackgroundState:
             mean=np.where(where, mean, fresh.mean),
             variance=np.where(where, variance, fresh.variance),
             noise=np.where(where, noise, fresh.noise),
+            shade=np.zeros_like(fresh.shade) + self.shade.mean(axis=(1, 2), keepdims=True),  # of the film
             age=self.age,
             frames=self.frames,
         )

@@ -50,7 +50,7 @@ def test_a_body_is_a_pose(body: Path, tmp_path: Path) -> None:
     assert Command("export")(body, "--to", "movement", "--out", tmp_path / "body.nc") == 0
     dataset = read(tmp_path / "body.nc")
     with np.load(body / "poses.npz") as poses:
-        joints, seen, times = poses["joints_2d"], poses["seen"], poses["times"]
+        joints, seen, times = poses["joints_2d"], poses["seen_probability"], poses["times"]
     assert dataset.attrs["ds_type"] == "poses"
     position = dataset["position"].transpose("time", "keypoint", "space", "individual")
     np.testing.assert_array_equal(position[..., 0], joints)
