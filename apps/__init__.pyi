@@ -1,11 +1,9 @@
 from .background.application import build_model
-from .trackers import (
-    BodyTracker,
-    FaceTracker,
-    ObjectTracker,
-    PointTracker,
-    TrackerState,
-)
+from .trackers.body import BodyTracker
+from .trackers.face import FaceTracker
+from .trackers.objects import ObjectTracker
+from .trackers.points import PointTracker
+from .trackers.tracker import TrackerState
 
 __all__ = [
     "BodyTracker",

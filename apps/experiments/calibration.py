@@ -34,7 +34,8 @@ from ..io.point_files import read_shapes
 from ..io.sources.open_source import open_source
 from ..scenes import cylinder, face, signer, sleeping_man, turntable
 from ..scenes.street import mottle
-from ..trackers import BodyTracker, FaceTracker
+from ..trackers.body import BodyTracker
+from ..trackers.face import FaceTracker
 from .datasets import data_folder
 from .experiment import Findings, Image, Plot, by_seed, noisy
 from .pets import AnnotatedFilm

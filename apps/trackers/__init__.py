@@ -1,4 +1,4 @@
-"""Trackers that are given one image after the other."""
+"""Trackers that are given one image after the other, of `rsmcm.apps`, and what they return."""
 
 import lazy_loader
 

@@ -1,17 +1,6 @@
-from .body import BodyTracker, TrackedBody
-from .face import FaceTracker, TrackedFace
-from .objects import Objects, ObjectTracker
-from .points import Points, PointTracker
-from .tracker import TrackerState
+from .body import TrackedBody
+from .face import TrackedFace
+from .objects import Objects
+from .points import Points
 
-__all__ = [
-    "BodyTracker",
-    "FaceTracker",
-    "ObjectTracker",
-    "Objects",
-    "PointTracker",
-    "Points",
-    "TrackedBody",
-    "TrackedFace",
-    "TrackerState",
-]
+__all__ = ["Objects", "Points", "TrackedBody", "TrackedFace"]
