@@ -132,7 +132,7 @@ def test_a_finished_run_is_resumed_by_doing_nothing(
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="one run in dozens that was killed has a page without its first frames")
+@pytest.mark.xfail(strict=False, reason="a page that rarely lacks its first frames")
 @pytest.mark.parametrize(
     ("name", "kills"), [("background", 13), ("structure", 13), ("face", 12), ("body", 12)]
 )
