@@ -231,8 +231,7 @@ SHOULDERS, ELBOWS, HANDS = (
 OF_ARMS = slice(ANGLES - 8, ANGLES)
 ROWS = {
     "joints_2d", "joints_2d_covariances", "joints_3d", "joints_3d_covariances", "angles", "angle_covariances",
-    "samples", "hypotheses", "hypothesis_joints", "seen", "seen_probability",
-    "relabelled",
+    "samples", "hypotheses", "hypothesis_joints", "seen", "seen_probability", "relabelled",
 }  # fmt: skip
 EXCHANGED_PARTS = [0, 2, 1]
 

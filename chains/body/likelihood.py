@@ -265,10 +265,8 @@ class ImageLikelihood:
         of a bare forearm shows as much skin as the hand.
         """
         joints = self.body.joints(poses)[:, :, :2]
-        parts, log_odds = (
-            joints[:, PART_JOINTS],
-            np.full((len(poses), 2), np.log(HAND_DETECTED / FALSE_HANDS)),
-        )
+        parts = joints[:, PART_JOINTS]
+        log_odds = np.full((len(poses), 2), np.log(HAND_DETECTED / FALSE_HANDS))
         if self.skin is not None:
             log_odds += self._skin_terms(self.skin, parts, poses.roots, joints[:, [3, 6]])[1]
             log_odds -= np.log1p(self.image.bare * np.exp(log_odds))

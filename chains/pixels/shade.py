@@ -85,10 +85,8 @@ def _find_gains(first, end, pixels, before, light_field, model, log_odds, gains)
     mean, channels, width = before.mean, before.mean.shape[0], light_field.rows.shape[1]
     spans = np.empty(width // SPAN + 1, np.int64)
     for y in range(first, end):
-        odds, out = (
-            log_odds[y * width : (y + 1) * width],
-            gains[(y - first) * width : (y - first + 1) * width],
-        )
+        odds = log_odds[y * width : (y + 1) * width]
+        out = gains[(y - first) * width : (y - first + 1) * width]
         upper, lower, below_share = light_beside(light_field, y)
         for span in range(foreground_spans(odds, spans)):
             for x in range(spans[span], min(spans[span] + SPAN, width)):
