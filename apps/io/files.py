@@ -93,9 +93,9 @@ class SegmentedVideo:
     """A video that survives the end of its process at any moment.
 
     Pictures go to a segment, `name.partNNNNNNNNN.suffix`, that is complete at each checkpoint and named by
-    its last frame. Closing joins the segments without encoding anew into the whole video. A resumed run drops
-    segments behind its frame. Segments stay until a run is finished, since --resume needs them. Time stamps
-    follow the frames' times in units of 1/rate, so that a picture missing in between does not shift others.
+    its last frame. Closing joins the segments without encoding anew into the whole video; they stay, since
+    a run that is resumed goes on with those that do not end behind its frame. Time stamps follow the frames'
+    times in units of 1/rate, so that a picture missing in between does not shift others.
     """
 
     def __init__(self, path: Path, rate: float, form: VideoForm, resume_after: int = 0) -> None:
@@ -140,11 +140,11 @@ class SegmentedVideo:
             self._unfinished.unlink(missing_ok=True)
             raise
 
-    def close(self, *, finished: bool) -> None:
-        """Write the whole video; when the run is finished, remove the segments."""
+    def close(self) -> None:
+        """Write the whole video."""
         self.checkpoint()
         with _naming(self._path):
-            join_segments(self._path, partial(_join, form=self._form), finished=finished)
+            join_segments(self._path, partial(_join, form=self._form))
 
     def _open(self, picture: NDArray[np.uint8], time: float) -> _Segment:
         height, width = picture.shape[:2]
@@ -220,21 +220,25 @@ def _join(segments: Sequence[Path], path: Path, form: VideoForm) -> None:
                 offset = end
 
 
+PART = ".part"
+"""In the names of segments, before the number of their last frame."""
+
+
 def segment_name(path: Path, last: int) -> Path:
     """Name of the segment of the file `path` whose last frame has that number."""
-    return path.with_name(f"{path.stem}.part{last:09d}{path.suffix}")
+    return path.with_name(f"{path.stem}{PART}{last:09d}{path.suffix}")
 
 
 def segments_of(path: Path, behind: int = 0) -> list[Path]:
     """The segments of the file `path` in order of time, of those that end behind a frame."""
     found = sorted(path.parent.glob(segment_pattern(path.name)))
-    return [segment for segment in found if int(segment.stem.rpartition("part")[2]) > behind]
+    return [segment for segment in found if int(segment.stem.rpartition(PART)[2]) > behind]
 
 
 def segment_pattern(name: str) -> str:
     """What the segments of a file are called, as a pattern of `glob`."""
     path = Path(name)
-    return f"{path.stem}.part[0-9]*{path.suffix}"
+    return f"{path.stem}{PART}[0-9]*{path.suffix}"
 
 
 def drop_segments(path: Path, behind: int = 0) -> None:
@@ -243,14 +247,12 @@ def drop_segments(path: Path, behind: int = 0) -> None:
         segment.unlink()
 
 
-def join_segments(path: Path, join: Callable[[Sequence[Path], Path], None], *, finished: bool) -> None:
-    """Write the whole file, by what joins its segments, if any; when the run is finished, remove them."""
+def join_segments(path: Path, join: Callable[[Sequence[Path], Path], None]) -> None:
+    """Write the whole file, by what joins its segments, if any."""
     segments = segments_of(path)
     if segments:
         with write_atomically(path) as unfinished:
             join(segments, unfinished)
-    if finished:
-        drop_segments(path)
 
 
 class Worker:
@@ -369,13 +371,13 @@ class MaskWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, *_: object) -> None:
         try:
             if self._worker is not None:
                 self._worker.stop()
         finally:
             if self._video is not None:
-                self._video.close(finished=kind is None)
+                self._video.close()
 
     def write(self, mask: NDArray[np.uint8], number: int, time: float) -> None:
         """Write the mask `(height, width)` of a frame; it is copied, encoding happens in a thread."""

@@ -17,7 +17,7 @@ from ...models.files import naming, write_atomically, write_text
 Values = Mapping[str, Any]
 """By the names of columns, what a frame or its objects have there."""
 
-ROWS = "rows"
+COLUMNS = "rows"
 """Folder of the columns, as long as a run is not finished."""
 
 HEADER = 256
@@ -207,11 +207,6 @@ class RowLog:
         of_frames = {name: self[of] if isinstance(of, str) else of for name, of in columns.items()}
         with write_atomically(path) as unfinished:
             np.savez(unfinished, allow_pickle=False, **constants, **of_frames)
-
-    def remove(self) -> None:
-        """Remove the files of a finished run."""
-        self.__exit__()
-        remove_rows(self._folder)
 
     def _path(self, kind: str, name: str) -> Path:
         return self._folder / f"{kind}.{name}.npy"

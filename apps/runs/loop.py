@@ -23,7 +23,7 @@ from ...models.core.frame import Frame
 from ...models.numerics.threads import thread_count
 from ..io.files import segments_of, write_json
 from ..io.film import SeenFrames
-from ..io.row_log import ROWS, RowLog, Values, remove_rows
+from ..io.row_log import COLUMNS, RowLog, Values
 from ..io.sources.open_source import Source, describe, open_source
 from ..options.job import FilmJob, read_address
 from ..view.film import ROWS as FILM_ROWS
@@ -389,12 +389,12 @@ class _FilmRun:
             session.fingerprint = source.fingerprint()
             if job.resume and source.live:
                 raise ValueError(f"--resume: {source.name} is live and cannot be read again")
+            session.live = source.live
             if source.live:
                 session.resume_hint = f"--from {job.out / STATE} starts with its state"
             if saved is not None:
                 check_source(saved.about, session.fingerprint)
                 if saved.about["finished"]:
-                    remove_rows(job.out / ROWS)  # a run may have been killed while it removed them
                     summary = saved.about["finished"]
                     return session.outcome(summary, application.in_words(summary))
                 session.earlier_seconds = saved.about["seconds"]
@@ -406,10 +406,10 @@ class _FilmRun:
             blank_is_missing = application.blank_is_missing
             self._start = Start(job, source, session, saved, learned, blank_is_missing)
             self._engine = application.build(self._start)
-            session.begin_results([*application.files, f"{ROWS}/*.npy"])
+            session.begin_results([*application.files, f"{COLUMNS}/*.npy"])
             if self._live is not None:
                 self._live.begin(application.title(source.name), source.n_frames, lambda: source.stream)
-            with RowLog(job.out / ROWS, self._engine.state.number) as log:
+            with RowLog(job.out / COLUMNS, self._engine.state.number) as log:
                 with suppress(_EndedEarlyError):
                     self._answer_all(log)
                 if session.interruption.signal is not None and not len(log):
@@ -420,10 +420,10 @@ class _FilmRun:
                 write_json(job.out / "summary.json", summary)
                 if not session.ended_early:
                     self._save(finished=summary)
-                    log.remove()
+        outcome = session.outcome(summary, application.in_words(summary))
         if self._start.seen.error is not None:
             raise self._start.seen.error
-        return session.outcome(summary, application.in_words(summary))
+        return outcome
 
     def _answer_all(self, log: RowLog) -> None:
         """Take in frame after frame, and have all sinks write what is answered."""

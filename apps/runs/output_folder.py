@@ -14,7 +14,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from ...models.files import UNFINISHED, naming
-from ..io.files import write_json
+from ..io.files import PART, write_json
 from .saved_run import STATE
 
 MANIFEST = "manifest.json"
@@ -74,6 +74,11 @@ class OutputFolder:
         earlier = _listed(self.path)
         self._refuse_foreign(names, earlier)
         self._write_manifest(list(dict.fromkeys([*earlier, *names])))
+
+    def drop_segments(self) -> None:
+        """Remove the segments of files that are whole now."""
+        for path in self.existing([name for name in _listed(self.path) if PART in name]):
+            path.unlink()
 
     def end(self) -> None:
         """From here on only files that were really written are known as results."""

@@ -14,6 +14,7 @@ from numba.core import event
 from tqdm import tqdm
 
 from ..io.files import segment_pattern
+from ..io.row_log import COLUMNS, remove_rows
 from ..options.job import Job
 from ..view.film import FILM, ROWS
 from ..view.page import VIEW
@@ -74,6 +75,8 @@ class Session:
         of wall time, before the run was resumed.
     ended_early
         whether something else than the end of its source has ended it.
+    live
+        whether its source cannot be read again.
     """
 
     def __init__(self, application: str, job: Job, settings: dict[str, Any]) -> None:
@@ -81,7 +84,7 @@ class Session:
         self.interruption = Interruption()
         self.fingerprint: dict[str, Any] = {}
         self.notes: list[str] = []
-        self.saved = self.ended_early = False
+        self.saved = self.ended_early = self.live = False
         self.resume_hint = f"--resume continues {job.out}"
         self.earlier_seconds = 0.0
         self._started = time.perf_counter()
@@ -141,7 +144,10 @@ class Session:
         }
 
     def outcome(self, summary: dict[str, Any], words: Sequence[str]) -> Outcome:
-        """How the run has ended, in a few words."""
+        """How the run has ended, in a few words; if none can go on with it, what that needs is removed."""
+        if self.live or not self.ended_early:
+            self._folder.drop_segments()
+            remove_rows(self.job.out / COLUMNS)
         return Outcome(summary, self.interruption.signal if self.ended_early else None, words)
 
     def seconds(self) -> float:

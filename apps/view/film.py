@@ -62,13 +62,13 @@ class FilmWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, *_: object) -> None:
         try:
             self._worker.stop()
         finally:
             self._cut()
-            self._video.close(finished=kind is None)
-            join_segments(self._rows, _join, finished=kind is None)
+            self._video.close()
+            join_segments(self._rows, _join)
 
     def add(self, frame: Frame, view_row: Callable[[], Row]) -> None:
         """Append a frame, which must not change any more; `view_row` is called in a thread.

@@ -492,12 +492,12 @@ class OverlayVideo:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, *_: object) -> None:
         try:
             self._worker.stop()
         finally:
             if self._video is not None:
-                self._video.close(finished=kind is None)
+                self._video.close()
 
     def checkpoint(self) -> None:
         """Return when everything is on disk and readable."""

@@ -7,6 +7,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 from rsmcm.apps.background.page import view_row_of
+from rsmcm.apps.io.files import PART
 from rsmcm.apps.io.tracks import TrackedBox
 from rsmcm.apps.view.overlay import OverlayVideo, TracksOverlay
 from rsmcm.models.core.frame import Frame
@@ -44,6 +45,11 @@ def read_video(path: Path) -> tuple[list[NDArray[np.uint8]], list[float]]:
 
 def names(folder: Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+def joined_names(folder: Path) -> set[str]:
+    """Without those of segments."""
+    return {name for name in names(folder) if PART not in name}
 
 
 def overlay_of(path: Path, resume_after: int = 0) -> OverlayVideo:

@@ -27,4 +27,4 @@ def write_film(folder: Path, scene: Scene) -> None:
             film.write(frame.image, frame.number, frame.time)
             boxes = scene.boxes(frame.number - 1)
             truth.write(frame.number, [TrackedBox(box.identity, box.box) for box in boxes])
-    film.close(finished=True)
+    film.close()

@@ -38,7 +38,7 @@ def film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         mot += f"{number},-1,{x + 1},{y + 1},{SIDE},{SIDE},40,-1,-1,-1\n"
         csv += f"{number},{x},{y},{SIDE},{SIDE},0.9,{'car' if number % 2 else 'truck'}\n"
         results.append({"image_id": number, "category_id": 1, "bbox": [x, y, SIDE, SIDE], "score": 0.8})
-    video.close(finished=True)
+    video.close()
     Path("det.txt").write_text(mot)
     Path("found.csv").write_text(csv)
     Path("results.json").write_text(json.dumps(results))

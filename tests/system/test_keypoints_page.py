@@ -49,7 +49,7 @@ def film(scene: SignerScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     video = SegmentedVideo(Path("film.mp4"), 25.0, PLAYABLE)
     for number, image in enumerate(scene.images(), start=1):
         video.write(image, number, (number - 1) / 25)
-    video.close(finished=True)
+    video.close()
     Path("network.onnx").write_bytes(steady_person(in_network(scene), 640))
     return tmp_path
 

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from rsmcm.apps.io.tracks import read_tracks
 from rsmcm.apps.runs.interruption import Interruption
+from rsmcm.apps.runs.session import Session
 
 from ..support.films import results, stamps
 from ..support.small_runs import N_FRAMES, SmallRun, small_run
@@ -25,6 +26,10 @@ from ..support.small_runs import N_FRAMES, SmallRun, small_run
 TIMES = {"seconds", "frames_per_second", "frames_per_second_of_engine"}
 
 OTHERS = [pytest.param(name, marks=pytest.mark.slow) for name in ("structure", "face", "body")]
+
+
+class Killed(BaseException):
+    """Nothing that a command would catch."""
 
 
 @pytest.fixture(scope="module")
@@ -131,8 +136,31 @@ def test_a_finished_run_is_resumed_by_doing_nothing(
     assert {path: after[path] for path in before} == before
 
 
+@pytest.mark.parametrize("name", ["background", *OTHERS])
+def test_killed_between_its_last_file_and_its_last_state(
+    name: str,
+    small: Callable[[str], SmallRun],
+    whole: Callable[[str], Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    application, out = small(name), tmp_path / "out"
+
+    def killed_when_finished(self: Session, finished: Any) -> dict[str, Any]:
+        if finished:
+            raise Killed
+        return about(self, finished)
+
+    about = Session.about
+    with monkeypatch.context() as patch:
+        patch.setattr(Session, "about", killed_when_finished)
+        with pytest.raises(Killed):
+            application.run(out)
+    assert application.run(out, "--resume") == 0
+    assert_same(out, whole(name))
+
+
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="a page that rarely lacks its first frames")
 @pytest.mark.parametrize(
     ("name", "kills"), [("background", 13), ("structure", 13), ("face", 12), ("body", 12)]
 )

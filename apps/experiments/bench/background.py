@@ -73,7 +73,7 @@ def write_film(path: Path, images: Iterable[Image], rate: float) -> Path:
     film = SegmentedVideo(path, rate, PLAYABLE)
     for number, image in enumerate(images, start=1):
         film.write(image, number, (number - 1) / rate)
-    film.close(finished=True)
+    film.close()
     return path
 
 

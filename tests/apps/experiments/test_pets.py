@@ -140,7 +140,7 @@ def test_pets_on_a_small_film(
     for frame in sleeping_man(N_FRAMES, size=(128, 96), enter=0):
         assert frame.image is not None
         video.write(frame.image, frame.number, frame.time)
-    video.close(finished=True)
+    video.close()
     monkeypatch.setenv("RSMCM_DATA", str(tmp_path))
     run_experiment("pets", tmp_path / "out")
     printed = capsys.readouterr().out

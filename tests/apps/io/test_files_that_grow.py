@@ -14,7 +14,7 @@ def test_pictures_keep_their_time_over_gaps(tmp_path: Path) -> None:
     video = SegmentedVideo(tmp_path / "a.mkv", 10, LOSSLESS_GRAY)
     for number, moment in enumerate(times, start=1):
         video.write(mask(number), number, moment)
-    video.close(finished=True)
+    video.close()
     np.testing.assert_allclose(
         read_video(tmp_path / "a.mkv")[1], [0.0, 0.1, 0.2, 0.7, 0.8, 0.9, 1.3], atol=2e-3
     )
@@ -41,4 +41,4 @@ def test_interrupted_run_leaves_a_readable_video_and_resumes(tmp_path: Path) -> 
     np.testing.assert_allclose(times, np.arange(30) / 10, atol=1e-6)
     for number, picture in enumerate(pictures, start=1):
         assert abs(float(np.median(picture[44:, 30:])) - (20 + 5 * number)) < 25
-    assert names(tmp_path) == {"overlay.mp4"}
+    assert names(tmp_path) == {"overlay.mp4", *(f"overlay.part{last:09d}.mp4" for last in (10, 20, 30))}

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from rsmcm.apps.io.row_log import remove_rows
 from rsmcm.apps.runs import RowLog
 
 
@@ -76,7 +77,7 @@ def test_columns_can_be_looked_at_while_the_run_goes_on(tmp_path: Path) -> None:
         log.append(row(4), objects(4))
         assert np.load(tmp_path / "rows" / "frame.time.npy").tolist() == [1 / 25, 2 / 25, 3 / 25]
         assert log["time"].tolist() == [1 / 25, 2 / 25, 3 / 25, 4 / 25]
-        log.remove()
+    remove_rows(tmp_path / "rows")
     assert not (tmp_path / "rows").exists()
 
 

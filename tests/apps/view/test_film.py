@@ -12,7 +12,7 @@ from rsmcm.apps.view import film as module
 from rsmcm.apps.view.film import FILM, LONGEST_SIDE, ROWS, FilmWriter, read_film
 from rsmcm.models.core.frame import Frame
 
-from ...support.film import HEIGHT, WIDTH, frame, names, read_video
+from ...support.film import HEIGHT, WIDTH, frame, joined_names, read_video
 
 EVERY = 10
 
@@ -49,7 +49,7 @@ def test_every_picture_has_its_moment_and_its_row(tmp_path: Path) -> None:
     for number in film.numbers:
         here = film.columns["box"][starts[number - 1] : starts[number]]
         np.testing.assert_array_equal(here, row(number)["box"])
-    assert names(tmp_path) == {FILM, ROWS}
+    assert joined_names(tmp_path) == {FILM, ROWS}
 
 
 @pytest.mark.parametrize("killed", [3, 11, 17, 24])
@@ -64,8 +64,8 @@ def test_a_killed_run_goes_on_to_the_same_rows(
     write(again, range(1, 26), kill_at=killed)
     saved = (killed - 1) // EVERY * EVERY
     write(again, range(saved + 1, 26), after=saved)
-    assert names(again) == names(whole)
-    for name in names(whole):
+    assert joined_names(again) == joined_names(whole)
+    for name in joined_names(whole):
         assert (again / name).read_bytes() == (whole / name).read_bytes()
 
 
