@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.checks import checked
-from ...models.core.frame import Frame, GivenBoxes
+from ...models.core.frame import LARGEST_SCORE, Frame, GivenBoxes
 from ...models.core.short_repr import short_repr
 from ..options.complaints import meant
 from .point_files import MAX_COORDINATE
@@ -288,8 +288,8 @@ def _table(
             raise row.wrong(f"a box of {right - left:g} x {bottom - top:g} px", "a width and height above 0")
         if not (min(left, top) >= -MAX_COORDINATE and max(right, bottom) <= MAX_COORDINATE):
             raise row.wrong(f"a box at {left:g}, {top:g}", f"px up to {MAX_COORDINATE:g}")
-        if score is not None and not abs(score) < np.inf:
-            raise row.wrong(f"a score of {score:g}", "a finite one")
+        if score is not None and not abs(score) <= LARGEST_SCORE:
+            raise row.wrong(f"a score of {score:g}", f"one up to {LARGEST_SCORE:g}")
         unit = row.unit
         frame.append(number)
         place.append(row.place)

@@ -115,12 +115,13 @@ def _grow(table: NDArray[np.void], found: NDArray[np.intp], dt: float) -> None:
     reach = GROWTH_TIME * (1 - kept)  # s
     growth, spread = table["growth"][found], table["growth_covariance"][found]
     sides, own, both = table["box_mean"][found, WIDTH:], spread[:, :1], spread[:, 1:]
-    times, added = (
-        np.exp(reach * growth)[:, None],
-        force * GROWTH_TIME * (2 * dt - 2 * reach - reach**2 / GROWTH_TIME),
-    )
+    added = force * GROWTH_TIME * (2 * dt - 2 * reach - reach**2 / GROWTH_TIME)
     unsure = table["box_variance"][found, WIDTH:] + sides**2 * (2 * reach * both + reach**2 * own + added)
-    table["box_variance"][found, WIDTH:], table["box_mean"][found, WIDTH:] = times**2 * unsure, times * sides
+    larger = np.exp(reach * growth)[:, None]
+    table["box_variance"][found, WIDTH:], table["box_mean"][found, WIDTH:] = (
+        larger**2 * unsure,
+        larger * sides,
+    )
     table["growth"][found] = kept * growth
     both = kept * (both + reach * own) + force * reach**2 / GROWTH_TIME
     table["growth_covariance"][found] = np.hstack([kept**2 * own + force * (1 - kept**2), both])

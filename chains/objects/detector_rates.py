@@ -74,9 +74,9 @@ class ScoreMoments:
         weight = self.weights.sum()
         if weight <= 0:
             return None
-        mean = self.total / weight
-        variance = self.squares / weight - mean**2
-        if not variance > 1e-9 * (1 + mean**2):
+        mean, square = self.total / weight, self.squares / weight
+        variance = square - mean**2
+        if not variance > 1e-9 * square:  # but for rounding
             return None
         share = (self.weights[0] + ASSUMED * TRUE) / (weight + ASSUMED)
         within = np.sqrt(variance / (1 + share * (1 - share) * APART**2))

@@ -22,6 +22,8 @@ centres, the neck is between the shoulders."""
 LARGEST_COORDINATE = 1e6
 """px: far beyond any image, so that a box that large is an error."""
 
+LARGEST_SCORE = 1e100  # of a detector, whose square is a finite number, too
+
 EYES, EARS, NOSE = ("left_eye", "right_eye"), ("left_ear", "right_ear"), "nose"
 
 POINTS = (*KEYPOINTS, NOSE, *EYES, *EARS)
@@ -265,8 +267,8 @@ class GivenBoxes:
     Raises
     ------
     ValueError
-        if the shapes do not fit, a number is not finite or beyond 10^6 px, or a box is not wider and higher
-        than 0.
+        if the shapes do not fit, a number is not finite or beyond 10^6 px (scores: 10^100), or a box is not
+        wider and higher than 0.
     """
 
     xyxy: Annotated[NDArray[np.float64], Shape("n", 4, finite=False)]
@@ -282,8 +284,10 @@ class GivenBoxes:
                     f"boxes: got {left:g}, {top:g}, {right:g}, {bottom:g} as box {number}, "
                     f"expected left < right and top < bottom, up to {LARGEST_COORDINATE:g} px"
                 )
-        if self.confidence is not None and not np.isfinite(self.confidence).all():
-            raise ValueError("boxes: got a confidence that is not finite, expected finite ones")
+        if self.confidence is not None and not (np.abs(self.confidence) <= LARGEST_SCORE).all():
+            raise ValueError(
+                f"boxes: got a confidence beyond {LARGEST_SCORE:g}, or NaN, expected finite ones"
+            )
 
     @classmethod
     def of(cls, result: Any) -> Self:

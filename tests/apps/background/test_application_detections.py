@@ -1,6 +1,6 @@
 """Detections in a run: for the right frames, in all results, and refused in one line where they cannot be."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -73,6 +73,34 @@ def test_all_results_tell_of_them(scene: Path, tmp_path: Path) -> None:
     assert "frames with a detector" in (tmp_path / "view.html").read_text()
 
 
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (lambda lines: lines, lambda lines: lines[12:] + lines[:12]),  # frames in any order
+        (lambda lines: lines, lambda lines: [*lines, *lines]),  # twice
+        (
+            lambda lines: [line.rpartition(",")[0] for line in lines],
+            lambda lines: [line.rpartition(",")[0] + ",7" for line in lines],  # constant scores
+        ),
+    ],
+)
+def test_files_that_say_the_same_give_the_same_tracks(
+    one: Callable[[list[str]], list[str]],
+    other: Callable[[list[str]], list[str]],
+    scene: Path,
+    tmp_path: Path,
+) -> None:
+    rows = [line.split(",") for line in (scene / "found.csv").read_text().splitlines()[1:]]
+    lines = [f"{frame},-1,{','.join(box)},{score}" for frame, *box, score, _ in rows]
+    tracks = []
+    for out, form in ((tmp_path / "one", one), (tmp_path / "other", other)):
+        (tmp_path / "det.txt").write_text("\n".join(form(lines)))
+        job = replace(job_of(scene, out), detections=tmp_path / "det.txt", classes=())
+        run_background(job)
+        tracks.append((out / "tracks.txt").read_text())
+    assert tracks[0] == tracks[1] != ""
+
+
 def test_a_run_goes_on_only_with_the_same_detections(scene: Path, tmp_path: Path) -> None:
     other = tmp_path / "found.csv"
     content = (scene / "found.csv").read_text()
@@ -120,6 +148,12 @@ def test_every_engine_is_given_them_in_every_pass(
     ("content", "arguments", "complaint"),
     [
         ("13,1,1,5,5,1,car", (), "line 2: got frame 13, but"),
+        ("0,1,1,5,5,1,car", (), "line 2: got frame 0, expected"),
+        ("1,nan,1,5,5,1,car", (), "line 2: got left 'nan', expected"),
+        ("1,1,1,5,-5,1,car", (), "line 2: got a box of 5 x -5 px, expected"),
+        ("1,1,1,5,5,nan,car", (), "line 2: got confidence 'nan', expected"),
+        ("1,1,1,5,5,1e200,car", (), "line 2: got a score of 1e+200, expected"),
+        ("1,1,1,5,5,1,car\n2,150,1,9,9,1,car", (), "line 3: got a box from 150, 1, 159, 10"),
         ("1,1,1,5,5,1,car", ("--classes", "dog"), "--classes: got 'dog', but"),
         ("1,1,1,5,5,1,car", ("--engine", "stand-alone"), "--detections and --engine stand-alone: got both"),
     ],

@@ -126,6 +126,24 @@ def test_sides_grow_as_a_dense_filter_says() -> None:
     np.testing.assert_allclose(blob.box_variance[2:] / blob.box_mean[2:] ** 2, covariance[0, 0], rtol=0.05)
 
 
+def test_sides_that_grow_fast_are_as_unsure_as_many_draws_of_them() -> None:
+    """Growth by a half in a second, against draws of the process in short steps; their variance errs by 1 %."""
+    blob = blob_at(0.0, 0.0).changed(growth=0.4, growth_covariance=(0.002, 0.001, 0.001))
+    blob = blob.changed(box_variance=(4, 4, 0.004 * 20**2, 0.004 * 30**2))
+    (after,) = detections.predict(Blobs.of([blob], 3), 1.0, 0.9, True)
+    random, n_steps = np.random.default_rng(0), 100
+    start = [[0.004 + detections.SIDE_WALK_STD**2, 0.001], [0.001, 0.002]]
+    log_side, growth = random.multivariate_normal([0.0, 0.4], start, 20_000).T
+    kept = np.exp(-1 / n_steps / detections.GROWTH_TIME)
+    for _ in range(n_steps):
+        force = np.sqrt(1 - kept**2) * detections.GROWTH_STD * random.standard_normal(len(growth))
+        log_side, growth = log_side + growth / n_steps, kept * growth + force
+    np.testing.assert_allclose(after.box_mean[2:], np.exp(log_side.mean()) * np.array([20, 30]), rtol=0.005)
+    np.testing.assert_allclose(after.box_variance[2:] / after.box_mean[2:] ** 2, log_side.var(), rtol=0.05)
+    both = np.cov(log_side, growth)[0, 1]
+    np.testing.assert_allclose(after.growth_covariance[1:], both, rtol=0.1)
+
+
 def test_somebody_new_has_the_outline_that_the_detector_gives() -> None:
     box, noise = np.array([60.0, 90.0, 20.0, 40.0]), np.array([6.0, 6.0, 10.0, 12.0])
     picture = np.zeros((1, 120, 160), bool)

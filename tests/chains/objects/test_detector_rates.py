@@ -95,9 +95,10 @@ def test_what_was_learned_is_forgotten() -> None:
     assert later == pytest.approx(chain.detection_probability, abs=1e-3)
 
 
-def test_scores_are_apart_whatever_is_taken_for_true() -> None:
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_scores_are_apart_whatever_is_taken_for_true(scale: float) -> None:
     """The mixture of both has the moments of all scores, and what is taken for true does not move them."""
-    scores = np.random.default_rng(3).normal(2, 0.5, 200)
+    scores = scale * np.random.default_rng(3).normal(2, 0.5, 200)
     found = ScoreMoments.empty().updated(scores, np.full(200, 0.5)).distributions()
     assert found is not None
     assert (found.true - found.false) / found.deviation == pytest.approx(APART)

@@ -22,7 +22,7 @@ def test_a_frame_of_boxes_alone_is_not_missing() -> None:
         (np.array([[0.0, 0, 5, 5], [5, 5, 5, 9]]), None, "as box 1"),
         (np.array([[0.0, 0, np.nan, 5]]), None, "as box 0"),
         (np.array([[0.0, 0, 5, 5]]), np.ones(2), r"confidence: got shape \(2,\)"),
-        (np.array([[0.0, 0, 5, 5]]), np.array([np.nan]), "confidence that is not finite"),
+        (np.array([[0.0, 0, 5, 5]]), np.array([np.nan]), "a confidence beyond"),
     ],
 )
 def test_boxes_that_cannot_be_are_refused_in_one_line(xyxy, confidence, complaint) -> None:
