@@ -127,7 +127,7 @@ def test_sides_grow_as_a_dense_filter_says() -> None:
 
 
 def test_sides_that_grow_fast_are_as_unsure_as_many_draws_of_them() -> None:
-    """Growth by a half in a second, against draws of the process in short steps; their variance errs by 1 %."""
+    """Growth by a half in a second, against draws of the process in steps; their variance errs by 1 %."""
     blob = blob_at(0.0, 0.0).changed(growth=0.4, growth_covariance=(0.002, 0.001, 0.001))
     blob = blob.changed(box_variance=(4, 4, 0.004 * 20**2, 0.004 * 30**2))
     (after,) = detections.predict(Blobs.of([blob], 3), 1.0, 0.9, True)
