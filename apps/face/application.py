@@ -187,7 +187,8 @@ class Face(Application[FaceJob]):
             n_before = len(frames) - len(trial)
             start.before += [each.number for each in frames[:n_before]]
             frames = frames[n_before:]
-        if not trial or (start.before and len(trial) < wanted):
+        interrupted = start.interruption.signal is not None
+        if not trial or (len(trial) < wanted and (start.before or interrupted)):
             if not trial and (self._given is not None or len(start.before) == len(start.blank)):
                 raise start.no_frame("holds only blank frames")
             raise start.no_frame("no face is found in it, expected one, or --landmarks")

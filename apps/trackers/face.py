@@ -1,7 +1,7 @@
 """Tracker of a face, given one image after the other."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -75,7 +75,6 @@ class FaceTracker(DetectingTracker[FaceStart, TrackedFace | None]):
     """
 
     start_type = FaceStart
-    _trial: tuple[int, list[FaceStart]]  # a face that is not sure yet, and the number of its last image
 
     @checked
     def __init__(
@@ -139,16 +138,14 @@ class FaceTracker(DetectingTracker[FaceStart, TrackedFace | None]):
             return start_from_landmarks(self._model, np.array(landmarks, np.float64))
         if box is None:
             faces = default_faces(self._detector, "box, landmarks, or a model file of YuNet as detector")
-            after, trial = self._trial
-            trial = trial if frame.number == after + 1 else []
+            trial = self._state.trial
             found = find_face(frame, faces, small=bool(trial) or frame.number % SMALL_EVERY == 1)
             trial = on_trial(trial, None if found is None else start_from_box(self._model, found))
-            self._trial = frame.number, trial
+            self._state = replace(self._state, trial=trial)
             return trial[-1] if len(trial) == CONFIRMING else None
         return start_from_box(self._model, size_of(box))
 
     def _build(self, start: FaceStart | None) -> RecursiveBP | None:
-        self._trial = 0, []
         if start is None:
             return None
         try:

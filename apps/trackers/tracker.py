@@ -11,9 +11,10 @@ increases; without it, images are evenly spaced.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import GenericAlias
 from typing import Annotated, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
@@ -47,11 +48,14 @@ class TrackerState(Generic[Start]):
         the tracked face or person; `None` for objects and points, and before the first detection.
     settings
         of the tracker: only one with the same settings can continue.
+    trial
+        faces found in the last images that still have to be confirmed, the latest last.
     """
 
     run: RunState
     start: Start | None
     settings: Mapping[str, Any]
+    trial: Sequence[Start] = ()
 
 
 class Tracker(ABC, Generic[Start, Result]):
@@ -97,7 +101,12 @@ class Tracker(ABC, Generic[Start, Result]):
     def save(self, path: str | Path) -> None:
         """Write the state to an `.npz` file, whole or not at all."""
         state = self._state
-        values = {"settings": dict(state.settings), "start": state.start, "run": state.run.saved()}
+        values = {
+            "settings": dict(state.settings),
+            "start": state.start,
+            "trial": state.trial,
+            "run": state.run.saved(),
+        }
         checkpoint.save(path, values, self._kinds())
 
     def load(self, path: str | Path) -> None:
@@ -107,7 +116,8 @@ class Tracker(ABC, Generic[Start, Result]):
         try:
             if isinstance(settings, dict) and settings.get("tracker") == type(self).__name__:
                 values = checkpoint.load(contents, self._kinds())
-                self.state = TrackerState(RunState.restored(values["run"]), values["start"], settings)
+                values["run"] = RunState.restored(values["run"])
+                self.state = TrackerState(**values)
             else:
                 self.state = TrackerState(RunState(), None, settings if isinstance(settings, dict) else {})
         except ValueError as error:
@@ -128,6 +138,7 @@ class Tracker(ABC, Generic[Start, Result]):
         return {
             "settings": dict[str, Any],
             "start": self.start_type | None,
+            "trial": GenericAlias(tuple, (self.start_type, ...)),
             "run": RunState.kinds(self._chains()),
         }
 
@@ -170,10 +181,12 @@ class DetectingTracker(Tracker[Start, Result]):
             start = None if frame.image is None else find(frame)
             shape = self._state.run.shape if frame.image is None else frame.image.shape
             if start is None:
-                self._state = replace(self._state, run=RunState({}, frame.number, frame.time, shape))
+                trial = () if frame.image is None else self._state.trial
+                run = RunState({}, frame.number, frame.time, shape)
+                self._state = replace(self._state, run=run, trial=trial)
                 return False
             self._engine = self._build(start)
-            self._state = replace(self._state, start=start)
+            self._state = replace(self._state, start=start, trial=())
         return True
 
 

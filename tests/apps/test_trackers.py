@@ -11,6 +11,7 @@ from rsmcm.apps import BodyTracker, FaceTracker, ObjectTracker, PointTracker
 from rsmcm.apps.background.application import build_model
 from rsmcm.apps.scenes import face, signer, sleeping_man, turntable
 from rsmcm.apps.trackers import body
+from rsmcm.apps.trackers import face as trackers_face
 from rsmcm.chains import ArticulatedPose, FleshTracker, GFlow, RecursiveStructure
 from rsmcm.chains import PointTracker as PointChain
 from rsmcm.chains.body.start import start_from_head
@@ -192,6 +193,27 @@ def test_until_there_is_a_face_or_a_person_there_is_no_result() -> None:
         with pytest.raises(ValueError, match="time"):
             tracker.update(IMAGE, time=0.0)
     assert len(ObjectTracker().update(None)) == len(PointTracker().update(None)) == 0
+
+
+def test_a_face_that_is_still_to_be_confirmed_is_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    detector = lambda frame: np.array([[50.0, 20.0, 60.0, 65.0]])  # noqa: E731
+    monkeypatch.setattr(trackers_face, "default_faces", lambda *_: detector)
+    images = [frame.image for frame in face(4, size=(160, 120))]
+    whole, resumed = FaceTracker(experts=4), FaceTracker(experts=4)
+    found = []
+    for number, image in enumerate(images):
+        found.append(whole.update(image))
+        assert (resumed.update(image) is None) == (found[-1] is None)
+        resumed.save(tmp_path / "state.npz")
+        resumed = FaceTracker(experts=4)
+        resumed.load(tmp_path / "state.npz")
+        whole.save(tmp_path / "whole.npz")
+        assert (tmp_path / "state.npz").read_bytes() == (tmp_path / "whole.npz").read_bytes(), number
+    assert [each is None for each in found] == [True, True, False, False]
+    whole.reset()
+    assert [whole.update(image) for image in (*images[:2], None, *images[:2])] == [None] * 5
 
 
 def test_a_face_that_a_second_look_does_not_confirm_is_nobody(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 """`rsmcm face`, as a user runs it: on rendered films of a face, and with what can be wrong about them."""
 
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.face import application
+from rsmcm.apps.face.application import run_face
+from rsmcm.apps.face.job import FaceJob
 from rsmcm.apps.face.page import FaceRecord, angles
+from rsmcm.apps.runs.interruption import Interrupted
 from rsmcm.apps.scenes import face
 from rsmcm.chains.face.recovery import WIDTH_OF_FACE
 from rsmcm.chains.face.start import start_from_box, start_from_landmarks
@@ -302,6 +306,21 @@ def test_started_by_a_detector(
     assert poses["landmarks"].shape == (N_FRAMES - 2, 0, 2)
     assert summary["error"] is None
     assert np.linalg.norm(poses["vertices_2d"] - scene.vertices[2:], axis=2).mean() < 4
+
+
+@pytest.mark.parametrize("after", [1, 2])
+def test_interrupted_before_a_face_is_sure(
+    after: int, film: Path, scene: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def detect(frame: Frame) -> NDArray[np.float64]:
+        if frame.number == after:
+            signal.raise_signal(signal.SIGINT)
+        return np.array([box_of(scene, frame.number - 1)])
+
+    monkeypatch.setattr(application, "default_faces", lambda *_: detect)
+    with pytest.raises(Interrupted, match="before there was any result"):
+        run_face(FaceJob(str(film), out=tmp_path / "out", experts=4))
+    assert not (tmp_path / "out" / "poses.npz").exists()
 
 
 def test_no_face_and_no_detector(
