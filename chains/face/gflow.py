@@ -30,7 +30,17 @@ from .background import (
 )
 from .experts import Particles, draw_samples, find_modes, log_likelihood, propagate, resample
 from .pose_terms import PoseDynamics, PoseEvidence, PosePrior, Silhouette, measured_points, predicted_points
-from .recovery import CHANCE, ROUNDING, Finder, Trust, align_to_detections, disperse, search_grid
+from .recovery import (
+    CHANCE,
+    CHANCE_ANYWHERE,
+    MEMORY,
+    ROUNDING,
+    Finder,
+    Trust,
+    align_to_detections,
+    disperse,
+    search_grid,
+)
 from .texture_filter import TexelNoise, Texture, explained_variance
 from .texture_likelihood import Level, TexturedObject, TextureLikelihood, image_pyramid
 
@@ -41,6 +51,14 @@ __all__ = ["GFlow", "GFlowState"]
 
 N_LEVELS = 3
 ONE_AT_MODE: Mapping[str, Any] = {"experts": 1, "covariance_scale": 0.0, "recover": False}
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """Pose and texture, one each, of a picture in which the object was seen without a doubt."""
+
+    pose: Poses
+    texture: Texture
 
 
 @short_repr
@@ -69,7 +87,10 @@ class GFlowState:
     background: ExpertBackground | None = None  # one an expert, where each has its own
     velocity: Array | None = None  # `(n_experts, dimension)` per second: from the last change of each pose
     visible: NDArray[np.bool_] | None = None  # `(n_experts, n_texels)`: texels not occluded by the object
-    previous_texture: Texture | None = None  # of the best expert before a trial
+    # of the best expert: the first, with which a lost object is searched for, was seen at least `MEMORY` s
+    # before the object was doubted, so that it shows nothing of what covers it
+    memories: tuple[Memory, ...] = ()
+    since_memory: float = 0.0  # s since the last of them
 
     @classmethod
     def first(cls, poses: Poses, texture: Texture, random: np.random.Generator) -> "GFlowState":
@@ -126,6 +147,7 @@ class Observation:
     visible: Mask  # `(n, n_texels)`: not occluded by the object itself
     inside: Mask  # `(n, n_texels)`: visible, and inside the picture
     fit: float  # as of `GFlowState`
+    area: float  # of the texture in view: number of texels times the squared size, px^2
 
 
 @checked
@@ -409,68 +431,70 @@ class GFlow(PickledByFields):
     ) -> tuple[Observation, GFlowState]:
         """Return the state after a picture in which the object was tracked; search it if the fit is low."""
         trust, elapsed = state.trust, state.elapsed
-        low = seen.fit < trust.least_fit
+        low = trust.evidence(seen.fit, seen.area) < trust.least_fit
         if not self.recover:
-            trust = trust.doubted(elapsed) if low else trust.confirmed(seen.fit, elapsed)
+            trust = trust.doubted(elapsed) if low else trust.confirmed(seen.fit, seen.area, elapsed)
             return seen, self._learn(state, seen, trust)
         if trust.trial:
             return self._continue_trial(state, seen, pyramid, image)
         if not low:
-            return seen, self._learn(state, seen, trust.confirmed(seen.fit, elapsed))
-        elsewhere = self._observe(state, *self._relocate(state, pyramid), pyramid)
-        if elsewhere.fit >= trust.return_fit:
+            return seen, self._learn(state, seen, trust.confirmed(seen.fit, seen.area, elapsed))
+        elsewhere, found = self._relocate(state, pyramid)
+        if found:
             return elsewhere, self._hold_texture(state, elsewhere, trust.reacquired(elapsed))
         if not self._is_confirmed(image, seen):
             return seen, self._hold_texture(state, seen, trust.doubted(elapsed))
-        if seen.fit < CHANCE:  # it is there, but looks like another
-            seen = replace(seen, texture=seen.texture.reset())
-        return seen, self._learn(state, seen, trust.confirmed(seen.fit, elapsed))
+        if seen.fit < CHANCE:  # it looks like another
+            return seen, self._begin_trial(state, seen, pyramid, seen.particles.poses[:1], matches=False)
+        return seen, self._learn(state, seen, trust.confirmed(seen.fit, seen.area, elapsed))
 
     def _search(
         self, state: GFlowState, pyramid: list[Level], image: NDArray[np.uint8]
     ) -> tuple[Observation, GFlowState]:
         """Return the state after a picture in which a lost object was searched for by texture and finder."""
-        trust, best, places = state.trust, int(state.log_weights.argmax()), None
+        trust, places = state.trust, None
         if self.finder is not None:
-            places = self.finder.find(image, state.last_reliable[best], trust.searches)
-        seen = self._observe(state, *self._relocate(state, pyramid, places), pyramid)
-        if seen.fit >= trust.return_fit:
+            places = self.finder.find(image, state.memories[0].pose, trust.searches)
+        seen, found = self._relocate(state, pyramid, places)
+        if found:
             return seen, self._hold_texture(state, seen, trust.reacquired(state.elapsed))
         if places is None or not len(places):
             return seen, self._return_to_last(state, seen)
-        matches = seen.fit >= CHANCE
+        matches = seen.fit >= CHANCE_ANYWHERE
+        best = int(seen.particles.log_weights.argmax())
+        chosen = seen.particles.poses[best] if matches else places[0]
+        return seen, self._begin_trial(state, seen, pyramid, chosen, matches=matches)
+
+    def _begin_trial(
+        self, state: GFlowState, seen: Observation, pyramid: list[Level], pose: Poses, *, matches: bool
+    ) -> GFlowState:
+        """Return the state in which an object that was detected in a pose, or another, has a new texture."""
         n = len(state.poses)
-        chosen = seen.particles.poses[int(seen.particles.log_weights.argmax())] if matches else places[0]
         begun = Particles(
-            chosen[np.zeros(n, np.int64)],
+            pose[np.zeros(n, np.int64)],
             np.full(n, -np.log(n)),
             np.zeros(n, np.int64),
             seen.particles.log_evidence,
             np.zeros_like(state.covariance),
         )
-        restarted = replace(
-            state, texture=state.texture.reset(), previous_texture=state.texture.of(np.array([best]))
-        )
+        restarted = replace(state, texture=state.texture.reset())
         first = self._observe(restarted, begun, self._visible_texels(begun.poses), pyramid)
-        return seen, replace(self._learn(restarted, first, trust.start_trial(matches=matches)), fit=seen.fit)
+        return replace(self._learn(restarted, first, state.trust.start_trial(matches=matches)), fit=seen.fit)
 
     def _continue_trial(
         self, state: GFlowState, seen: Observation, pyramid: list[Level], image: NDArray[np.uint8]
     ) -> tuple[Observation, GFlowState]:
         """Return the state after a picture with an object on trial, of which the old texture is the rival."""
         trust = state.trust
-        if state.previous_texture is not None:
-            every = np.zeros(len(state.poses), np.int64)
-            rival = replace(state, texture=state.previous_texture.of(every))
-            old = self._observe(rival, *self._relocate(rival, pyramid, seen.particles.poses[:1]), pyramid)
-            if old.fit >= trust.return_fit:
-                after = self._hold_texture(rival, old, trust.reacquired(state.elapsed))
-                return old, replace(after, previous_texture=None)
-        if seen.fit < trust.least_fit or not self._is_confirmed(image, seen):
+        old, found = self._relocate(state, pyramid, seen.particles.poses[:1])
+        if found:
+            return old, self._hold_texture(state, old, trust.reacquired(state.elapsed))
+        confirmed = seen.fit >= trust.least_fit and self._is_confirmed(image, seen)
+        tried = trust.continue_trial(seen.fit, state.elapsed, confirmed=confirmed)
+        if tried.lost and not tried.trial:
             return seen, self._return_to_last(state, seen)
-        tried = trust.continue_trial(seen.fit, state.elapsed)
-        after = self._learn(state, seen, tried)
-        return seen, after if tried.trial else replace(after, previous_texture=None)
+        known = state if tried.trial else replace(state, memories=())
+        return seen, self._learn(known, seen, tried)
 
     def _is_confirmed(self, image: NDArray[np.uint8], seen: Observation) -> bool:
         """Return whether the finder detects the object in the tracked pose."""
@@ -545,23 +569,22 @@ class GFlow(PickledByFields):
 
     def _relocate(
         self, state: GFlowState, pyramid: list[Level], detected: Poses | None = None
-    ) -> tuple[Particles, Mask]:
-        """Search with the best expert's texture all over the picture, and at `detected` poses."""
+    ) -> tuple[Observation, bool]:
+        """Search with the texture in memory all over the picture, and at `detected` poses; return the best
+        poses, and whether the object is there.
+        """
         n, best = len(state.poses), int(state.log_weights.argmax())
-        last = state.last_reliable[best]
-        best_only = replace(state, texture=state.texture.of(np.array([best])))
+        last, texture = state.memories[0].pose, state.memories[0].texture
         visible = self._visible_texels(last)
-        likelihood = self._likelihood(best_only, pyramid, visible)
+        likelihood = self._likelihood(replace(state, texture=texture), pyramid, visible)
         coarse = partial(likelihood.misfit, level=len(pyramid) - 1)
         size = pyramid[0].image.shape[0], pyramid[0].image.shape[1]
         places = search_grid(coarse, size, last, self.object.positions(last)[0].mean(axis=0), n)
         if detected is not None and len(detected):
             places = Poses.concatenated([places, align_to_detections(self.model, last, detected[:n])])
-        every = np.full(len(places), best)
+        every = np.zeros(len(places), np.int64)
         prior = PosePrior.after(places, self.dynamics, state.size, 1.0)
-        likelihood = self._likelihood(
-            replace(state, texture=state.texture.of(every)), pyramid, visible[0 * every]
-        )
+        likelihood = self._likelihood(replace(state, texture=texture.of(every)), pyramid, visible[every])
         modes = find_modes(likelihood, prior, places, self.effective_pixels, len(pyramid) - 1)
         modes = find_modes(likelihood, prior, modes.poses, self.effective_pixels, 1)
         likelihood = replace(likelihood, visible=self._visible_texels(modes.poses))
@@ -571,11 +594,13 @@ class GFlow(PickledByFields):
         particles = Particles(
             modes.poses[chosen],
             normalised(weights[chosen]),
-            every[chosen],
+            np.full(n, best),
             evidence,
             modes.covariance[chosen],
         )
-        return particles, likelihood.visible[chosen]
+        remembering = replace(state, texture=texture.of(every[:n]))
+        seen = self._observe(remembering, particles, likelihood.visible[chosen], pyramid)
+        return seen, state.trust.evidence(seen.fit, seen.area) >= state.trust.return_fit
 
     def _observe(
         self, state: GFlowState, particles: Particles, visible: Mask, pyramid: list[Level]
@@ -587,7 +612,9 @@ class GFlow(PickledByFields):
         if state.frames_seen or self.texture is not None:
             shares = explained_variance(observed, texture.mean, visible, inside)
             fit = float(np.exp(particles.log_weights) @ shares)
-        return Observation(particles, texture, observed, visible, inside, fit)
+        areas = visible.sum(axis=1) * particles.poses.sizes**2
+        area = float(np.exp(particles.log_weights) @ areas)
+        return Observation(particles, texture, observed, visible, inside, fit, area)
 
     def _learn(self, state: GFlowState, seen: Observation, trust: Trust) -> GFlowState:
         """Update poses, and textures given the poses (Table 2, III)."""
@@ -596,12 +623,20 @@ class GFlow(PickledByFields):
         if state.elapsed and not trust.doubt:
             velocity = particles.poses.changes_from(state.poses[particles.parents]) / state.elapsed
         texture = seen.texture.updated(seen.observed, seen.inside, self.noise, state.elapsed)
-        return replace(
+        after = replace(
             self._advance(state, seen, trust),
             texture=texture,
             last_reliable=state.last_reliable[particles.parents] if trust.doubt else particles.poses,
             velocity=velocity,
         )
+        if trust.doubt or trust.trial:
+            return after
+        since = state.since_memory + state.elapsed
+        if state.memories and since < MEMORY - ROUNDING:
+            return replace(after, since_memory=since)
+        best = np.array([after.log_weights.argmax()])
+        now = Memory(after.poses[best], after.texture.of(best))
+        return replace(after, memories=(*state.memories[-1:], now), since_memory=0.0)
 
     def _hold_texture(self, state: GFlowState, seen: Observation, trust: Trust) -> GFlowState:
         """Update poses only: the picture may not show the object."""
@@ -615,9 +650,7 @@ class GFlow(PickledByFields):
 
     def _return_to_last(self, state: GFlowState, seen: Observation) -> GFlowState:
         """Return to the last reliable poses and texture: nothing was found, or a trial has failed."""
-        texture = state.texture
-        if state.previous_texture is not None:
-            texture = state.previous_texture.of(np.zeros(len(state.poses), np.int64))
+        texture = state.memories[0].texture.of(np.zeros(len(state.poses), np.int64))
         trust = state.trust.doubted(state.elapsed)
         return replace(
             self._advance(state, seen, replace(trust, searches=trust.searches + 1)),
@@ -625,7 +658,6 @@ class GFlow(PickledByFields):
             visible=None,
             log_weights=state.log_weights,
             texture=texture,
-            previous_texture=None,
         )
 
     def _advance(self, state: GFlowState, seen: Observation, trust: Trust) -> GFlowState:

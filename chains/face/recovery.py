@@ -210,19 +210,20 @@ def poses_in_boxes(model: MorphableModel, boxes: Array) -> Poses:
 
 
 LEAST_SHARE = 0.5  # of the usual fit, below which the object is doubted
-RETURN_SHARE = 0.75  # of the usual fit, above which a lost object is found: higher, for many places are tried
 
 CHANCE, CHANCE_ANYWHERE = 0.2, 0.4
 """Least fits, whatever the usual one, of a tracked and of a found object. In films of other things the
-texture of a face explained less than 0.12 of the variance, also in the best of all places."""
+texture of a face explained less than 0.12 of the variance, also in the best of all places; on other faces up
+to 0.22."""
 
-MEMORY = 1.0  # s: time constant of the usual fit
+MEMORY = 1.0  # s: time constant of the usual fit and area; a lost object is searched for as it was before
 MAX_DOUBT_TIME = 0.1  # s of low fit after which the object is lost; one picture counts for half of it at most
 
-SHORTEST_TRIAL, TRIAL = 0.06, 0.2
-"""s for which a detected object has to be confirmed before it is tracked again: if the old texture fits
-better than by chance, and if it does not. Of 1200 pictures without a face four showed one, and one of these
-for more than three pictures."""
+SHORTEST_TRIAL, TRIAL = 0.06, 3.0
+"""s by which pictures that confirm a detected object have to outweigh the others before it is tracked again:
+if the old texture fits better than by chance, and if it does not, since it may be another that hides the
+object for a second or two. Of 1200 pictures without a face four showed one, and one of these for more than
+three pictures."""
 
 ROUNDING = 1e-6  # s: rounding of sums of frame times
 
@@ -233,6 +234,7 @@ class Trust:
     """Whether an object is tracked, doubted, lost, or on trial after a detection."""
 
     usual_fit: float = 1.0  # running mean of the fit without a doubt; 1 before the first picture
+    usual_area: float = 0.0  # the same of the area of the texture in view; 0 before the first picture
     doubt: float = 0.0  # s for which the fit has been too low
     trial: float = 0.0  # s for which a detected object must still be confirmed; 0 without a trial
     relocations: int = 0  # number of times that the object was lost and found again
@@ -251,12 +253,27 @@ class Trust:
     @property
     def return_fit(self) -> float:
         """Fit from which on an object found by its texture is accepted."""
-        return max(RETURN_SHARE * self.usual_fit, CHANCE_ANYWHERE)
+        return max(self.least_fit, CHANCE_ANYWHERE)
 
-    def confirmed(self, fit: float, elapsed: float) -> Self:
+    def evidence(self, fit: float, area: float) -> float:
+        """Return the fit with which the usual area would have the log likelihood that `area` has with `fit`.
+
+        log(1 - fit) is proportional to that of a pixel (see `GFlowState.fit`): what shrinks or turns aside,
+        until next to nothing of it is seen, explains little, however well.
+        """
+        seen = min(area / self.usual_area, 1.0) if self.usual_area else 1.0
+        return float(1 - (1 - fit) ** seen)
+
+    def confirmed(self, fit: float, area: float, elapsed: float) -> Self:
         """Update with a picture in which the object was tracked."""
         share = -float(np.expm1(-elapsed / MEMORY))
-        return replace(self, doubt=0.0, searches=0, usual_fit=self.usual_fit + share * (fit - self.usual_fit))
+        return replace(
+            self,
+            doubt=0.0,
+            searches=0,
+            usual_fit=self.usual_fit + share * (fit - self.usual_fit),
+            usual_area=self.usual_area + share * (area - self.usual_area) if self.usual_area else area,
+        )
 
     def doubted(self, elapsed: float) -> Self:
         """Update with a picture in which the fit was too low."""
@@ -270,11 +287,15 @@ class Trust:
 
     def start_trial(self, *, matches: bool) -> Self:
         """Start a trial of a detected object, a shorter one if the old texture `matches`."""
-        return replace(self, trial=SHORTEST_TRIAL if matches else TRIAL)
+        return replace(
+            self, doubt=max(self.doubt, MAX_DOUBT_TIME), trial=SHORTEST_TRIAL if matches else TRIAL
+        )
 
-    def continue_trial(self, fit: float, elapsed: float) -> "Trust":
-        """Update with a picture that confirmed an object on trial."""
-        left = self.trial - elapsed
+    def continue_trial(self, fit: float, elapsed: float, *, confirmed: bool) -> "Trust":
+        """Update with a picture that did or did not confirm an object on trial; 0 is left if it failed."""
+        left = self.trial - elapsed if confirmed else self.trial + elapsed
+        if left > TRIAL + ROUNDING:
+            return replace(self, trial=0.0)
         if left > ROUNDING:
             return replace(self, trial=left)
         return Trust(usual_fit=fit, relocations=self.relocations + 1)

@@ -52,9 +52,9 @@ def test_shares_of_the_motion_and_steps_aside() -> None:
 def test_usual_fit_is_that_of_the_last_second() -> None:
     trust = Trust()
     for _ in range(10):
-        trust = trust.confirmed(0.4, MEMORY / 10)
+        trust = trust.confirmed(0.4, 9.0, MEMORY / 10)
     assert trust.usual_fit == pytest.approx(0.4 + 0.6 * np.exp(-1))
-    half = Trust().confirmed(0.4, 0.3).confirmed(0.4, 0.7)
+    half = Trust().confirmed(0.4, 9.0, 0.3).confirmed(0.4, 9.0, 0.7)
     assert half.usual_fit == pytest.approx(trust.usual_fit), "it is the same at any rate"
     assert trust.doubted(0.04).usual_fit == trust.usual_fit, "what is doubted is not usual"
 
@@ -64,7 +64,17 @@ def test_what_is_too_little_depends_on_what_is_usual() -> None:
     assert Trust(usual_fit=0.6).least_fit < Trust(usual_fit=0.9).least_fit
     assert Trust(usual_fit=0.1).least_fit == CHANCE
     assert Trust(usual_fit=0.1).return_fit == CHANCE_ANYWHERE
-    assert Trust(usual_fit=0.9).return_fit > Trust(usual_fit=0.9).least_fit
+    assert Trust(usual_fit=0.9).return_fit == Trust(usual_fit=0.9).least_fit
+
+
+def test_less_in_view_is_less_evidence() -> None:
+    """Log likelihood ratios are proportional to the area; more than usual is no better."""
+    usual = Trust().confirmed(0.8, 100.0, 0.04)
+    for area in (0.0, 25.0, 100.0):
+        ratio = np.log1p(-usual.evidence(0.6, area)) / np.log1p(-0.6)
+        assert ratio == pytest.approx(area / 100)
+    assert usual.evidence(0.6, 300.0) == Trust().evidence(0.6, 7.0) == pytest.approx(0.6)
+    assert usual.evidence(-0.5, 50.0) < 0
 
 
 @pytest.mark.parametrize(("dt", "pictures"), [(0.04, 3), (1 / 30, 3), (0.2, 2), (10.0, 2)])
@@ -74,7 +84,7 @@ def test_lost_after_some_doubt(dt: float, pictures: int) -> None:
         trust = trust.doubted(dt)
         assert not trust.lost
     assert trust.doubted(dt).lost
-    assert not trust.doubted(dt).confirmed(0.8, dt).lost
+    assert not trust.doubted(dt).confirmed(0.8, 9.0, dt).lost
 
 
 def test_a_trial() -> None:
@@ -84,9 +94,14 @@ def test_a_trial() -> None:
         trust, pictures = lost.start_trial(matches=matches), 0
         while trust.trial:
             assert trust.lost
-            trust, pictures = trust.continue_trial(0.9, 0.02), pictures + 1
+            trust, pictures = trust.continue_trial(0.9, 0.02, confirmed=True), pictures + 1
         assert pictures == round(seconds / 0.02)
         assert (trust.lost, trust.relocations, trust.searches, trust.usual_fit) == (False, 1, 0, 0.9)
+    half = lost.start_trial(matches=False).continue_trial(0.9, TRIAL / 2, confirmed=True)
+    assert half.continue_trial(0.9, 0.1, confirmed=False).trial == pytest.approx(TRIAL / 2 + 0.1)
+    out = half.continue_trial(0.9, TRIAL, confirmed=False)
+    assert (out.lost, out.trial, out.relocations) == (True, 0.0, 0)
+    assert Trust().start_trial(matches=True).lost, "what is on trial may be another"
     failed = lost.start_trial(matches=False).doubted(0.02)
     assert (failed.trial, failed.lost, failed.relocations) == (0.0, True, 0)
 
