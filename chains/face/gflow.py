@@ -42,7 +42,7 @@ from .recovery import (
     search_grid,
 )
 from .texture_filter import TexelNoise, Texture, explained_variance
-from .texture_likelihood import Level, TexturedObject, TextureLikelihood, image_pyramid
+from .texture_likelihood import Level, TexturedObject, TextureLikelihood, image_pyramid, local_variance
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -134,6 +134,13 @@ class GFlowState:
         return self.trust.relocations
 
 
+def _areas(poses: Poses, visible: Mask) -> Array:
+    """Return the areas of the texture in view, `(n,)` px^2: number of texels times the squared size."""
+    return np.asarray(visible.sum(axis=1) * poses.sizes**2)
+
+
+CONTRAST = 25.0  # squared grey levels: least contrast of a place where a lost object may be
+
 COVERING_TEXELS = 1500  # of the whole mesh, for integrals over the background that it occludes
 
 
@@ -147,7 +154,7 @@ class Observation:
     visible: Mask  # `(n, n_texels)`: not occluded by the object itself
     inside: Mask  # `(n, n_texels)`: visible, and inside the picture
     fit: float  # as of `GFlowState`
-    area: float  # of the texture in view: number of texels times the squared size, px^2
+    area: float  # px^2 of the texture in view, see `_areas`
 
 
 @checked
@@ -577,7 +584,9 @@ class GFlow(PickledByFields):
         last, texture = state.memories[0].pose, state.memories[0].texture
         visible = self._visible_texels(last)
         likelihood = self._likelihood(replace(state, texture=texture), pyramid, visible)
-        coarse = partial(likelihood.misfit, level=len(pyramid) - 1)
+        coarsest = pyramid[-1]
+        contrast = local_variance(coarsest.image, float(last.sizes[0]) * coarsest.scale) + CONTRAST
+        coarse = partial(likelihood.misfit, level=len(pyramid) - 1, contrast=contrast)
         size = pyramid[0].image.shape[0], pyramid[0].image.shape[1]
         places = search_grid(coarse, size, last, self.object.positions(last)[0].mean(axis=0), n)
         if detected is not None and len(detected):
@@ -588,19 +597,22 @@ class GFlow(PickledByFields):
         modes = find_modes(likelihood, prior, places, self.effective_pixels, len(pyramid) - 1)
         modes = find_modes(likelihood, prior, modes.poses, self.effective_pixels, 1)
         likelihood = replace(likelihood, visible=self._visible_texels(modes.poses))
-        weights = log_likelihood(likelihood, modes.poses, np.arange(len(places)), self.effective_pixels)
-        chosen = np.sort(np.argsort(-weights, kind="stable")[:n])
-        evidence = float(log_sum(weights[chosen]) - np.log(n))
+        observed, inside = self.object.observe(pyramid, modes.poses, likelihood.visible)
+        shares = explained_variance(observed, likelihood.mean, likelihood.visible, inside)
+        evidence = state.trust.evidence(shares, _areas(modes.poses, likelihood.visible))
+        chosen = np.argsort(-evidence, kind="stable")[:n]
+        found = evidence[chosen] >= state.trust.return_fit
+        chosen = np.where(found, chosen, chosen[0])
+        weights = log_likelihood(likelihood, modes.poses[chosen], chosen, self.effective_pixels)
         particles = Particles(
             modes.poses[chosen],
-            normalised(weights[chosen]),
+            normalised(weights),
             np.full(n, best),
-            evidence,
+            float(log_sum(weights) - np.log(n)),
             modes.covariance[chosen],
         )
         remembering = replace(state, texture=texture.of(every[:n]))
-        seen = self._observe(remembering, particles, likelihood.visible[chosen], pyramid)
-        return seen, state.trust.evidence(seen.fit, seen.area) >= state.trust.return_fit
+        return self._observe(remembering, particles, likelihood.visible[chosen], pyramid), bool(found[0])
 
     def _observe(
         self, state: GFlowState, particles: Particles, visible: Mask, pyramid: list[Level]
@@ -612,8 +624,7 @@ class GFlow(PickledByFields):
         if state.frames_seen or self.texture is not None:
             shares = explained_variance(observed, texture.mean, visible, inside)
             fit = float(np.exp(particles.log_weights) @ shares)
-        areas = visible.sum(axis=1) * particles.poses.sizes**2
-        area = float(np.exp(particles.log_weights) @ areas)
+        area = float(np.exp(particles.log_weights) @ _areas(particles.poses, visible))
         return Observation(particles, texture, observed, visible, inside, fit, area)
 
     def _learn(self, state: GFlowState, seen: Observation, trust: Trust) -> GFlowState:

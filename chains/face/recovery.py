@@ -16,6 +16,7 @@ from ...models.face.morphable_model import MorphableModel, Poses
 from ...models.numerics.rotations import exponential
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.floating]
 Image = NDArray[np.uint8]
 
 # Where experts start their search, chosen on generated faces in quick motion:
@@ -255,14 +256,14 @@ class Trust:
         """Fit from which on an object found by its texture is accepted."""
         return max(self.least_fit, CHANCE_ANYWHERE)
 
-    def evidence(self, fit: float, area: float) -> float:
-        """Return the fit with which the usual area would have the log likelihood that `area` has with `fit`.
+    def evidence(self, fit: float | Floats, area: float | Floats) -> Array:
+        """Return the fits with which the usual area would have the log likelihood that `area` has with `fit`.
 
         log(1 - fit) is proportional to that of a pixel (see `GFlowState.fit`): what shrinks or turns aside,
         until next to nothing of it is seen, explains little, however well.
         """
-        seen = min(area / self.usual_area, 1.0) if self.usual_area else 1.0
-        return float(1 - (1 - fit) ** seen)
+        seen = np.minimum(area / self.usual_area, 1.0) if self.usual_area else 1.0
+        return np.asarray(1 - (1 - fit) ** seen)
 
     def confirmed(self, fit: float, area: float, elapsed: float) -> Self:
         """Update with a picture in which the object was tracked."""

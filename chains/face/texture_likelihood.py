@@ -87,6 +87,11 @@ def smoothed(picture: Map, deviation: float) -> Map:
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), float(deviation)), np.float32)
 
 
+def local_variance(picture: Map, reach: float) -> Map:
+    """Return the variance about each pixel, of a Gaussian window of standard deviation `reach` px."""
+    return blurred((picture - blurred(picture, reach)) ** 2, reach)
+
+
 def blurred(picture: Map, deviation: float) -> Map:
     """Blur by a wide Gaussian, on a smaller picture."""
     factor = max(int(deviation / 3), 1)
@@ -265,10 +270,12 @@ class TextureLikelihood:
         over_bands(work, len(poses), worth=len(poses) * len(self.surface.texels) > WORTH * 4**level)
         return sums
 
-    def misfit(self, poses: Poses, level: int) -> Array:
-        """Return the mean of e^2 / tau of the first expert's texture, `(n,)`; infinite if none is visible."""
-        squares, _, areas, _ = self.sums(poses, np.zeros(len(poses), np.int64), level=level).T
-        return np.where(areas > 0, squares / np.maximum(areas, 1e-9), np.inf)
+    def misfit(self, poses: Poses, level: int, contrast: Map) -> Array:
+        """Return the mean of e^2 / tau of the first expert's texture over that of the picture's `contrast` on
+        the level, `(n,)`; infinite if none is visible. Alone, it would be least where there is nothing.
+        """
+        squares, _, areas, power = self.sums(poses, np.zeros(len(poses), np.int64), contrast, level).T
+        return np.where(areas > 0, squares / np.maximum(power, 1e-9), np.inf)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.scenes import FaceScene, face
-from rsmcm.chains.face.gflow import GFlow, GFlowState
+from rsmcm.chains.face.gflow import CONTRAST, GFlow, GFlowState
 from rsmcm.chains.face.recovery import TRIAL
+from rsmcm.chains.face.texture_likelihood import image_pyramid, local_variance
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.engine.checkpoint import load, save
 from rsmcm.models import PixelLabels
@@ -79,6 +80,34 @@ def test_is_lost_and_finds_the_face_again(
     last = after[-1]
     assert (last.lost, last.relocations) == (False, 1)
     assert error(chain, scene, last, N_FRAMES - 1, shift) < 2.5
+
+
+def test_a_flat_wall_is_not_the_face(scene: FaceScene, images: list[Image]) -> None:
+    """With 2.2 times the contrast a face differs from its texture by more than a wall without any."""
+    chain = chain_for(scene)
+    weak = (128 + 0.45 * (images[0].astype(float) - 128)).astype(np.uint8)
+    state, wall = states(chain, [weak])[-1], images[0].copy()
+    wall[:, : wall.shape[1] // 4] = 128
+    pyramid = image_pyramid(wall, state.size, n_levels=3, local_mean=True)
+    place, middle = scene.poses[0], chain.object.positions(scene.poses[0])[0].mean(axis=0)
+    flat = replace(place, translations=place.translations + np.array([wall.shape[1] / 8 - middle[0], 0.0]))
+    both, level = Poses.concatenated([place, flat]), pyramid[-1]
+    likelihood = chain._likelihood(state, pyramid, chain._visible_texels(state.poses))
+    squares = likelihood.sums(both, np.zeros(2, np.int64), level=2)[:, 0]
+    assert squares[0] > squares[1]
+    here, there = likelihood.misfit(both, 2, local_variance(level.image, state.size * level.scale) + CONTRAST)
+    assert here < 0.5 * there
+
+
+def test_who_hides_the_face_is_not_tracked(scene: FaceScene, images: list[Image]) -> None:
+    """Somebody else is detected in its place for a second."""
+    other, numbers = face(25, seed=8), list(range(25))
+    hidden = [other.image(number) for number in numbers]
+    chain = chain_for(scene, experts=8, finder=KnownFinder(other, other.poses, hidden, numbers))
+    after = states(chain, [*images[:8], *hidden, *images[8:]])
+    assert all(state.lost for state in after[10:33])
+    assert not after[-1].lost
+    assert error(chain, scene, after[-1], N_FRAMES - 1) < 2.5
 
 
 class KnownFinder:
