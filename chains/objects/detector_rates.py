@@ -24,7 +24,7 @@ from ...inference.engine.protocols import Incoming, Port
 from ...models.core.checks import Positive, Probability, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
-from ...models.objects.box_message import BOX, Association, BoxMessage, ErrorPlaces, Scores
+from ...models.objects.box_message import BOX, Association, BoxMessage, ErrorPlaces, LogOdds, Scores
 from ...models.objects.object_boxes import ObjectBoxes
 
 Array = NDArray[np.float64]
@@ -40,7 +40,6 @@ CHANCE, SINCE = 5.0, 20.0
 """False boxes in one place that are there by chance, and frames without one before the first; guesses."""
 
 ALIKE = 2.0  # deviations of its errors by which a box may be off a place
-OVER = 1.0  # s without a box after which the candidate of a place has ended, which explained its boxes
 FADED = 0.1  # boxes, below which a place is forgotten
 
 UNDETECTED = 3.0  # people in the picture at the first frame; a guess, forgotten within a few frames
@@ -94,8 +93,9 @@ class DetectorState:
     scores: ScoreMoments
     undetected: float  # people in the picture who were not detected yet
     places: Array  # (n, 4) px: boxes where the detector has erred
-    # (n, 3) of each: false boxes of candidates that have ended and of a present one, and s since the last
+    # (n, 3) of each: errors that are over; boxes of a present candidate, and the probability that it is one
     errors: Array
+    candidates: NDArray[np.int64]  # (n,): identities of those; 0: none
     area: float  # px of the picture
     elapsed: float  # s since the detector has run
 
@@ -142,6 +142,7 @@ class DetectorRates:
             undetected=UNDETECTED,
             places=np.zeros((0, BOX)),
             errors=np.zeros((0, 3)),
+            candidates=np.zeros(0, np.int64),
             area=float(height * width),
             elapsed=0.0,
         )
@@ -154,7 +155,7 @@ class DetectorRates:
             counts=kept * state.counts,
             exposures=kept * state.exposures,
             scores=state.scores.scaled(kept),
-            errors=state.errors * [kept, kept, 1.0] + [0.0, 0.0, dt],
+            errors=state.errors * [kept, kept, 1.0],
             elapsed=state.elapsed + dt,
         )
 
@@ -177,25 +178,22 @@ class DetectorRates:
 
     def update(self, state: DetectorState, incoming: Incoming) -> DetectorState:
         """Return the counts with a frame's detected, missed and false boxes, each by its probability."""
-        association, view = incoming.evidence(ObjectBoxes).association, incoming[ObjectBoxes].view
+        boxes, association = incoming[ObjectBoxes], incoming.evidence(ObjectBoxes).association
         if association is not None:
-            state = self._updated(state, association)
+            state = self._updated(state, association, boxes.existence)
+        view = boxes.view
         if view is None or view.begins is None:
             return state
         return replace(state, places=view.map.boxes(state.places))
 
-    def _updated(self, state: DetectorState, association: Association) -> DetectorState:
+    def _updated(self, state: DetectorState, association: Association, existence: LogOdds) -> DetectorState:
         true, new = association.true, float(association.new.sum())
-        hits = float(association.pairs.sum())
-        false = float((1 - true - association.double - association.wrong).sum())
+        hits, false = float(association.pairs.sum()), float(association.false.sum())
         detected, _, _, arriving = self._rates(state)
         counts = np.array([hits, false, float(association.double.sum()), new])
         exposures = np.array([hits + float(association.in_sight), 1.0, hits + new, state.elapsed])
-        places, errors = _with_errors(state.places, state.errors, association)
         return replace(
-            state,
-            places=places,
-            errors=errors,
+            _with_errors(state, association, existence),
             counts=state.counts + counts,
             exposures=state.exposures + exposures,
             scores=state.scores.updated(association.scores, true),
@@ -213,22 +211,33 @@ class DetectorRates:
         return min(detected, 0.99), clutter, doubles, newcomers
 
 
-def _with_errors(places: Array, errors: Array, association: Association) -> tuple[Array, Array]:
-    """Places and their errors with the false boxes of a frame, each by its probability."""
-    boxes, false = association.boxes, np.clip(1 - association.true - association.double, 0, 1)
-    over = errors[:, 2] > OVER
-    errors = np.where(over[:, None], errors @ [[1.0, 0, 0], [1, 0, 0], [0, 0, 1]], errors)
+def _with_errors(state: DetectorState, association: Association, existence: LogOdds) -> DetectorState:
+    """Return the state with the boxes of a frame that may be errors, each in its place."""
+    boxes, places = association.boxes, state.places
+    nobody = 1 - association.followed.sum(axis=0, keepdims=True)
+    likeliest = np.concatenate([nobody, association.followed]).argmax(axis=0)
+    whose = np.concatenate([[0], association.identities])[likeliest]
+    known = whose > 0
+    false = np.clip(1 - association.true - association.double, 0, 1)
+    false[known] = 0.5 - 0.5 * np.tanh(0.5 * existence.of(whose[known]))
     off = (np.abs(boxes[:, None] - places) / np.sqrt(association.noise)[:, None]).max(axis=2)
     is_new = off.min(axis=1, initial=np.inf) > ALIKE
-    places, errors = np.concatenate([places, boxes[is_new]]), np.pad(errors, ((0, int(is_new.sum())), (0, 0)))
-    nearest = np.empty(len(boxes), np.intp)
-    nearest[~is_new] = off[~is_new].argmin(axis=1) if len(off.T) else 0
-    nearest[is_new] = len(places) - is_new.sum() + np.arange(is_new.sum())
-    shares, sums = np.zeros(len(places)), np.zeros(places.shape)
-    np.add.at(shares, nearest, false)
+    nearest = np.where(is_new, len(places) - 1 + is_new.cumsum(), 0)
+    nearest[~is_new] = off[~is_new].argmin(axis=1) if len(places) else 0
+    more = (0, int(is_new.sum()))
+    places, before = np.concatenate([places, boxes[is_new]]), np.pad(state.candidates, more)
+    errors = np.pad(state.errors, (more, (0, 0)))
+    candidates = np.where(np.isin(before, association.identities), before, 0)
+    candidates[nearest[known]] = whose[known]
+    over = candidates != before
+    errors[over, 0] += errors[over, 1] * errors[over, 2]
+    errors[over, 1:] = 0.0
+    for identity, share in zip(whose[known].tolist(), false[known].tolist(), strict=True):
+        errors[candidates == identity, 2] = share
+    np.add.at(errors[:, 0], nearest, np.where(known, 0.0, false))
+    np.add.at(errors[:, 1], nearest, known)
+    count, sums = errors[:, 0] + errors[:, 1] * errors[:, 2], np.zeros(places.shape)
     np.add.at(sums, nearest, false[:, None] * (boxes - places[nearest]))
-    errors[:, 1] += shares
-    errors[nearest, 2] = 0.0
-    count = errors[:, :2].sum(axis=1)
     places = places + sums / np.maximum(count, FADED)[:, None]
-    return places[count > FADED], errors[count > FADED]
+    lasting = count > FADED
+    return replace(state, places=places[lasting], errors=errors[lasting], candidates=candidates[lasting])

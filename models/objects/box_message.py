@@ -228,6 +228,7 @@ class Association:
     visible: Numbers  # (n_objects,) share of each that is in sight
     new: Numbers  # (n_boxes,) probability that the box is of a new object
     double: Numbers  # (n_boxes,) probability that it is a second box of one object
+    false: Numbers  # (n_boxes,) probability that it is false, and of no place where errors are expected
     log_evidence: float  # log density of all boxes together, given who was expected
     outlines: NDArray[np.bool_] | None = None  # (n_boxes, height, width), if the detector gives them
 

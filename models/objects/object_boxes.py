@@ -145,9 +145,9 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     known = prior.places or NO_PLACES
     usual = detector.noise(known.boxes)
     there = _log_densities(boxes, known.boxes, usual[:, None] * np.eye(BOX), usual, cut)
-    false = detector.clutter * area * np.exp(anywhere) + known.rates @ np.exp(there)
+    false = detector.clutter * area * np.exp(anywhere)
     doubles = detector.doubles * (exists * expected) @ np.exp(further)
-    alone = np.maximum(new + false + doubles, 1e-300)
+    alone = np.maximum(new + false + doubles + known.rates @ np.exp(there), 1e-300)
 
     near = (1 - OUTLIERS) * np.exp(_log_densities(boxes, means, covariances, own, cut))
     far = OUTLIERS * np.exp(_log_densities(boxes, means, covariances, OUTLYING**2 * own, cut))
@@ -184,6 +184,7 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
         visible=visible,
         new=found.alone * new / alone,
         double=found.alone * doubles / alone,
+        false=found.alone * false / alone,
         log_evidence=found.log_sum + float(np.log(alone).sum()) - poisson,
         outlines=None if given.masks is None else prior.outlines_in_scene(given.masks),
     )

@@ -66,7 +66,7 @@ def told(box: NDArray[np.float64], noise: NDArray[np.float64]) -> BoxMessage:
         boxes=box[None], noise=noise[None], scores=one, identities=np.array([7]), pairs=np.ones((1, 1)),
         followed=np.ones((1, 1)), unfollowed=0 * one, own_noise=noise[None, None], worth=np.ones((1, 1)),
         errors=np.zeros((1, 2)), expected=one,
-        missed=0 * one, visible=one, new=0 * one, double=0 * one, log_evidence=0.0,
+        missed=0 * one, visible=one, new=0 * one, double=0 * one, false=0 * one, log_evidence=0.0,
     )  # fmt: skip
     return BoxMessage(existence=LogOdds(np.array([7]), np.array([2.5])), association=association)
 

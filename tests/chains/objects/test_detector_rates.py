@@ -10,6 +10,8 @@ from rsmcm.chains.objects.detector_rates import APART, ASSUMED, CHANCE, SINCE, T
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.inference.engine.recursive_bp import Belief
 from rsmcm.models import Frame, GivenBoxes, ObjectBoxes, PixelLabels
+from rsmcm.models.objects.box_message import Association, BoxMessage, LogOdds
+from rsmcm.models.objects.object_boxes import associate
 
 Numbers = NDArray[np.float64]
 
@@ -81,6 +83,32 @@ def test_where_the_detector_erred_again_and_again_nobody_new_is_expected() -> No
     known = beliefs[69]["objects"].places
     np.testing.assert_allclose(known.boxes, [[315, 140, 30, 80]])
     assert known.rates == pytest.approx((29 - CHANCE) / (SINCE + 70), rel=0.3)
+
+
+@pytest.mark.parametrize(("becomes", "told"), [(0.1, 0.9 * 20), (0.95, 0.05 * 20), (1.0, 0.0)])
+def test_what_a_candidate_taught_is_withdrawn_when_it_becomes_an_object(becomes: float, told: float) -> None:
+    """All boxes of a candidate are errors or none is: by what it is at the last of them, wherever they were."""
+    blank, detector, objects = Frame(BLANK, 0.0, 1), DetectorRates(), ObjectBoxes()
+    state = detector.initial(blank)
+    none, one, seven = np.zeros(1), np.ones(1), np.array([7])
+    for number in range(21):
+        box = np.array([[300.0 + (number == 20) * 50, 140.0, 30.0, 80.0]])
+        exists = becomes if number == 20 else 0.1
+        association = Association(
+            boxes=box, noise=np.full((1, 4), 25.0), scores=one, identities=seven, pairs=exists * np.ones((1, 1)),
+            followed=np.ones((1, 1)), unfollowed=none, own_noise=np.full((1, 1, 4), 25.0), worth=np.ones((1, 1)),
+            errors=np.zeros((1, 2)), expected=one, missed=none, visible=one, new=none, double=none, false=none,
+            log_evidence=0.0,
+        )  # fmt: skip
+        odds = LogOdds(seven, np.array([np.log(exists / max(1 - exists, 1e-9))]))
+        evidence = {objects: BoxMessage(association=association)}
+        state = detector.update(state, Incoming({objects: BoxMessage(existence=odds)}, evidence))
+    nobody = associate(replace(blank, boxes=GivenBoxes(np.zeros((0, 4)))), BoxMessage(), objects.detector)
+    state = detector.update(state, Incoming({objects: BoxMessage()}, {objects: nobody}))
+    assert state.errors[:1, 0].sum() == pytest.approx(told, abs=0.01)
+    rates = detector.message(state, objects, Incoming({})).places
+    assert rates is not None
+    np.testing.assert_allclose(rates.rates, [(told - CHANCE) / (SINCE + 22)] if told > CHANCE else [])
 
 
 def test_what_was_learned_is_forgotten() -> None:
