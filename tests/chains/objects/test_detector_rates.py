@@ -80,6 +80,8 @@ def test_where_the_detector_erred_again_and_again_nobody_new_is_expected() -> No
     before, after = (beliefs[number]["objects"].association.new[-1] for number in (10, 70))
     assert before > 1e-3  # with a low score, and where the plane expects nobody
     assert after < 1e-3 * before
+    general = beliefs[-1]["detector"].counts[1] - beliefs[69]["detector"].counts[1]
+    assert general < 0.1 * 20  # false boxes there are not expected elsewhere
     known = beliefs[69]["objects"].places
     np.testing.assert_allclose(known.boxes, [[315, 140, 30, 80]])
     assert known.rates == pytest.approx((29 - CHANCE) / (SINCE + 70), rel=0.3)
@@ -87,18 +89,18 @@ def test_where_the_detector_erred_again_and_again_nobody_new_is_expected() -> No
 
 @pytest.mark.parametrize(("becomes", "told"), [(0.1, 0.9 * 20), (0.95, 0.05 * 20), (1.0, 0.0)])
 def test_what_a_candidate_taught_is_withdrawn_when_it_becomes_an_object(becomes: float, told: float) -> None:
-    """All boxes of a candidate are errors or none is: by what it is at the last of them, wherever they were."""
+    """All boxes of a candidate are errors or none is: by what it is at the last of them, wherever that is."""
     blank, detector, objects = Frame(BLANK, 0.0, 1), DetectorRates(), ObjectBoxes()
     state = detector.initial(blank)
     none, one, seven = np.zeros(1), np.ones(1), np.array([7])
     for number in range(21):
         box = np.array([[300.0 + (number == 20) * 50, 140.0, 30.0, 80.0]])
         exists = becomes if number == 20 else 0.1
+        pair, noise = np.ones((1, 1)), np.full((1, 4), 25.0)
         association = Association(
-            boxes=box, noise=np.full((1, 4), 25.0), scores=one, identities=seven, pairs=exists * np.ones((1, 1)),
-            followed=np.ones((1, 1)), unfollowed=none, own_noise=np.full((1, 1, 4), 25.0), worth=np.ones((1, 1)),
-            errors=np.zeros((1, 2)), expected=one, missed=none, visible=one, new=none, double=none, false=none,
-            log_evidence=0.0,
+            boxes=box, noise=noise, scores=one, identities=seven, pairs=exists * pair, followed=pair,
+            unfollowed=none, own_noise=noise[None], worth=pair, errors=np.zeros((1, 2)), expected=one,
+            missed=none, visible=one, new=none, double=none, false=none, log_evidence=0.0,
         )  # fmt: skip
         odds = LogOdds(seven, np.array([np.log(exists / max(1 - exists, 1e-9))]))
         evidence = {objects: BoxMessage(association=association)}
