@@ -46,6 +46,12 @@ somebody 1 m further away.
 DOUBLE = np.array([3.0, 3.0, 1.0, 1.0])
 """So many times as far off as its first box may the second one of an object be, in place and size."""
 
+DOUBLE_SIZE = 0.3
+"""Deviation of how much larger or smaller it is besides, in both sides alike.
+
+Measured of ACF and DPM on four sequences: root mean squares of log ratios of 0.08 to 0.41.
+"""
+
 OUTLIERS, OUTLYING = 0.1, 3.0
 """Share of an object's boxes that are outlying, and so many times as far off, in place and size.
 
@@ -133,7 +139,9 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     phases = np.array([[NOTICED], [UNNOTICED]]) * visible
     expected = noticed * phases[0] + (1 - noticed) * phases[1]
     own = detector.noise(means) + prior.variances_by_view(means)
-    further = _log_densities(boxes, means, covariances, DOUBLE**2 * own, cut)
+    larger = means * [0, 0, DOUBLE_SIZE, DOUBLE_SIZE]
+    second = covariances + larger[:, :, None] * larger[:, None]
+    further = _log_densities(boxes, means, second, DOUBLE**2 * own, cut)
 
     area = float(size[0] * size[1])
     score = np.ones(len(boxes))
@@ -148,9 +156,14 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     false = detector.clutter * area * np.exp(anywhere)
     doubles = detector.doubles * (exists * expected) @ np.exp(further)
     alone = np.maximum(new + false + doubles + known.rates @ np.exp(there), 1e-300)
-
     near = (1 - OUTLIERS) * np.exp(_log_densities(boxes, means, covariances, own, cut))
     far = OUTLIERS * np.exp(_log_densities(boxes, means, covariances, OUTLYING**2 * own, cut))
+    # who is new may have a second box, too: of two boxes that which is less likely to be anybody new
+    larger = boxes * [0, 0, DOUBLE_SIZE, DOUBLE_SIZE]
+    beside = _log_densities(boxes, boxes, larger[:, :, None] * larger[:, None], DOUBLE**2 * noise, cut)
+    first = new / (alone + (exists * expected) @ (near + far) * score)
+    second = detector.doubles * first @ (np.exp(beside) * (new[:, None] > new))
+    doubles, alone = doubles + second, alone + second
     own_box = (near + far) / alone
     weights = expected[:, None] * own_box * score
     again = detector.repeated * expected
@@ -166,7 +179,8 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     by_error = (1 - again)[:, None] + (errors * found.open[:, None]).sum(axis=2)
     otherwise = 1 - kinds.sum(axis=1) + (kinds * by_error).sum(axis=1)
     by_phase = np.log(np.maximum(1 - phases + phases * support, 1e-30))
-    poisson = detector.newcomers * detector.found + detector.clutter * area + float(known.rates.sum())
+    poisson = (1 + detector.doubles) * detector.newcomers * detector.found
+    poisson += detector.clutter * area + float(known.rates.sum())
     poisson += float(detector.doubles * exists @ expected)
     association = Association(
         boxes=boxes,

@@ -113,6 +113,32 @@ def test_what_a_candidate_taught_is_withdrawn_when_it_becomes_an_object(becomes:
     np.testing.assert_allclose(rates.rates, [(told - CHANCE) / (SINCE + 22)] if told > CHANCE else [])
 
 
+@pytest.mark.parametrize(("larger", "beside", "score", "people"), [(1.5, 0.0, 0.6, 1), (1.0, 0.4, 0.8, 2)])
+def test_a_larger_second_box_is_nobody_and_somebody_beside_another_is(
+    larger: float, beside: float, score: float, people: int
+) -> None:
+    """Both go along with the walker at a distance from the others, as steadily as the walker is found."""
+    random, frames = np.random.default_rng(0), walkers(0, 60, found=0.9, clutter=0.5, scale=1.0)
+    for number in range(10, 60):
+        foot = np.array([250.0 + 2 * number + 84 * beside, 200.0])
+        height = 48 * larger
+        left, top = foot - (0.2 * height, height) + random.normal(0, 2, 2)
+        first = 250.0 + 2 * number - 0.2 * 48
+        both = np.array([[first, 152, first + 0.4 * 48, 200], [left, top, left + 0.4 * height, top + height]])
+        boxes = frames[number].boxes
+        assert boxes is not None
+        assert boxes.confidence is not None
+        scores = np.concatenate([boxes.confidence, random.normal([0.8, score], 0.1)])
+        given = GivenBoxes(np.concatenate([boxes.xyxy, both]), scores)
+        frames[number] = replace(frames[number], boxes=given)
+    found = []
+    for belief in run(frames)[30:]:
+        x = 250.0 + 2 * (belief.frame.number - 1)
+        boxes = [track.box for track in belief["blobs"].tracks()]
+        found.append(sum(abs(left + w / 2 - x) < 60 and abs(top + h - 200) < 20 for left, top, w, h in boxes))
+    assert np.mean(np.array(found) == people) > 0.8
+
+
 def test_what_was_learned_is_forgotten() -> None:
     *_, last = run(walkers(1, 60, found=0.5, clutter=0.7, scale=1.0))
     chain = DetectorRates()

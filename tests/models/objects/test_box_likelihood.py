@@ -23,6 +23,7 @@ from rsmcm.models.objects.box_message import (
 from rsmcm.models.objects.object_boxes import (
     BEHIND,
     DOUBLE,
+    DOUBLE_SIZE,
     NOTICED,
     OUTLIERS,
     OUTLYING,
@@ -80,16 +81,28 @@ def summed(found: Numbers, prior: BoxMessage, detector: BoxDetector) -> Summed:
         log_anywhere(found, area)
     )
     for mean, covariance, is_there, share in zip(means, covariances, exists, seen, strict=True):
-        wide = covariance + np.diag(DOUBLE**2 * detector.noise(mean[None])[0])
+        larger = DOUBLE_SIZE * np.array([0.0, 0.0, *mean[2:]])
+        wide = covariance + np.diag(DOUBLE**2 * detector.noise(mean[None])[0]) + np.outer(larger, larger)
         second = multivariate_normal(mean, wide).pdf(found).reshape(-1)
         alone = alone + detector.doubles * is_there * share * second
     assert prior.places is not None
     for place, rate in zip(prior.places.boxes, prior.places.rates, strict=True):
         wide = np.diag(2 * detector.noise(place[None])[0])
         alone = alone + rate * multivariate_normal(place, wide).pdf(found).reshape(-1)
+    own = [np.diag(detector.noise(mean[None])[0]) for mean in means]
+    new = detector.newcomers * detector.found * np.exp(log_anywhere(found, area))
+    claimed = alone.copy()
+    for mean, covariance, noise, weight in zip(means, covariances, own, exists * seen, strict=True):
+        for share, times in ((1 - OUTLIERS, 1.0), (OUTLIERS, OUTLYING)):
+            near = multivariate_normal(mean, covariance + times**2 * noise).pdf(found).reshape(-1)
+            claimed += weight * share * near
+    for box, here, total in zip(found, new, claimed, strict=True):
+        larger = DOUBLE_SIZE * np.array([0.0, 0.0, *box[2:]])
+        wide = np.diag(DOUBLE**2 * detector.noise(box[None])[0]) + np.outer(larger, larger)
+        second = multivariate_normal(box, wide).pdf(found).reshape(-1)
+        alone = alone + (new < here) * detector.doubles * here / total * second
     assert prior.errors is not None
     kinds, places = prior.errors.of(identities)
-    own = [np.diag(detector.noise(mean[None])[0]) for mean in means]
     again = detector.repeated * seen
     total, pairs, followed = 0.0, np.zeros((len(means), len(found))), np.zeros((len(means), len(found)))
     mass = np.zeros((len(means), 4))  # with nothing there, the object, an error that stays, one that moves
@@ -127,7 +140,7 @@ def summed(found: Numbers, prior: BoxMessage, detector: BoxDetector) -> Summed:
                     pairs[k, box] += value * (kind == 1)
     ratio = np.log(mass[:, 1] / (mass.sum(axis=1) - mass[:, 1])) - np.log(exists / (1 - exists))
     errors = np.log(mass[:, 2:] / mass[:, :1]) - np.log(kinds / (1 - kinds.sum(axis=1, keepdims=True)))
-    poisson = detector.clutter * area + detector.newcomers * detector.found
+    poisson = detector.clutter * area + (1 + detector.doubles) * detector.newcomers * detector.found
     poisson += detector.doubles * float(exists @ seen) + float(prior.places.rates.sum())
     return Summed(pairs / total, followed / total, ratio, errors, float(np.log(total)) - poisson)
 
@@ -203,12 +216,13 @@ def test_scores_decide_who_is_new() -> None:
     assert doubtful is not None
     assert sure.new[0] > 0.9
     assert doubtful.new[0] < 0.1
-    both = np.stack([WHO[0], WHO[0] + np.array([12, 8, 3, 4])])
-    message = associate(frame(both), known(), BoxDetector())
-    assert message.association is not None
-    assert message.association.pairs[0].sum() > 0.95
-    assert message.association.new.max() < 0.02
-    assert message.association.double.max() > 0.9
+    for second in ([12, 8, 3, 4], [0, 10, 20, 50]):  # beside it, and half larger
+        both = np.stack([WHO[0], WHO[0] + np.array(second)])
+        message = associate(frame(both), known(), BoxDetector())
+        assert message.association is not None
+        assert message.association.pairs[0].sum() > 0.95
+        assert message.association.new.max() < 0.02
+        assert message.association.double.max() > 0.9
 
 
 def test_an_outlying_box_counts_for_less_and_one_that_is_too_small_for_no_more() -> None:
