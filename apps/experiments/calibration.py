@@ -274,18 +274,22 @@ N_FRAMES = 80
 NEAR = 0.25  # of a face's or a head's size: what is tracked is within that
 
 
-def generated_face(seed: int) -> Statements:
-    """Places of the vertices of a face, and whether it is where it is stated to be."""
-    scene = face(N_FRAMES, seed=seed)
+def generated_face(hidden: range, seed: int) -> Statements:
+    """Places of the vertices of a face, and whether it is where it is stated to be.
+
+    In frames of the range `hidden` another face is in its place.
+    """
+    scene, other = face(N_FRAMES, seed=seed), face(N_FRAMES, seed=seed + len(SEEDS))
     tracker = FaceTracker(model=scene.model, seed=seed)
     places, tracked = Reliability.nothing(), Reliability.nothing()
-    for frame, true in zip(scene, scene.vertices, strict=True):
-        found = tracker.update(frame.image, landmarks=scene.vertices[0], time=frame.time)
+    for index, true in enumerate(scene.vertices):
+        image = (other if index in hidden else scene).image(index)
+        found = tracker.update(image, landmarks=scene.vertices[0])
         assert found is not None
         off, size = found.vertices[:, :2] - true, float(np.ptp(true[:, 0]))
-        near = np.linalg.norm(off, axis=1).mean() < NEAR * size
+        near = index not in hidden and np.linalg.norm(off, axis=1).mean() < NEAR * size
         tracked += Reliability.of_claims(np.array([near]), np.array([not found.lost]))
-        if not found.lost:
+        if not found.lost and index not in hidden:
             places += in_the_picture(off, found.covariances)
     return {"vertex of a face": places, "face is not lost": tracked}
 
@@ -409,7 +413,8 @@ CASES: Mapping[str, Callable[[int], Statements]] = {
     "cylinder with drift": partial(generated_cylinder, 0.3),
     "generated turntables": generated_turntable,
     "middlebury-dino": real_turntable,
-    "generated face": generated_face,
+    "generated face": partial(generated_face, range(0)),
+    "generated face that another hides for a second": partial(generated_face, range(30, 55)),
     "random texture": nobody,
     "generated signer": generated_signer,
     "real people": real_signers,

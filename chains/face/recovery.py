@@ -215,7 +215,7 @@ LEAST_SHARE = 0.5  # of the usual fit, below which the object is doubted
 CHANCE, CHANCE_ANYWHERE = 0.2, 0.4
 """Least fits, whatever the usual one, of a tracked and of a found object. In films of other things the
 texture of a face explained less than 0.12 of the variance, also in the best of all places; on other faces up
-to 0.22."""
+to 0.29."""
 
 MEMORY = 1.0  # s: time constant of the usual fit and area; a lost object is searched for as it was before
 MAX_DOUBT_TIME = 0.1  # s of low fit after which the object is lost; one picture counts for half of it at most
