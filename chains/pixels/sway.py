@@ -256,7 +256,12 @@ SWAY_REACH = 0.01  # share of the picture's longer side within which leaves sway
 SWAY_TIME = 10.0
 """s for which it is remembered that something swayed: a lull lasts longer than a passer-by."""
 
-CALM_TIME = 1.0  # s for which it is taken for granted in the beginning that nothing sways
+CALM_TIME = 0.2
+"""s for which it is taken for granted in the beginning that nothing sways.
+
+Shorter than it takes false tracks to form on leaves: of what they cover, nothing is learned.
+"""
+
 LEAST_SEEN = 4  # pixels of a block that tell how much of it sways
 
 
