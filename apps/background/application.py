@@ -147,7 +147,7 @@ class Background(Application[BackgroundJob]):
         "scores": Any,
         "trajectories": ObjectsOverTime | None,
         "predictions": Any,
-        "camera": Any,
+        "camera": tuple[float, float] | None,
     }
 
     def __init__(self, job: BackgroundJob) -> None:
@@ -217,10 +217,11 @@ class Background(Application[BackgroundJob]):
             state, memory = start.state(model), start.memory(self.schema) or {}
             self._trajectories = memory["trajectories"]
             self._camera.restore(memory["camera"])
-            if self._scoring is not None:
-                self._scoring.restore(memory["scores"])
-            if self._predictions is not None:
-                self._predictions.restore(memory["predictions"], state)
+            with start.restoring():
+                if self._scoring is not None:
+                    self._scoring.restore(memory["scores"])
+                if self._predictions is not None:
+                    self._predictions.restore(memory["predictions"], state)
             return state
         if job.engine == WHOLE_FILM:
             state, self._trajectories = read_whole(

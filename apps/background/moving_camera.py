@@ -1,7 +1,7 @@
 """Notice that a camera moves which is taken to stand still, and tracks of one that is known to move."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from math import inf
 from typing import Any
 
@@ -59,11 +59,11 @@ class CameraWatch:
         self.noticed = noticed
         self._due, self._wait = -inf, LOOK_TIME
 
-    def saved(self) -> list[float] | None:
+    def saved(self) -> tuple[float, float] | None:
         """When it looks again, as plain JSON."""
-        return None if self._due == -inf else [self._due, self._wait]
+        return None if self._due == -inf else (self._due, self._wait)
 
-    def restore(self, saved: Sequence[float] | None) -> None:
+    def restore(self, saved: tuple[float, float] | None) -> None:
         """Take up what `saved` gave."""
         if saved is not None:
             self._due, self._wait = saved

@@ -8,7 +8,7 @@ import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference import Belief, MultiChain, RecursiveBP
+from ...inference.engine.checkpoint import EXPECTED
 from ...inference.engine.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ...models.numerics.threads import thread_count
@@ -218,6 +219,15 @@ class Start:
         """
         saved = self._saved or self._learned
         return None if saved is None else saved.memory(schema)
+
+    @contextmanager
+    def restoring(self) -> Iterator[None]:
+        """Inside, what is saved as plain JSON of another form is a ValueError that names the file."""
+        try:
+            yield
+        except (TypeError, ValueError, LookupError) as error:
+            assert self._saved is not None
+            raise ValueError(f"{self._saved.path}: got another memory, {EXPECTED}") from error
 
     def state(self, model: MultiChain) -> RunState:
         """Return the state of a model before the first frame."""

@@ -68,7 +68,7 @@ class SavedRun:
         """Of its frames' images; `None` where there was none."""
         run = self._contents.plain("run")
         shape = run.get("shape") if isinstance(run, dict) else None
-        return tuple(shape) if isinstance(shape, list) else None
+        return tuple(map(int, shape)) if isinstance(shape, list) and len(shape) in (2, 3) else None
 
     def state(self, chains: Mapping[str, Any]) -> RunState:
         """That of the engine, of these chains by name; ValueError if it is of others."""

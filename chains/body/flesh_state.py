@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import UpperBody
+from ...models.core.checks import Shape, SizesOf
 from ...models.core.gaussian_mixtures import log_sums
 from ...models.core.short_repr import Rows, short_repr
 from .flesh_assignment import MovingParts
@@ -25,11 +26,11 @@ MOST_EXISTENCE = 0.99  # however often it was seen, it may have gone since then
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Clutter(Rows):
-    """Resting blobs that are no part, under each of H hypotheses."""
+    """Resting blobs that are no part, under each of n hypotheses."""
 
-    places: Array  # `(H, n, 2)` px
-    variances: Array  # `(H, n)` px^2, along each axis
-    existence: Array  # `(H, n)`: probability that it is still there; 0 of an empty place
+    places: Annotated[Array, Shape("n", "k", 2)]  # px
+    variances: Annotated[Array, Shape("n", "k")]  # px^2, along each axis
+    existence: Annotated[Array, Shape("n", "k")]  # probability that it is still there; 0 of an empty place
 
     @classmethod
     def none(cls, n_hypotheses: int) -> Self:
@@ -146,14 +147,16 @@ LEAST_WEIGHT = 1e-5  # over that of the best hypothesis: one with less is droppe
 class FleshTracks:
     """Weighted hypotheses of head, left hand and right hand, in each of which parts are Gaussians."""
 
-    size: tuple[int, int]  # `(height, width)` px of the image
+    size: Annotated[tuple[int, int], SizesOf("height", "width")]  # px of the image
     max_coast_time: float  # s without a detection after which a part is lost
-    log_weights: Array  # `(H,)`, of weights that sum to 1; the best one first
-    means: Array  # `(H, 3, 4)`: x, y px and their velocities px/s
-    covariances: Array  # `(H, 3, 4, 4)`, in the same order
-    visible: Array  # `(H, 3)`: probability that a part is not hidden
-    since: Array  # `(H, 3)` s since a part was last detected; infinite before the first time
-    detections: NDArray[np.int64]  # `(H, 3)`: label of the detection that a part was or was hidden by, or -1
+    log_weights: Annotated[Array, Shape("n", finite=False)]  # of weights that sum to 1; the best one first
+    means: Annotated[Array, Shape("n", 3, 4)]  # x, y px and their velocities px/s
+    covariances: Annotated[Array, Shape("n", 3, 4, 4)]  # in the same order
+    visible: Annotated[Array, Shape("n", 3)]  # probability that a part is not hidden
+    # s since a part was last detected; infinite before the first time
+    since: Annotated[Array, Shape("n", 3, finite=False)]
+    # label of the detection that a part was or was hidden by, or -1
+    detections: Annotated[NDArray[np.int64], Shape("n", 3)]
     clutter: Clutter
     elapsed: float = 0.0  # s since the last update
 

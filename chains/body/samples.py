@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from ...inference.smc import copied, log_sum, normalised, systematic
 from ...models.body.parts import PartMessage
 from ...models.body.upper_body import JOINTS, PARTS, BodyPoses, UpperBody
-from ...models.core.checks import checked
+from ...models.core.checks import Shape, SizesOf, checked
 from ...models.core.gaussian_mixtures import GaussianMixtures
 from ...models.core.short_repr import short_repr
 from .dynamics import Ancestors, BodyDynamics
@@ -31,8 +31,8 @@ class BodySamples:
     """Weighted poses."""
 
     poses: BodyPoses  # n of them
-    log_weights: Array  # `(n,)`, of weights that sum to 1
-    size: tuple[int, int]  # `(height, width)` px of the picture
+    log_weights: Annotated[Array, Shape("n", finite=False)]  # of weights that sum to 1
+    size: Annotated[tuple[int, int], SizesOf("height", "width")]  # px of the picture
     random: np.random.Generator  # generator of the draws to come
     # of a prediction: poses of the frame before, some of them with exchanged hands, whose mixture was drawn
     # from; `None` in a posterior, before the first frame, and where they are not kept
@@ -43,6 +43,11 @@ class BodySamples:
     # nats: log of the mean likelihood of the frame, up to a constant; 0 without an image
     log_evidence: float = 0.0
     stationary: bool = False  # whether the frame showed no part, so that the poses are only predicted
+
+    def require_fit(self) -> None:
+        """Raise a `ValueError` if not every pose has a weight."""
+        if len(self.poses) != len(self.log_weights):
+            raise ValueError(f"poses: got {len(self.poses)}, expected {len(self.log_weights)} with weights")
 
     @classmethod
     def even(cls, poses: BodyPoses, size: tuple[int, int], random: np.random.Generator) -> Self:

@@ -10,12 +10,13 @@ The exact form of eq. (2) and (4) has a map an expert. Its Kalman filter is that
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import Annotated, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import Shape
 from ...models.core.pictures import grey_of
 from ...models.core.short_repr import Rows, short_repr
 from ...models.face.morphable_model import MorphableModel, Poses
@@ -203,8 +204,8 @@ LEAST_RATIO = -9.0  # nats: least log ratio of a pixel, since anything may come 
 class ExpertBackground(Rows):
     """Background map of every expert, a Gaussian a pixel."""
 
-    mean: Map  # `(n_experts, height, width)` float32, raw grey levels
-    variance: Map  # `(n_experts, height, width)` float32, after the last picture
+    mean: Annotated[Map, Shape("n_experts", "height", "width")]  # raw grey levels
+    variance: Annotated[Map, Shape("n_experts", "height", "width")]  # after the last picture
 
     @classmethod
     def unknown(cls, n_experts: int, size: tuple[int, int]) -> Self:

@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Cavity, Incoming, Port
 from ...inference.smc import copied, log_sum, normalised
-from ...models.core.checks import Count, CountFrom0, NotNegative, Positive, at_least, between, checked
+from ...models.core.checks import (
+    Count,
+    CountFrom0,
+    NotNegative,
+    Positive,
+    Shape,
+    at_least,
+    between,
+    checked,
+)
 from ...models.core.frame import Frame
 from ...models.core.short_repr import PickledByFields, short_repr
 from ...models.face.morphable_model import MorphableModel, Poses, SurfacePoints
@@ -67,11 +76,11 @@ class GFlowState:
     """State of all experts: a pose, a weight and the texture that follows from the poses until now."""
 
     poses: Poses  # one an expert
-    log_weights: Array  # `(n_experts,)`, normalised
+    log_weights: Annotated[Array, Shape("n_experts", finite=False)]  # normalised
     texture: Texture  # one an expert
     last_reliable: Poses  # poses in the last picture without a doubt
     size: float  # px: of the object at the start
-    elapsed: float  # s since the last picture
+    elapsed: NotNegative  # s since the last picture
     frames_seen: int  # number of pictures until now
     log_evidence: float  # nats: log p(y_t | y_1:t-1) of the last picture, of its effective pixels
     # share of the picture's variance under the object that the predicted texture explained, from -1 to 1:
@@ -81,16 +90,31 @@ class GFlowState:
     trust: Trust  # whether the object is tracked, doubted, lost or on trial
     since_resampling: float  # s since the last resampling frame
     random: np.random.Generator  # source of all draws
-    covariance: Array  # `(n_experts, dimension, dimension)`: Laplace's, of each expert's pose
-    # `(height, width)`, from 0 to 1: trust in the background that another chain predicts
-    background_trust: NDArray[np.float32] | None = None
+    # Laplace's, of each expert's pose
+    covariance: Annotated[Array, Shape("n_experts", "dimension", "dimension")]
+    # from 0 to 1: trust in the background that another chain predicts
+    background_trust: Annotated[NDArray[np.float32], Shape("height", "width")] | None = None
     background: ExpertBackground | None = None  # one an expert, where each has its own
-    velocity: Array | None = None  # `(n_experts, dimension)` per second: from the last change of each pose
-    visible: NDArray[np.bool_] | None = None  # `(n_experts, n_texels)`: texels not occluded by the object
+    # per second: from the last change of each pose
+    velocity: Annotated[Array, Shape("n_experts", "dimension")] | None = None
+    # texels not occluded by the object
+    visible: Annotated[NDArray[np.bool_], Shape("n_experts", "n_texels")] | None = None
     # of the best expert: the first, with which a lost object is searched for, was seen at least `MEMORY` s
     # before the object was doubted, so that it shows nothing of what covers it
     memories: tuple[Memory, ...] = ()
     since_memory: float = 0.0  # s since the last of them
+
+    def require_fit(self) -> None:
+        """Raise a `ValueError` if poses or textures are not those of all experts."""
+        n, _, n_texels = self.texture.mean.shape
+        fit = all(
+            (len(poses), poses.dimension) == self.covariance.shape[:2]
+            for poses in (self.poses, self.last_reliable)
+        )
+        for texture in (self.texture, *(memory.texture for memory in self.memories)):
+            fit &= texture.fits(n if texture is self.texture else 1, n_texels)
+        if not fit or n != len(self.poses):
+            raise ValueError(f"poses: got {len(self.poses)}, expected {n} with textures of {n_texels} texels")
 
     @classmethod
     def first(cls, poses: Poses, texture: Texture, random: np.random.Generator) -> "GFlowState":

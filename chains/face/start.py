@@ -40,6 +40,12 @@ class FaceStart:
     present: NDArray[np.bool_]  # `(n_landmarks,)`: given landmarks that are not NaN
     fit_error: float | None  # px: root mean square distance of landmarks from the model's points, if any
 
+    def require_fit(self) -> None:
+        """Raise a `ValueError` if pose or points are none of the model's."""
+        n_bases, n_vertices = self.model.bases.shape[:2]
+        if self.pose.morphs.shape != (1, n_bases) or self.points.vertices.max(initial=0) >= n_vertices:
+            raise ValueError(f"start: got a pose or points of another model than of {n_vertices} vertices")
+
     @property
     def misfit(self) -> str | None:
         """Warning if the model does not meet the landmarks; `None` if it does."""

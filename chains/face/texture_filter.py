@@ -4,11 +4,12 @@ The noises of a texel determine the steady-state gain and temperature of its fil
 """
 
 from dataclasses import dataclass, replace
-from typing import Self, TypeVar
+from typing import Annotated, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import Shape
 from ...models.core.short_repr import Rows, short_repr
 from ...models.numerics.threads import over_bands
 from . import kernels
@@ -16,6 +17,7 @@ from .pose_terms import SHORTEST
 from .texture_likelihood import MIDDLE_GREY, UNKNOWN_VARIANCE, WORTH
 
 Map = NDArray[np.float32]
+OfTexels = Annotated[Map, Shape("n_experts", "n_texels")]
 
 USUAL_RATE = 25.0  # frames a second to which steady-state gains and temperatures refer
 
@@ -91,9 +93,9 @@ class LearnedGain(Rows):
     become 1, optic flow, whose drift does not show in innovations.
     """
 
-    log_odds: Map  # `(n_experts, n_texels)` float32: of the gain
-    last: Map  # `(n_experts, n_texels)` float32 grey levels: last innovation, 0 if the texel was hidden
-    power: Map  # `(n_experts, n_texels)` float32: running mean of squared innovations
+    log_odds: OfTexels  # of the gain
+    last: OfTexels  # grey levels: last innovation, 0 if the texel was hidden
+    power: OfTexels  # running mean of squared innovations
 
     @classmethod
     def first(cls, n_experts: int, n_texels: int) -> Self:
@@ -134,8 +136,8 @@ class LastingTexture(Rows):
     1 / gain pictures, the filter's memory, since its pose is given and those of later ones are estimated.
     """
 
-    mean: Map  # `(n_experts, n_texels)` float32 grey levels
-    looks: Map  # `(n_experts, n_texels)` float32: number of pictures, at the usual rate, in the mean
+    mean: OfTexels  # grey levels
+    looks: OfTexels  # number of pictures, at the usual rate, in the mean
 
     def updated(self, observed: Map, seen: NDArray[np.bool_], gain: Map, elapsed: float) -> Self:
         """Update the mean with a picture, `elapsed` s after the last one, for a steady `gain` above 0.
@@ -162,8 +164,9 @@ class LastingTexture(Rows):
 class Texture:
     """Texture of every expert: independent Gaussians of its texels."""
 
-    mean: Map  # `(n_experts, n_levels, n_texels)` float32 grey levels, on each level of the picture
-    variance: Map  # `(n_experts, n_texels)` float32, squared grey levels, common to the levels
+    # grey levels, on each level of the picture
+    mean: Annotated[Map, Shape("n_experts", "n_levels", "n_texels")]
+    variance: OfTexels  # squared grey levels, common to the levels
     learned: LearnedGain | None = None  # if gains are learned
     lasting: LastingTexture | None = None  # to which the finest level returns; `None` for a random walk
 
@@ -176,6 +179,16 @@ class Texture:
             LearnedGain.first(n_experts, n_texels) if learn else None,
             LastingTexture(*np.zeros((2, n_experts, n_texels), np.float32)),
         )
+
+    def fits(self, n_experts: int, n_texels: int) -> bool:
+        """Whether all parts are of so many experts and texels."""
+        parts = [self.variance]
+        if self.learned is not None:
+            parts += [self.learned.log_odds]
+        if self.lasting is not None:
+            parts += [self.lasting.mean]
+        ours = (n_experts, n_texels)
+        return self.mean.shape[::2] == ours and all(part.shape == ours for part in parts)
 
     def reset(self) -> Self:
         """Return unseen textures of the same shape."""

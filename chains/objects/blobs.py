@@ -4,13 +4,14 @@ import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...models.camera.moving_camera import View
+from ...models.core.checks import NotNegative, Shape
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import FOOT_X, FOOT_Y, HEIGHT, WIDTH
@@ -39,6 +40,7 @@ COVERED, CRUMB = 0.3, 0.1
 """Probability of cover from which on pixels make a spot, and share of the largest that crumbs have not."""
 
 WORDS = RECORD.itemsize // 8  # of 8 bytes, of one blob
+FARTHEST = 1e9  # in any unit: numbers of a record are nearer, and fit whole numbers of 32 bits
 
 
 @short_repr
@@ -175,14 +177,25 @@ class Blobs:
     Like any state it is never changed once it is made.
     """
 
-    words: Words  # (n, WORDS): records of type `RECORD`, bit by bit
-    masks: Map  # of all blobs one after the other
-    colours: Map  # likewise, plane by plane of each blob
+    words: Annotated[Words, Shape("n", WORDS)]  # records of type `RECORD`, bit by bit
+    masks: Annotated[Map, Shape("n_pixels")]  # of all blobs one after the other
+    colours: Annotated[Map, Shape("channels * n_pixels")]  # likewise, plane by plane of each blob
     channels: int  # of the colours, 1 or 3
 
-    def __post_init__(self) -> None:
-        if self.words.ndim != 2 or self.words.shape[1] != WORDS:
-            raise ValueError(f"blobs: got records of shape {self.words.shape}, expected (n, {WORDS})")
+    def require_fit(self) -> None:
+        """Raise a `ValueError` if a record means other pixels than there are, or places that are none."""
+        table, most = self.table, len(self.masks)
+        rows, columns, start = table["rows"], table["columns"], table["start"]
+        fit = (rows >= 1) & (columns >= 1) & (start >= 0) & (rows <= most) & (columns <= most)
+        fit &= (start + rows * columns <= most) & (table["waist"] >= 0) & (table["waist"] <= columns)
+        for first, end, length in (("top", "bottom", rows), ("left", "right", columns)):
+            for kind in ("", "faint_"):
+                fit &= (table[kind + first] >= 0) & (table[kind + end] <= length)
+        for name in RECORD.names or ():
+            near = np.abs(table[name]) < FARTHEST
+            fit &= near.reshape(len(table), math.prod(near.shape[1:])).all(axis=1)
+        if not fit.all():
+            raise ValueError(f"blobs: got a record {int(np.argmin(fit))} of other pixels than there are")
 
     @classmethod
     def none(cls, channels: int) -> Self:
@@ -364,7 +377,7 @@ class BlobState:
     blobs: Blobs
     born: int  # how many there have been
     size: tuple[int, int]  # (height, width) px of the picture
-    elapsed: float  # s since the last frame with an image
+    elapsed: NotNegative  # s since the last frame with an image
     confirmation_time: float  # s for which an object must have been seen before it is reported
     detecting: bool = False  # whether a detector has run, which decides what is reported
     # that a detector may have found: not reported, and without pixels

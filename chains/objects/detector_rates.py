@@ -15,13 +15,13 @@ number is that of Poisson multi-Bernoulli filters (J. Williams, *Marginal multi-
 
 import math
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Incoming, Port
-from ...models.core.checks import Positive, Probability, checked
+from ...models.core.checks import NotNegative, Positive, Probability, Shape, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import BOX, Association, BoxMessage, ErrorPlaces, LogOdds, Scores
@@ -48,9 +48,9 @@ UNDETECTED = 3.0  # people in the picture at the first frame; a guess, forgotten
 @short_repr
 @dataclass(frozen=True, eq=False)
 class ScoreMoments:
-    """Weights `(2,)` of true and of false boxes, and sum and sum of squares of the scores of both."""
+    """Weights of true and of false boxes, and sum and sum of squares of the scores of both."""
 
-    weights: Array
+    weights: Annotated[Array, Shape(2)]
     total: float
     squares: float
 
@@ -88,16 +88,16 @@ class ScoreMoments:
 class DetectorState:
     """Counts and exposures of a detector's rates, with its scores."""
 
-    counts: Array  # (4,): detected objects, false boxes, second boxes, newcomers
-    exposures: Array  # (4,): of objects in sight, frames, detected objects, seconds
+    counts: Annotated[Array, Shape(4)]  # detected objects, false boxes, second boxes, newcomers
+    exposures: Annotated[Array, Shape(4)]  # of objects in sight, frames, detected objects, seconds
     scores: ScoreMoments
     undetected: float  # people in the picture who were not detected yet
-    places: Array  # (n, 4) px: boxes where the detector has erred
-    # (n, 3) of each: errors that are over; boxes of a present candidate, and the probability that it is one
-    errors: Array
-    candidates: NDArray[np.int64]  # (n,): identities of those; 0: none
+    places: Annotated[Array, Shape("n", 4)]  # px: boxes where the detector has erred
+    # of each: errors that are over; boxes of a present candidate, and the probability that it is one
+    errors: Annotated[Array, Shape("n", 3)]
+    candidates: Annotated[NDArray[np.int64], Shape("n")]  # identities of those; 0: none
     area: float  # px of the picture
-    elapsed: float  # s since the detector has run
+    elapsed: NotNegative  # s since the detector has run
 
 
 @checked

@@ -15,7 +15,7 @@ both together predict every object's box, from the past alone.
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...inference.engine.protocols import Incoming, Port
 from ...inference.kalman import kinematic
 from ...models.camera.moving_camera import View
-from ...models.core.checks import Positive, Share, checked
+from ...models.core.checks import Positive, Shape, Share, SizesOf, checked
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.identities import Turnover, find, places_of
@@ -32,6 +32,7 @@ from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, HEIGHTS, 
 from ...models.objects.object_boxes import ObjectBoxes
 
 Array = NDArray[np.float64]
+OfObjects = Annotated[Array, Shape("n")]
 
 INITIAL_TRUST, MAX_TRUST = 1.4, 4.0
 """Log odds that an object stands on the plane: before its first observation, and as sure as one can get."""
@@ -74,22 +75,31 @@ class GroundState:
     the plane predicts of any object, and how much taller or shorter this one is.
     """
 
-    size: tuple[int, int]  # (height, width) px of the picture; `middle` is its middle row
+    # px of the picture; `middle` is its middle row
+    size: Annotated[tuple[int, int], SizesOf("height", "width")]
     variation: float  # standard deviation of heights over what the plane predicts, a share of that
     # (2 + n,): px height in the middle row, px it grows with each row, and each object's share
-    scene: Array
-    scene_covariance: Array  # (2 + n, 2 + n)
-    all_aspects: Array  # (3,): weight, mean and variance of the width over height of all objects
-    identities: NDArray[np.int64]  # (n,) of the objects, increasing
-    feet: Array  # (n, 2, 2): along x and y, position px and velocity px/s
-    feet_covariance: Array  # (n, 2, 2, 2)
-    heights: Array  # (n,) px, the scale on which an object moves and varies
-    aspects: Array  # (n,) width over height
-    aspect_variances: Array
-    trust: Array  # (n,) log odds that the object stands on the plane
-    unseen: Array  # (n,) s since it was last observed
-    # (n_planes,): log weights of all planes that are compared, by what pixels alone have shown
-    planes: Array = field(default_factory=lambda: PRIOR.copy())
+    scene: Annotated[Array, Shape("terms")]
+    scene_covariance: Annotated[Array, Shape("terms", "terms")]
+    # weight, mean and variance of the width over height of all objects
+    all_aspects: Annotated[Array, Shape(3)]
+    identities: Annotated[NDArray[np.int64], Shape("n")]  # of the objects, increasing
+    feet: Annotated[Array, Shape("n", 2, 2)]  # along x and y, position px and velocity px/s
+    feet_covariance: Annotated[Array, Shape("n", 2, 2, 2)]
+    heights: OfObjects  # px, the scale on which an object moves and varies
+    aspects: OfObjects  # width over height
+    aspect_variances: OfObjects
+    trust: OfObjects  # log odds that the object stands on the plane
+    unseen: OfObjects  # s since it was last observed
+    # log weights of all planes that are compared, by what pixels alone have shown
+    planes: Annotated[Array, Shape(*PRIOR.shape)] = field(default_factory=lambda: PRIOR.copy())
+
+    def require_fit(self) -> None:
+        """Raise a `ValueError` if an object has no term in the scene, or identities are not in order."""
+        if len(self.scene) != 2 + len(self.identities) or (np.diff(self.identities) <= 0).any():
+            raise ValueError(
+                f"identities: got {len(self.identities)}, expected {len(self.scene) - 2} in order"
+            )
 
     @property
     def middle(self) -> float:

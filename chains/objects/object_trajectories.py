@@ -14,14 +14,14 @@ first frame in which it was seen, and leaves out what was not seen for long enou
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple, Self
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import BatchIncoming, Port, Smoothed
 from ...inference.kalman import PointStates, filter_tracks, kinematic, smooth
-from ...models.core.checks import NotNegative, Positive, checked
+from ...models.core.checks import NotNegative, Positive, Shape, checked
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import Rows, short_repr
 from ...models.objects.box_message import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage
@@ -43,10 +43,10 @@ GOES_ON, GOES_ON_AT_EDGE = 0.5, 0.05
 class Boxes(Rows):
     """Table of the boxes of objects in all frames of a film, ordered by object and then by time."""
 
-    frames: NDArray[np.int64]  # (n,), index of the frame
-    identities: NDArray[np.int64]
-    means: Numbers  # (n, 4) px, in the order of `ObjectBoxes`
-    variances: Numbers  # (n, 4) px^2
+    frames: Annotated[NDArray[np.int64], Shape("n")]  # index of the frame
+    identities: Annotated[NDArray[np.int64], Shape("n")]
+    means: Annotated[Numbers, Shape("n", BOX)]  # px, in the order of `ObjectBoxes`
+    variances: Annotated[Numbers, Shape("n", BOX)]  # px^2
 
     @classmethod
     def of(cls, messages: Iterable[GaussianMessage]) -> "Boxes":
@@ -294,9 +294,10 @@ class ObjectsOverTime:
     """Boxes, velocities and visibility of all objects in every frame."""
 
     boxes: Boxes  # n in all, with one identity for each object
-    velocities: NDArray[np.float64]  # (n, 2) px/s of their feet, to the right and down
-    # (n,): whether the frame shows them; in gaps they are interpolated
-    seen: NDArray[np.bool_]
+    # px/s of their feet, to the right and down
+    velocities: Annotated[NDArray[np.float64], Shape("n", 2)]
+    # whether the frame shows them; in gaps they are interpolated
+    seen: Annotated[NDArray[np.bool_], Shape("n")]
 
     @classmethod
     def of(cls, tracks: Sequence[SmoothedTrack]) -> Self:

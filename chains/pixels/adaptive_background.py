@@ -15,7 +15,7 @@ first frame on, m_k is unknown. Where things are seen to sway, p(L_k | B_k = 1) 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Annotated, Self
 
 import cv2
 import numpy as np
@@ -23,7 +23,15 @@ from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Cavity, Incoming, Port
 from ...models.camera.moving_camera import AffineMap
-from ...models.core.checks import NotNegative, Positive, PositiveOrInfinite, Probability, checked
+from ...models.core.checks import (
+    NotNegative,
+    Positive,
+    PositiveOrInfinite,
+    Probability,
+    Shape,
+    SizesOf,
+    checked,
+)
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.pixels import colour
@@ -38,6 +46,8 @@ from .shade import shade_in, update_shade
 from .sway import Sway, sway_reach, update_rates
 
 Planes = NDArray[np.float32]
+OfBlocks = Annotated[Planes, Shape("block_rows", "block_columns")]
+OfPixels = Annotated[NDArray[np.uint16], Shape("height * width")]
 
 UNSURE_VARIANCE = 4.0
 """Variance of a value that was seen a few times only, and gives way easily in the beginning."""
@@ -65,21 +75,27 @@ MOST_NOISE_SHARE = 0.1  # of a single observation in a pixel's noise, however lo
 class BackgroundState:
     """State of the empty scene, pixel by pixel in fixed-point numbers of 16 bits."""
 
-    size: tuple[int, int]  # (height, width) px
-    # (channels, n_pixels), steps of 1/32 grey level under the first frame's light; see `planes`
-    mean: NDArray[np.int16]
-    variance: NDArray[np.uint16]  # (n_pixels,), of the mean; see `Gaussians` for its steps
-    noise: NDArray[np.uint16]  # (n_pixels,), of a single observation
-    light: Planes  # (block_rows, block_columns): today's light relative to that of `mean`
-    covered: Planes  # share of each block behind known objects
-    sway: Planes  # how often its pixels show what is beside them, as leaves do
-    shade: Planes  # (3, *grid) shares of blocks; see `shade_in`
-    candidate: NDArray[np.uint8]  # (n_pixels * channels,) colours that are neither background nor an object
-    # (n_pixels,): how much of the settling time they have lasted; see `SecondColours`
-    seen: NDArray[np.uint16]
-    elapsed: float  # s since the last frame with an image
-    age: float  # s for which the scene has been seen
+    size: Annotated[tuple[int, int], SizesOf("height", "width")]  # px
+    # steps of 1/32 grey level under the first frame's light; see `planes`
+    mean: Annotated[NDArray[np.int16], Shape("channels", "height * width")]
+    variance: OfPixels  # of the mean; see `Gaussians` for its steps
+    noise: OfPixels  # of a single observation
+    light: OfBlocks  # today's light relative to that of `mean`
+    covered: OfBlocks  # share of each block behind known objects
+    sway: OfBlocks  # how often its pixels show what is beside them, as leaves do
+    shade: Annotated[Planes, Shape(3, "block_rows", "block_columns")]  # shares of blocks; see `shade_in`
+    # colours that are neither background nor an object
+    candidate: Annotated[NDArray[np.uint8], Shape("height * width * channels")]
+    seen: OfPixels  # how much of the settling time they have lasted; see `SecondColours`
+    elapsed: NotNegative  # s since the last frame with an image
+    age: NotNegative  # s for which the scene has been seen
     frames: int  # with an image, since the first
+
+    def require_fit(self) -> None:
+        """Raise a `ValueError` if there are other blocks than loops expect, or darkness."""
+        grid = light_grid(*self.size)
+        if self.light.shape != grid or not (self.light > 0).all():
+            raise ValueError(f"light: got {self.light.shape} blocks, expected {grid} above 0")
 
     @property
     def pixels(self) -> Gaussians:

@@ -15,6 +15,7 @@ picture is updated where their messages expect background alone: objects that st
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -24,7 +25,7 @@ from ...inference.engine.generic_chains import LinearGaussianChain, LinearGaussi
 from ...inference.engine.protocols import Incoming, Port
 from ...inference.kalman import ornstein_uhlenbeck_velocity
 from ...models.camera.moving_camera import UNKNOWNS, AffineMap, View
-from ...models.core.checks import Positive, checked
+from ...models.core.checks import NotNegative, Positive, Shape, checked
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
@@ -62,12 +63,13 @@ class CameraState:
     where: LinearGaussianState  # of one thing: c, v and s of the map from scene to frame, (18,)
     # (height, width[, 3]): the scene under today's light, in the places of the frame with which it began
     picture: NDArray[np.float32]
-    unknown: NDArray[np.bool_]  # (height, width): where objects have hidden the scene since it began
-    elapsed: float  # s since the last frame with an image
+    # where objects have hidden the scene since it began
+    unknown: Annotated[NDArray[np.bool_], Shape("height", "width")]
+    elapsed: NotNegative  # s since the last frame with an image
     fit: float  # usual correlation of frames with the scene, of late
     best_fit: float  # its highest value since the scene began
-    first: NDArray[np.float64]  # (6,) px: map from the first frame to the scene
-    first_covariance: NDArray[np.float64]  # (6, 6) px^2, of these
+    first: Annotated[NDArray[np.float64], Shape(6)]  # px: map from the first frame to the scene
+    first_covariance: Annotated[NDArray[np.float64], Shape(6, 6)]  # px^2, of these
 
     @property
     def mean(self) -> NDArray[np.float64]:

@@ -11,14 +11,23 @@ of a pixel slows its learning, so that objects that they track do not become bac
 """
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Self
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Incoming, Port
 from ...models.camera.moving_camera import AffineMap
-from ...models.core.checks import Count, NotNegative, Positive, Probability, Share, checked
+from ...models.core.checks import (
+    Count,
+    NotNegative,
+    Positive,
+    Probability,
+    Shape,
+    Share,
+    SizesOf,
+    checked,
+)
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.numerics.compiled import compiled, exponential, logarithm
@@ -36,12 +45,16 @@ LEAST_WEIGHT = 1e-9  # weight below which a component is forgotten: it is 0 from
 _LEAST_DENSITY = _f4(1e-30)  # whose logarithm is one of a normal number
 
 
+OfPixels = Annotated[NDArray[np.float32], Shape("components", "height * width")]
+
+
 class Mixture(NamedTuple):
     """Components of every pixel, in the order of weight over standard deviation."""
 
-    weights: NDArray[np.float32]  # (components, n_pixels), whose sum is 1; 0 of what is no component
-    means: NDArray[np.float32]  # (components, channels, n_pixels) in the planes of `colour`
-    variances: NDArray[np.float32]  # (components, n_pixels) of each channel, squared grey levels
+    weights: OfPixels  # whose sum is 1; 0 of what is no component
+    # in the planes of `colour`
+    means: Annotated[NDArray[np.float32], Shape("components", "channels", "height * width")]
+    variances: OfPixels  # of each channel, squared grey levels
 
 
 @compiled
@@ -292,9 +305,9 @@ class MixturePrediction:
 class MixtureState:
     """State of every pixel of a picture `(height, width)`; `elapsed` s since the last image."""
 
-    size: tuple[int, int]
+    size: Annotated[tuple[int, int], SizesOf("height", "width")]
     mixture: Mixture
-    elapsed: float
+    elapsed: NotNegative
 
     def seen_by(self, view: AffineMap, known: NDArray[np.bool_], fresh: Self) -> Self:
         """Return the state in the px of a frame; `fresh` where nothing is `known` `(height, width)` of it."""

@@ -15,6 +15,7 @@ virtual observation: it keeps a point alive, and gives the position at which a l
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from scipy.spatial import cKDTree
 from ...inference import kalman
 from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ...inference.kalman import STATE, PointStates
-from ...models.core.checks import Count, Positive, checked
+from ...models.core.checks import Count, Positive, Shape, checked
 from ...models.core.frame import Frame, GivenPoints
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.identities import places_of
@@ -43,6 +44,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Identities = NDArray[np.int64]
 Pixels = NDArray[np.float32]
+OfSides = Annotated[Pixels, Shape("n", "side", "side")]
 
 
 @short_repr
@@ -50,13 +52,13 @@ Pixels = NDArray[np.float32]
 class PointTable(Rows):
     """Points by identity, tracked and lately lost ones."""
 
-    identities: Identities  # (n,), increasing
-    mean: Array  # (n, 4), of their states; undefined unless alive
-    covariance: Array  # (n, 4, 4)
-    alive: Mask  # (n,): tracked
-    unseen: Array  # (n,) s since a frame showed the point
-    first: Pixels  # (n, side, side): first patch; 0 where points come without pictures
-    patches: Pixels  # (n, side, side): current patch
+    identities: Annotated[Identities, Shape("n")]  # increasing
+    mean: Annotated[Array, Shape("n", STATE)]  # of their states; undefined unless alive
+    covariance: Annotated[Array, Shape("n", STATE, STATE)]
+    alive: Annotated[Mask, Shape("n")]  # tracked
+    unseen: Annotated[Array, Shape("n", finite=False)]  # s since a frame showed the point
+    first: OfSides  # first patch; 0 where points come without pictures
+    patches: OfSides  # current patch
 
     @classmethod
     def none(cls) -> "PointTable":

@@ -17,7 +17,7 @@ from ...inference.engine.protocols import Cavity, Incoming, Port
 from ...inference.kalman import kinematic
 from ...inference.sfm.factor_analysis.em import CameraPrior, estimate_cameras, homogeneous
 from ...inference.sfm.factor_analysis.factorisation import factorise_robustly, projected
-from ...models.core.checks import Positive, at_least, checked
+from ...models.core.checks import Positive, Shape, at_least, checked
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.identities import Turnover, common, find, union
@@ -42,16 +42,15 @@ class CameraMotion:
     Parameters
     ----------
     mean, covariance
-        `(2, 12)`: of the rows of u and v, m, m' (1/s) and m'' (1/s^2), four numbers each; `(12, 12)` of
-        either.
+        of the rows of u and v: m, m' (1/s) and m'' (1/s^2), four numbers each; of either row.
     noise
-        `(3, 2)`: by how much the variances of m, m' and m'' grow in a second of themselves; of the numbers
+        by how much the variances of m, m' and m'' grow in a second of themselves; of the numbers
         that multiply the shape, and of the translation.
     """
 
-    mean: Array
-    covariance: Array
-    noise: Array
+    mean: Annotated[Array, Shape(2, 12)]
+    covariance: Annotated[Array, Shape(12, 12)]
+    noise: Annotated[Array, Shape(3, 2)]
 
     @property
     def camera(self) -> Array:
@@ -152,11 +151,11 @@ class ObservedPoints:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class CameraEvidence:
-    """Evidence of the last frames about the camera: information `(n, 4, 4)`, vector `(n, 2, 4)`, times s."""
+    """Evidence of the last frames about the camera: information and vector of Gaussians, times s."""
 
-    information: Array
-    vector: Array
-    times: Array
+    information: Annotated[Array, Shape("n", 4, 4)]
+    vector: Annotated[Array, Shape("n", 2, 4)]
+    times: Annotated[Array, Shape("n")]
 
 
 PER_POINT = ("identities", "shape", "shape_covariance", "unseen", "innovations")
@@ -170,11 +169,11 @@ class Structure:
     Parameters
     ----------
     identities
-        `(n,)` int64, increasing.
+        increasing.
     shape, shape_covariance
-        `(n, 3)` and `(n, 3, 3)`, in units of the first shape's spread.
+        in units of the first shape's spread.
     unseen
-        `(n,)` s since a point was last an inlier.
+        s since a point was last an inlier.
     motion, evidence
         of the camera, and of it in the last frames.
     extent
@@ -182,21 +181,21 @@ class Structure:
     noise_scale
         how much larger the variances of positions are than stated.
     innovations, autocorrelation
-        `(n, 2)` px: position less prediction of each point when it was last an inlier; from one frame to the
+        px: position less prediction of each point when it was last an inlier; from one frame to the
         next.
     wander
         px^2/s, in u and in v: how fast what a point is off by changes (see `offsets`).
     """
 
-    identities: Identities
-    shape: Array
-    shape_covariance: Array
-    unseen: Array
+    identities: Annotated[Identities, Shape("n")]
+    shape: Annotated[Array, Shape("n", 3)]
+    shape_covariance: Annotated[Array, Shape("n", 3, 3)]
+    unseen: Annotated[Array, Shape("n")]
     motion: CameraMotion
     evidence: CameraEvidence
     extent: float
     noise_scale: float
-    innovations: Array
+    innovations: Annotated[Array, Shape("n", 2)]
     autocorrelation: float
     wander: float
 
@@ -461,14 +460,14 @@ ROUNDS = 100  # of learning the noise of the camera's motion
 class Window:
     """Frames and what they show; when there are too many, every other one is dropped.
 
-    Of the points `identities` `(n,)`, increasing, positions `(n_frames, n, 2)` px and variances px^2 are 0
-    where not seen. One of `stride` frames is kept, and `skipped` were left out since the last.
+    Of the points `identities`, increasing, positions px and variances px^2 are 0 where not seen. One of
+    `stride` frames is kept, and `skipped` were left out since the last.
     """
 
-    identities: Identities
-    positions: Array
-    variances: Array
-    times: Array
+    identities: Annotated[Identities, Shape("n")]
+    positions: Annotated[Array, Shape("n_frames", "n", 2)]
+    variances: Annotated[Array, Shape("n_frames", "n")]
+    times: Annotated[Array, Shape("n_frames")]
     stride: int = 1
     skipped: int = 0
 

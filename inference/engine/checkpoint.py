@@ -6,6 +6,11 @@ rest, and `digest` the SHA-256 of both. Values are read by their declared kinds:
 `dict[str, X]`, `dict[int, X]`, `numpy.random.Generator`, and `Any` or `object` for plain JSON, or an alias
 of one of these. A field of a dataclass whose metadata say `{"saved": False}` is left out. A nested mapping
 of names to kinds stands for a record without a class of its own, or `None` where it is not there yet.
+
+Whoever changes a file can give it a new digest, and compiled loops trust what they index with. Therefore
+fields have to be as their annotations declare (`models.core.checks`); names of sizes hold within a dataclass,
+those of a nested mapping in all that lies below it. Where parts must fit each other, the dataclass has a
+method `require_fit`.
 """
 
 import hashlib
@@ -16,14 +21,14 @@ from dataclasses import dataclass, fields, is_dataclass
 from functools import singledispatch
 from pathlib import Path
 from types import GenericAlias, NoneType, UnionType
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...models.array_files import read_arrays
-from ...models.core.checks import shown
+from ...models.core.checks import Check, Sizes, check_of, shown
 from ...models.files import write_atomically
 
 FORMAT = "rsmcm state 3"
@@ -164,22 +169,24 @@ def _encode(value: Any, arrays: Arrays, place: str) -> Any:
 def _restore(data: Any, kinds: Mapping[str, Any], arrays: Arrays) -> dict[str, Any]:
     """Decode everything; nothing may be left over."""
     unread = dict(arrays)
-    values: dict[str, Any] = _decode(data, kinds, unread, "")
+    values: dict[str, Any] = _decode(data, kinds, unread, "", {})
     if unread:
         raise ValueError(f"{next(iter(unread))}: got an array, expected plain JSON")
     return values
 
 
-def _decode(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
-    """The value of a kind from its JSON and from `arrays`, which lose those that are used."""
+def _decode(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Sizes) -> Any:
+    """The value of a kind from its JSON and from `arrays`, which lose those that are used; see `SizesOf`."""
     kind = _without_aliases(kind)
+    if get_origin(kind) is Annotated:
+        kind = _without_aliases(get_args(kind)[0])
     origin, inner = get_origin(kind) or kind, get_args(kind)
     is_array = isinstance(data, dict) and isinstance(data.get("array"), str) and data["array"] in arrays
     if origin in (Any, object):
         return data
     if origin in (Union, UnionType) and len(inner) == 2 and NoneType in inner:
         (present,) = (part for part in inner if part is not NoneType)
-        return None if data is None else _decode(data, present, arrays, place)
+        return None if data is None else _decode(data, present, arrays, place, sizes)
     if origin is np.ndarray and is_array:
         return arrays.pop(data["array"])
     if origin in SCALARS and is_array and arrays[data["array"]].ndim == 0:
@@ -188,44 +195,63 @@ def _decode(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
         return data
     if origin is np.random.Generator and isinstance(data, dict) and data.get("bit_generator") in GENERATORS:
         bits = GENERATORS[data["bit_generator"]](0)
-        bits.state = _decode(data, _kind_of(bits.state), arrays, place)
+        bits.state = _decode(data, _kind_of(bits.state), arrays, place, sizes)
         return np.random.Generator(bits)
     if origin is dict and inner[0] in (str, int) and isinstance(data, dict):
         key_kind, item_kind = inner
         return {
-            key_kind(key): _decode(item, item_kind, arrays, _below(place, key)) for key, item in data.items()
+            key_kind(key): _decode(item, item_kind, arrays, _below(place, key), sizes)
+            for key, item in data.items()
         }
     if origin in (tuple, list) and isinstance(data, list):
         parts = [inner[0]] * len(data) if origin is list or inner[-1] is Ellipsis else list(inner)
         if len(parts) == len(data):
             pairs = zip(data, parts, strict=True)
             return origin(
-                _decode(item, part, arrays, _below(place, n)) for n, (item, part) in enumerate(pairs)
+                _decode(item, part, arrays, _below(place, n), sizes) for n, (item, part) in enumerate(pairs)
             )
     if isinstance(origin, type) and issubclass(origin, tuple) and hasattr(origin, "_fields"):
-        kinds = GenericAlias(tuple, tuple(get_type_hints(origin).values()))
-        return origin(*_decode(data, kinds, arrays, place))
+        hints = get_type_hints(origin, include_extras=True)
+        values = _decode(data, GenericAlias(tuple, tuple(hints.values())), arrays, place, sizes)
+        inside = dict(sizes)
+        for value, (name, hint) in zip(values, hints.items(), strict=True):
+            _check(check_of(hint), value, _below(place, name), inside)
+        return origin(*values)
     if isinstance(kind, Mapping) and data is None:
         return None
     if isinstance(kind, Mapping) or is_dataclass(origin):
-        return _decode_record(data, kind, arrays, place)
+        return _decode_record(data, kind, arrays, place, sizes)
     raise ValueError(f"{place}: got {str(data)[:40]!r}, expected {_spelled(kind)}")
 
 
-def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
+def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Sizes) -> Any:
     if isinstance(kind, Mapping):
-        record, build = kind, dict
+        record, build, inside = kind, dict, sizes
     else:
-        hints = get_type_hints(kind)
+        hints = get_type_hints(kind, include_extras=True)
         record = {name: hints[name] for name in _saved_fields(kind)}
-        build = kind
+        build, inside = kind, dict(sizes)
     content = data if isinstance(data, dict) else {}
     if content.keys() != record.keys():
         got, expected = (", ".join(names) or "nothing" for names in (content, record))
         raise ValueError(f"{place or 'file'}: got {got}, expected {expected}")
-    return build(
-        **{name: _decode(content[name], part, arrays, _below(place, name)) for name, part in record.items()}
-    )
+    values = {}
+    for name, part in record.items():
+        below = _below(place, name)
+        values[name] = value = _decode(content[name], part, arrays, below, sizes)
+        if not isinstance(part, Mapping):
+            _check(check_of(part), value, below, inside)
+    made = build(**values)
+    if hasattr(made, "require_fit"):
+        _check(lambda made, *_: made.require_fit(), made, place, inside)
+    return made
+
+
+def _check(check: Check, value: Any, place: str, sizes: Sizes) -> None:
+    try:
+        check(value, place, sizes)
+    except TypeError as error:
+        raise ValueError(str(error)) from None
 
 
 def _saved_fields(kind: Any) -> list[str]:

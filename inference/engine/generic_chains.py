@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...models.core.categorical import Categorical, CategoricalMessage
-from ...models.core.checks import Count, CountFrom0, PositiveOrInfinite, between, checked
+from ...models.core.checks import Count, CountFrom0, PositiveOrInfinite, Shape, between, checked
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.identities import Identities, Turnover, find, places_of
@@ -68,10 +68,10 @@ class GaussianFactor(Message, Protocol):
 class LinearGaussianState:
     """Gaussian states of things by identity, each on its own."""
 
-    identities: Identities  # (k,), increasing
-    mean: Array  # (k, n)
-    covariance: Array  # (k, n, n)
-    unseen: Array  # (k,) s since there was information about it
+    identities: Annotated[Identities, Shape("k")]  # increasing
+    mean: Annotated[Array, Shape("k", "n")]
+    covariance: Annotated[Array, Shape("k", "n", "n")]
+    unseen: Annotated[Array, Shape("k")]  # s since there was information about it
 
 
 @checked
@@ -240,9 +240,9 @@ class LinearGaussianChain:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class DiscreteState:
-    """Probabilities of a few states, `(k,)`, with sum 1."""
+    """Probabilities of a few states, with sum 1."""
 
-    probabilities: Array
+    probabilities: Annotated[Array, Shape("k")]
 
 
 @checked
@@ -398,7 +398,7 @@ class ParticleState:
     """Weighted particles."""
 
     particles: Array  # (n, ...); within a process also an object with rows, as poses
-    log_weights: Array  # (n,), of weights that sum to 1
+    log_weights: Annotated[Array, Shape("n", finite=False)]  # of weights that sum to 1
     random: np.random.Generator  # of the draws to come
     log_evidence: float = 0.0  # nats: log of the mean likelihood of the last update
 

@@ -10,7 +10,16 @@ from typing import Annotated, Any, TypeVar, get_type_hints, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.checks import Bound, Count, NotNegative, Positive, checked
+from ...models.core.checks import (
+    UNBOUNDED,
+    Bound,
+    Count,
+    CountFrom0,
+    NotNegative,
+    Positive,
+    SizesOf,
+    checked,
+)
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.numerics.threads import side_by_side
@@ -29,6 +38,7 @@ from .protocols import (
 from .time_slice import Sweeps, TimeSlice
 
 State = TypeVar("State")
+ImageShape = Annotated[tuple[int, ...], SizesOf("height", "width", "channels")]
 BELOW_1 = Bound(lambda value: 0 <= value < 1, "0 to less than 1")
 
 
@@ -61,15 +71,20 @@ class RunState:
             if "return" not in hints:
                 raise TypeError(f"chain {name!r}: initial has no return annotation, which says what is saved")
             states[name] = hints["return"]
-        return {"states": states, "number": int, "time": float, "shape": tuple[int, ...] | None}
+        return {
+            "shape": ImageShape | None,
+            "states": states,
+            "number": CountFrom0,
+            "time": Annotated[float, UNBOUNDED],
+        }
 
     def saved(self) -> dict[str, Any]:
         """Return the state as a record of these kinds."""
         return {
+            "shape": self.shape,
             "states": dict(self.states) or None,
             "number": self.number,
             "time": self.time,
-            "shape": self.shape,
         }
 
     @classmethod

@@ -2,18 +2,20 @@
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.checks import Shape
 from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.pictures import grey_of
 from ..core.short_repr import short_repr
 from .keypoints import SeenKeypoints
 
 Array = NDArray[np.float64]
+OfPixels = Annotated[NDArray[np.float32], Shape("height", "width")]
 Map = NDArray[np.float32]
 Made = TypeVar("Made")
 
@@ -169,22 +171,23 @@ stays below twice its median, and soft shades go by steps of one level."""
 class BodyImage:
     """Features of an image that poses of a body are compared with."""
 
-    # `(height, width)` float32 nats, from -4 to 4: log odds of skin; `None` without colour
-    skin: NDArray[np.float32] | None
-    moving_skin: NDArray[np.float32] | None  # the same less the static skin: for hands
-    # `(height, width)` float32 px: distance to the nearest edge, capped at a sixth of the head's height
-    edges: NDArray[np.float32]
-    # `(height, width)` float32 rad, between 0 and pi: the normal of the nearest edge, as angle from x to y
-    edge_directions: NDArray[np.float32]
-    blobs: NDArray[np.float64]  # `(m, 2)` px: centres of `SkinBlobs`
-    blob_log_weights: NDArray[np.float64]  # `(m,)`: log odds of a hand against clutter, up to a constant
+    # nats, from -4 to 4: log odds of skin; `None` without colour
+    skin: OfPixels | None
+    moving_skin: OfPixels | None  # the same less the static skin: for hands
+    # px: distance to the nearest edge, capped at a sixth of the head's height
+    edges: OfPixels
+    # rad, between 0 and pi: the normal of the nearest edge, as angle from x to y
+    edge_directions: OfPixels
+    blobs: Annotated[NDArray[np.float64], Shape("m", 2)]  # px: centres of `SkinBlobs`
+    # log odds of a hand against clutter, up to a constant
+    blob_log_weights: Annotated[NDArray[np.float64], Shape("m")]
     mixtures: GaussianMixtures  # evidence phi(I, F) of head and hands by faces, blobs and key points
     keypoints: SeenKeypoints | None = None  # detected points of this body, if any
     bare: float = 0.0  # probability that forearms are bare
     # nats: log odds of an arm's colour, half as large as the image; `None` without known clothes
     arms: NDArray[np.float32] | None = None
-    # `(m, 4)` px: ellipses of detected faces, centre x, y and half axes
-    faces: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
+    # px: ellipses of detected faces, centre x, y and half axes
+    faces: Annotated[NDArray[np.float64], Shape(None, 4)] = field(default_factory=lambda: np.zeros((0, 4)))
     _made: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def once(self, key: Hashable, make: Callable[["BodyImage"], Made]) -> Made:

@@ -70,7 +70,8 @@ class Shape:
     Parameters
     ----------
     shape
-        one entry an axis; `...` first stands for any number of leading axes.
+        one entry an axis, also a product as `"height * width"`; `...` first stands for any number of leading
+        axes.
     finite
         whether NaN and infinity are refused.
     """
@@ -96,12 +97,30 @@ class Shape:
             raise ValueError(f"{name}: got shape {array.shape}, expected {self.expected}")
         for size, want in zip(shape, wanted, strict=True):
             if isinstance(want, str):
-                want = sizes.setdefault(want, size)
+                names = want.split(" * ")
+                product = (
+                    math.prod(sizes[each] for each in names) if all(map(sizes.__contains__, names)) else size
+                )
+                want = sizes.setdefault(want, product)
             if want is not None and size != want:
                 also = f" with {', '.join(f'{k} = {v}' for k, v in sizes.items())}" if sizes else ""
                 raise ValueError(f"{name}: got shape {array.shape}, expected {self.expected}{also}")
         if self.finite and array.dtype.kind in "fc" and not np.isfinite(array).all():
             raise ValueError(f"{name}: got NaN or infinity, expected finite numbers")
+
+
+class SizesOf:
+    """Names of sizes that a tuple gives: `Annotated[tuple[int, int], SizesOf("height", "width")]`."""
+
+    def __init__(self, *names: str) -> None:
+        self.names = names
+
+    def check(self, value: Any, name: str, sizes: Sizes) -> None:
+        """Raise a `ValueError` for other sizes than those of these names, or a size that is none."""
+        for size, each in zip(value or (), self.names, strict=False):
+            if size < 0 or sizes.setdefault(each, size) != size:
+                expected = f", expected {each} = {sizes[each]}" if size >= 0 else ", expected sizes from 0"
+                raise ValueError(f"{name}: got {shown(value)}{expected}")
 
 
 def checked(thing: T) -> T:
@@ -252,7 +271,7 @@ def _check_of_annotated(hint: Any, marks: tuple[Any, ...]) -> Check:
     for mark in marks:
         if isinstance(mark, Bound):
             checks.append(_by(mark.holds, mark.expected, ValueError))
-        elif isinstance(mark, Shape):
+        elif isinstance(mark, Shape | SizesOf):
             checks.append(mark.check)
 
     def check(value: Any, name: str, sizes: Sizes) -> None:
@@ -290,7 +309,7 @@ def _check_of_union(hints: tuple[Any, ...]) -> Check:
 def _check_of_array(arguments: tuple[Any, ...]) -> Check:
     """Of `NDArray[type]`: bytes, truth values and records exactly, floating numbers of any real type."""
     kinds = get_args(arguments[1]) if len(arguments) > 1 else ()
-    kind = kinds[0] if kinds and isinstance(kinds[0], type) and kinds[0] is not np.generic else None
+    kind = kinds[0] if kinds and isinstance(kinds[0], type) and kinds[0] not in (Any, np.generic) else None
     allowed = None
     if kind is not None and issubclass(kind, np.floating):
         allowed = "fiu"

@@ -8,12 +8,13 @@ from typing import Annotated, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.checks import Count, Shape, checked
+from ..core.checks import Bound, Count, Shape, checked
 from ..core.short_repr import PickledByFields, Rows, short_repr
 from ..numerics.rotations import cross_matrices, exponential, logarithm, nearest_rotation
 
 Array = NDArray[np.float64]
 
+FROM_0 = Bound(lambda numbers: bool((numbers >= 0).all()), "numbers of vertices, from 0")
 RIGID = 5  # degrees of freedom of rotation and translation, which come before the morph coefficients
 
 
@@ -115,9 +116,9 @@ class Poses(Rows):
 class SurfacePoints:
     """Points by three vertices each: sum_a weights_a h_a c + c_1 offset in the object's coordinates."""
 
-    vertices: NDArray[np.int64]  # `(n, 3)` int64, vertex numbers
-    weights: Array  # `(n, 3)`, summing to one
-    offsets: Array  # `(n, 3)` from the surface, in units of c_1 and the object's axes
+    vertices: Annotated[NDArray[np.int64], Shape("n", 3), FROM_0]
+    weights: Annotated[Array, Shape("n", 3)]  # summing to one
+    offsets: Annotated[Array, Shape("n", 3)]  # from the surface, in units of c_1 and the object's axes
 
     def __len__(self) -> int:
         return len(self.vertices)

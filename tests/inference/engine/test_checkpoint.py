@@ -27,7 +27,7 @@ DTYPES = st.one_of(
     hnp.boolean_dtypes(), hnp.integer_dtypes(), hnp.floating_dtypes(), hnp.complex_number_dtypes()
 )
 ARRAYS = hnp.arrays(DTYPES, hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=3))
-FLOATS = st.floats()
+FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 
 
 @dataclass(frozen=True, eq=False)
