@@ -107,13 +107,10 @@ class GFlowState:
     def require_fit(self) -> None:
         """Raise a `ValueError` if poses or textures are not those of all experts."""
         n, _, n_texels = self.texture.mean.shape
-        fit = all(
-            (len(poses), poses.dimension) == self.covariance.shape[:2]
-            for poses in (self.poses, self.last_reliable)
-        )
-        for texture in (self.texture, *(memory.texture for memory in self.memories)):
-            fit &= texture.fits(n if texture is self.texture else 1, n_texels)
-        if not fit or n != len(self.poses):
+        own = (n, self.covariance.shape[1])
+        poses_fit = all((len(each), each.dimension) == own for each in (self.poses, self.last_reliable))
+        memories_fit = all(memory.texture.fits(1, n_texels) for memory in self.memories)
+        if not (poses_fit and memories_fit and self.texture.fits(n, n_texels)):
             raise ValueError(f"poses: got {len(self.poses)}, expected {n} with textures of {n_texels} texels")
 
     @classmethod
@@ -294,11 +291,14 @@ class GFlow(PickledByFields):
                 f"tracked: got {self.tracked}, expected increasing numbers from 0 to {n_vertices - 1}"
             )
         if self.texture is not None:
-            got, wanted = self.texture.mean.shape[1:], (self.levels, len(self.object.texels))
-            if got != wanted:
-                raise ValueError(f"texture: got {got} levels and texels, expected {wanted}")
+            self._check_texture(self.texture)
         if not callable(self.start):
             self._check_start(self.start)
+
+    def _check_texture(self, texture: Texture) -> None:
+        got, wanted = texture.mean.shape[1:], (self.levels, len(self.object.texels))
+        if got != wanted:
+            raise ValueError(f"texture: got {got} levels and texels, expected {wanted}")
 
     def _check_start(self, start: Poses) -> None:
         if not isinstance(start, Poses):
@@ -352,6 +352,7 @@ class GFlow(PickledByFields):
 
     def predict(self, state: GFlowState, dt: float) -> GFlowState:
         """Add `dt` seconds to the time since the last picture, from which the pose prior follows."""
+        self._check_texture(state.texture)  # a state may be loaded
         return replace(state, elapsed=state.elapsed + dt)
 
     @overload

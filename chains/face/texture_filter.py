@@ -182,13 +182,12 @@ class Texture:
 
     def fits(self, n_experts: int, n_texels: int) -> bool:
         """Whether all parts are of so many experts and texels."""
-        parts = [self.variance]
-        if self.learned is not None:
-            parts += [self.learned.log_odds]
-        if self.lasting is not None:
-            parts += [self.lasting.mean]
-        ours = (n_experts, n_texels)
-        return self.mean.shape[::2] == ours and all(part.shape == ours for part in parts)
+        learned = [] if self.learned is None else [self.learned.power]
+        lasting = [] if self.lasting is None else [self.lasting.mean]
+        own = (n_experts, n_texels)
+        return self.mean.shape[::2] == own and all(
+            each.shape == own for each in [self.variance, *learned, *lasting]
+        )
 
     def reset(self) -> Self:
         """Return unseen textures of the same shape."""

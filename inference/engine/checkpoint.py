@@ -243,7 +243,10 @@ def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Size
             _check(check_of(part), value, below, inside)
     made = build(**values)
     if hasattr(made, "require_fit"):
-        _check(lambda made, *_: made.require_fit(), made, place, inside)
+        try:
+            made.require_fit()
+        except ValueError as error:
+            raise ValueError(f"{place}: {error}") from None
     return made
 
 

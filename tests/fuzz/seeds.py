@@ -304,6 +304,7 @@ MAKERS: dict[str, Callable[[Path], list[Files]]] = {
     "models": _models,
     "correspondences": _correspondences,
     "states": _states,
+    "forged_states": _states,
     "predictions": _predictions,
     "exports": _exports,
     "detectors": _detectors,

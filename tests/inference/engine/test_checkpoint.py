@@ -2,6 +2,7 @@
 
 import copy
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +14,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from rsmcm.apps import BodyTracker, FaceTracker, ObjectTracker, PointTracker
+from rsmcm.apps.background.application import build_model
 from rsmcm.chains import AdaptiveBackground, FleshTracker, LinearGaussianChain, MixtureBackground
+from rsmcm.chains.objects.blob_records import RECORD
 from rsmcm.inference import Incoming, MultiChain, Port, RecursiveBP, RunState
 from rsmcm.inference.engine import checkpoint
 from rsmcm.models import BodyParts, PixelLabels, PointTracks, UpperBody
@@ -241,6 +244,78 @@ def test_other_files_are_named(tmp_path: Path) -> None:
     np.savez(path, skeleton=np.array(json.dumps({"format": "rsmcm state 0", "values": {}})))
     with pytest.raises(ValueError, match=r"run.npz: got format 'rsmcm state 0', expected 'rsmcm state 3'"):
         walking().load(path)
+
+
+@pytest.fixture(scope="module")
+def walker(tmp_path_factory: pytest.TempPathFactory) -> tuple[RecursiveBP, Path]:
+    """An engine, and its saved state with an object."""
+    scene = np.random.default_rng(0).integers(60, 90, (90, 120, 3), np.uint8)
+    engine, frames = RecursiveBP(build_model()), []
+    for number in range(1, 41):
+        picture = scene.copy()
+        if number > 20:
+            picture[30:70, number : number + 20] = 220
+        frames.append(Frame(picture, number / 25, number))
+    *_, belief = engine.run(frames)
+    assert len(belief["blobs"].blobs)
+    path = tmp_path_factory.mktemp("walker") / "run.npz"
+    engine.save(path, belief.state)
+    return engine, path
+
+
+def forged(path: Path, name: str, change: Callable[[NDArray[Any]], NDArray[Any]]) -> None:
+    """Change an array of a saved state, and give it the digest of what it holds now."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    arrays.pop(checkpoint.DIGEST)
+    (place,) = (each for each in arrays if each.endswith(f"/{name}"))
+    arrays[place] = change(arrays[place])
+    np.savez(path, allow_pickle=False, **arrays, **{checkpoint.DIGEST: np.array(checkpoint._digest(arrays))})
+
+
+def with_number(number: float, field: str | None = None) -> Callable[[NDArray[Any]], NDArray[Any]]:
+    """Put a number in the first place of an array, or of a field of the records of blobs."""
+
+    def change(array: NDArray[Any]) -> NDArray[Any]:
+        changed = array.copy()
+        (changed.view(RECORD)[:, 0][field] if field else changed).reshape(-1)[0] = number
+        return changed
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("background/light", lambda light: light[:-1], "background/covered: got shape"),
+        ("background/light", with_number(-1.0), r"background: light: got \(\d+, \d+\) blocks.* above 0"),
+        ("background/mean", lambda mean: mean[:, 1:], r"background/mean: got shape \(3, \d+\), expected"),
+        ("background/noise", lambda noise: noise.astype(float), "background/noise: got an array of float64"),
+        ("background/sway", with_number(np.nan), "background/sway: got NaN or infinity"),
+        ("blobs/masks", lambda masks: masks[1:], "blobs/colours: got shape"),
+        ("blobs/words", with_number(10**9, "start"), "blobs: got a record 0 of other pixels"),
+        ("blobs/words", with_number(-1, "faint_top"), "blobs: got a record 0 of other pixels"),
+        (
+            "blobs/words",
+            with_number(1e300, "position"),
+            "blobs: got a record 0 of other pixels",
+        ),
+        ("ground/identities", lambda names: names[1:], "ground/feet: got shape"),
+    ],
+)
+def test_a_forged_state_is_refused(
+    walker: tuple[RecursiveBP, Path],
+    tmp_path: Path,
+    name: str,
+    change: Callable[[NDArray[Any]], NDArray[Any]],
+    message: str,
+) -> None:
+    """Loops index with what a state holds, so that a forged one would end the process."""
+    engine, path = walker
+    (tmp_path / "run.npz").write_bytes(path.read_bytes())
+    forged(tmp_path / "run.npz", name, change)
+    with pytest.raises(ValueError, match=rf"run\.npz: .*{message}"):
+        engine.load(tmp_path / "run.npz")
 
 
 PIXELS, PARTS, EYE = PixelLabels(), BodyParts(40.0), np.eye(2)

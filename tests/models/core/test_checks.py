@@ -8,7 +8,16 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.core.checks import Positive, PositiveOrInfinite, Shape, Share, at_least, between, checked
+from rsmcm.models.core.checks import (
+    Positive,
+    PositiveOrInfinite,
+    Shape,
+    Share,
+    SizesOf,
+    at_least,
+    between,
+    checked,
+)
 
 Floats = NDArray[np.float64]
 
@@ -108,3 +117,22 @@ def test_a_wrong_array_is_named(arguments: dict[str, Any], message: str) -> None
     with pytest.raises((TypeError, ValueError)) as caught:
         distances(**given)
     assert str(caught.value) == message
+
+
+@checked
+def pixels(
+    size: Annotated[tuple[int, ...], SizesOf("height", "width", "channels")],
+    flat: Annotated[Floats, Shape("height * width")],
+    again: Annotated[tuple[int, int] | None, SizesOf("height", "width")] = None,
+) -> int:
+    return len(flat)
+
+
+def test_sizes_are_named_by_a_tuple() -> None:
+    assert pixels((2, 3), np.zeros(6)) == pixels((2, 3, 3), np.zeros(6), (2, 3)) == 6
+    with pytest.raises(ValueError, match=r"flat: got shape \(5,\), expected shape \(height \* width,\) with"):
+        pixels((2, 3), np.zeros(5))
+    with pytest.raises(ValueError, match=r"again: got \(2, 4\), expected width = 3"):
+        pixels((2, 3), np.zeros(6), (2, 4))
+    with pytest.raises(ValueError, match=r"size: got \(-2, -3\), expected sizes from 0"):
+        pixels((-2, -3), np.zeros(6))
