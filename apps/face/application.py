@@ -216,9 +216,9 @@ class Face(Application[FaceJob]):
         restarted, self._restarts = state.relocations > self._restarts, state.relocations
         row = {
             "weights": state.weights,
-            "rotations": state.poses.rotations,
-            "translations": state.poses.translations,
-            "morphs": state.poses.morphs,
+            "rotations": state.stated_poses.rotations,
+            "translations": state.stated_poses.translations,
+            "morphs": state.stated_poses.morphs,
             "mean_rotation": mean.rotations[0],
             "mean_translation": mean.translations[0],
             "mean_morphs": mean.morphs[0],

@@ -48,7 +48,7 @@ class TrackedFace:
     landmarks
         `(n, 2)` px: the landmarks given at the start, tracked on the surface.
     lost
-        whether the face is lost.
+        whether the face is lost: all else is then as it was last seen.
     """
 
     vertices: Floats

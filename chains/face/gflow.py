@@ -140,6 +140,11 @@ class GFlowState:
         return weights
 
     @property
+    def stated_poses(self) -> Poses:
+        """Poses of the object: the last reliable ones while another one may be tracked, which is on trial."""
+        return self.last_reliable if self.trust.trial else self.poses
+
+    @property
     def lost(self) -> bool:
         """Whether the object is lost."""
         return self.trust.lost
@@ -391,7 +396,7 @@ class GFlow(PickledByFields):
     @checked
     def mean_pose(self, state: GFlowState) -> Poses:
         """Return the experts' weighted mean pose."""
-        return state.poses.mean(state.weights)
+        return state.stated_poses.mean(state.weights)
 
     @checked
     def vertices(self, state: GFlowState) -> tuple[Array, Array]:
@@ -400,7 +405,8 @@ class GFlow(PickledByFields):
         Moments of the mixture over experts, each with its Laplace covariance (zero in the first picture).
         """
         model = self.model
-        positions, rows = model.positions(state.poses), model.jacobian(state.poses, 3)
+        poses = state.stated_poses
+        positions, rows = model.positions(poses), model.jacobian(poses, 3)
         mean = np.einsum("n,nva->va", state.weights, positions)
         off = positions - mean
         between = np.einsum("n,nva,nvb->vab", state.weights, off, off)
@@ -505,7 +511,7 @@ class GFlow(PickledByFields):
         begun = Particles(
             pose[np.zeros(n, np.int64)],
             np.full(n, -np.log(n)),
-            np.zeros(n, np.int64),
+            np.full(n, state.log_weights.argmax()),
             seen.particles.log_evidence,
             np.zeros_like(state.covariance),
         )

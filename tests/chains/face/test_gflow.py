@@ -106,6 +106,8 @@ def test_who_hides_the_face_is_not_tracked(scene: FaceScene, images: list[Image]
     chain = chain_for(scene, experts=8, finder=KnownFinder(other, other.poses, hidden, numbers))
     after = states(chain, [*images[:8], *hidden, *images[8:]])
     assert all(state.lost for state in after[10:33])
+    assert sum(state.trust.trial > 0 for state in after) > 10
+    assert all(error(chain, scene, state, 7) < 2.5 for state in after[10:33]), "it is where it was seen last"
     assert not after[-1].lost
     assert error(chain, scene, after[-1], N_FRAMES - 1) < 2.5
 
