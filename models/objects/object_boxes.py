@@ -261,7 +261,7 @@ def _log_densities(
     for kind, more in enumerate(alike):
         which = kinds.reshape(-1) == kind
         root = np.linalg.cholesky(covariances + (noise + more)[:, :, None] * np.eye(BOX))
-        off = np.linalg.solve(root, (boxes[which] - means[:, None]).swapaxes(1, 2))
+        off = np.linalg.inv(root) @ (boxes[which] - means[:, None]).swapaxes(1, 2)
         scale = np.log(root.diagonal(axis1=1, axis2=2)).sum(axis=1) + 2 * np.log(2 * np.pi)
         densities[:, which] = -0.5 * (off**2).sum(axis=1) - scale[:, None]
     return densities
