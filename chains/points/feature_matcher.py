@@ -15,10 +15,10 @@ from typing import cast
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from ...inference.engine.protocols import BatchIncoming, Port, Smoothed
+from ...inference.sfm.perspective.structure import tied_frames
 from ...models.core.checks import Count, checked
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.identities import find, places_of
@@ -30,35 +30,52 @@ from ...models.points.point_tracks import PointMessage, PointTracks
 
 
 @compiled
-def best_and_second(likeness):
-    """Return column and value of the largest entry of each row of `likeness` (n, m), and the second one."""
-    n = likeness.shape[0]
+def best_and_second(likeness, rows, columns, n):
+    """Return the column place of the largest entry of each of `n` row places, the entry, and the second one.
+
+    Entries of `likeness` (k, l) are of the places `rows` (k,) and `columns` (l,); the second one is the
+    largest of another column place.
+    """
     nearest = np.zeros(n, np.int64)
-    best, second = np.zeros(n, np.float32), np.zeros(n, np.float32)
-    for i in range(n):
+    best, second = np.full(n, np.float32(-1)), np.full(n, np.float32(-1))
+    for i in range(likeness.shape[0]):
         row = likeness[i]
-        first, after, place = np.float32(-1), np.float32(-1), 0
+        place, first, after = nearest[rows[i]], best[rows[i]], second[rows[i]]
         for j in range(row.shape[0]):
             value = row[j]
             if value > after:
-                if value > first:
-                    after, first, place = first, value, j
+                if columns[j] == place:
+                    first = max(first, value)
+                elif value > first:
+                    after, first, place = first, value, columns[j]
                 else:
                     after = value
-        nearest[i], best[i], second[i] = place, first, after
+        nearest[rows[i]], best[rows[i]], second[rows[i]] = place, first, after
     return nearest, best, second
 
 
 @compiled
-def keep_near(likeness, lines, middle, reach, positions, tolerance):
-    """Set `likeness` (n, m) to 0 where `positions` (m, 2) are far from `lines` or from `middle`."""
+def nearest_earlier(pairs, n):
+    """Return for each of `n` the first one of its group: `pairs` (k, 2) are in order, the earlier first."""
+    group = np.arange(n)
+    for number in range(pairs.shape[0]):
+        one, other = pairs[number, 0], pairs[number, 1]
+        if group[one] == one and group[other] == other:
+            group[other] = one
+    return group
+
+
+@compiled
+def keep_near(likeness, rows, columns, lines, middle, reach, positions, tolerance):
+    """Set `likeness` (k, l) to 0 where `positions` of columns are far from `lines` or `middle` of rows."""
     for i in range(likeness.shape[0]):
-        a, b, c = lines[i, 0], lines[i, 1], lines[i, 2]
+        place = rows[i]
+        a, b, c = lines[place, 0], lines[place, 1], lines[place, 2]
         for j in range(likeness.shape[1]):
-            x, y = positions[j, 0], positions[j, 1]
+            x, y = positions[columns[j], 0], positions[columns[j], 1]
             off = abs(a * x + b * y + c)
-            square = (x - middle[i, 0]) ** 2 + (y - middle[i, 1]) ** 2
-            if off > tolerance or square > reach[i] ** 2:
+            square = (x - middle[place, 0]) ** 2 + (y - middle[place, 1]) ** 2
+            if off > tolerance or square > reach[place] ** 2:
                 likeness[i, j] = np.float32(0)
 
 
@@ -95,7 +112,9 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-CONTRAST = 0.02  # of a feature, as OpenCV has it: half of Lowe's, so that matt things have some, too
+CONTRAST = 0.005  # of a feature, as OpenCV has it, where Lowe has 0.04: noise has many, but none that match
+TILTS = 2  # of surfaces for affine features: by 45 and 60 degrees (Morel, Yu, "ASIFT", 2009)
+SAME_PLACE = 1.5  # px: nearer affine features, of different tilts, are one
 
 LOCALISATION = 0.1
 """Standard deviation of a feature's position along an axis, as a share of its size: measured on a turning
@@ -119,11 +138,12 @@ UNIT = 255.0  # length of a descriptor that is stored
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Features of a picture."""
+    """Features of a picture, each of which may have several descriptors."""
 
     positions: Array  # (n, 2) px
     deviations: Array  # (n,) px, standard deviation of each coordinate
-    descriptors: NDArray[np.uint8]  # (n, 128), square roots, of length `UNIT` but for rounding
+    descriptors: NDArray[np.uint8]  # (k, 128), square roots, of length `UNIT` but for rounding
+    place: Indices  # (k,): the feature that each of them describes
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -131,24 +151,34 @@ class Features:
     @classmethod
     def none(cls) -> "Features":
         """Return no features."""
-        return cls(np.zeros((0, 2)), np.zeros(0), np.zeros((0, DESCRIPTOR), np.uint8))
+        return cls(np.zeros((0, 2)), np.zeros(0), np.zeros((0, DESCRIPTOR), np.uint8), np.zeros(0, np.int64))
 
 
-def find_features(grey: NDArray[np.uint8], most: int) -> Features:
-    """Return the features of a picture `(height, width)`, at most the `most` of highest contrast."""
-    # without it places are 0.25 px off to the upper left
-    sift = cv2.SIFT.create(contrastThreshold=CONTRAST, enable_precise_upscale=True)
-    points = sift.detect(grey, None)
+def find_features(grey: NDArray[np.uint8], most: int, *, affine: bool = False) -> Features:
+    """Return the features of a picture `(height, width)`, at most the `most` of highest contrast.
+
+    `affine`: also as they look on surfaces that are tilted.
+    """
+    # without precise upscaling places are 0.25 px off to the upper left
+    finder: cv2.Feature2D = cv2.SIFT.create(contrastThreshold=CONTRAST, enable_precise_upscale=True)
+    if affine:
+        finder = cv2.AffineFeature.create(finder, maxTilt=TILTS)
+    points, descriptors = finder.detectAndCompute(grey, None)
     rows = np.array([(*point.pt, point.size, point.response) for point in points]).reshape(-1, 4)
     _, first = np.unique(rows[:, :3], axis=0, return_index=True)
-    first = np.sort(first[rows[first, 2] <= LARGEST])
+    inside = (rows[first, :2] >= 0).all(axis=1) & (rows[first, :2] < grey.shape[::-1]).all(axis=1)
+    first = np.sort(first[inside & (rows[first, 2] <= LARGEST)])
     best = first[np.argsort(-rows[first, 3], kind="stable")[:most]]
     if not len(best):
         return Features.none()
-    _, descriptors = sift.compute(grey, [points[number] for number in best])
-    sums = np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)
-    roots = np.rint(UNIT * np.sqrt(descriptors / sums)).astype(np.uint8)
-    return Features(rows[best, :2], LOCALISATION * rows[best, 2], roots)
+    positions, group = rows[best, :2], np.arange(len(best))
+    if affine:
+        pairs = cKDTree(positions).query_pairs(SAME_PLACE, output_type="ndarray")
+        group = nearest_earlier(pairs[np.lexsort(pairs.T[::-1])], len(best))
+    kept, place = np.unique(group, return_inverse=True)
+    sums = np.maximum(descriptors[best].sum(axis=1, keepdims=True), 1e-12)
+    roots = np.rint(UNIT * np.sqrt(descriptors[best] / sums)).astype(np.uint8)
+    return Features(positions[kept], LOCALISATION * rows[best[kept], 2], roots, place)
 
 
 def match_features(one: Features, other: Features) -> tuple[Indices, Array]:
@@ -157,7 +187,7 @@ def match_features(one: Features, other: Features) -> tuple[Indices, Array]:
     Returns pairs `(m, 2)`, of `one` and of `other`, and their doubt `(m,)`: the larger of both ratios of the
     nearest to the second nearest distance, below `RATIO`.
     """
-    return _mutual_matches(_likeness(one, other))
+    return _mutual_matches(_likeness(one, other), one, other)
 
 
 def match_along_lines(
@@ -181,13 +211,13 @@ def match_along_lines(
         motion = (known_to - known_from)[near]
         middle = here.positions + motion.mean(axis=1)
         reach = SPREADS * np.sqrt(motion.var(axis=1).sum(axis=1)) + 2 * tolerance
-        keep_near(rows, lines, middle, reach, there.positions, tolerance)
+        keep_near(rows, here.place, there.place, lines, middle, reach, there.positions, tolerance)
     likeness[likeness < LEAST_LIKENESS] = 0
-    return _mutual_matches(likeness)
+    return _mutual_matches(likeness, one, other)
 
 
 def _likeness(one: Features, other: Features) -> NDArray[np.float32]:
-    """Return scalar products of descriptors of length 1, `(n, m)`."""
+    """Return scalar products of descriptors of length 1, `(k, l)`."""
     likeness: NDArray[np.float32] = (
         one.descriptors.astype(np.float32) @ other.descriptors.astype(np.float32).T
     )
@@ -195,12 +225,14 @@ def _likeness(one: Features, other: Features) -> NDArray[np.float32]:
     return likeness
 
 
-def _mutual_matches(likeness: NDArray[np.float32]) -> tuple[Indices, Array]:
-    """Return mutual matches and their doubt; see `match_features`."""
-    if min(likeness.shape) < 2:
+def _mutual_matches(likeness: NDArray[np.float32], one: Features, other: Features) -> tuple[Indices, Array]:
+    """Return mutual matches and their doubt, by the likeness of descriptors; see `match_features`."""
+    if min(len(one), len(other)) < 2:
         return np.zeros((0, 2), np.int64), np.zeros(0)
-    nearest, best, second = best_and_second(likeness)
-    nearest_back, best_back, second_back = best_and_second(np.ascontiguousarray(likeness.T))
+    nearest, best, second = best_and_second(likeness, one.place, other.place, len(one))
+    nearest_back, best_back, second_back = best_and_second(
+        np.ascontiguousarray(likeness.T), other.place, one.place, len(other)
+    )
     mutual = np.flatnonzero((nearest_back[nearest] == np.arange(len(nearest))) & (best > 0))
     there = nearest[mutual]
     doubt = np.maximum(_ratio(best[mutual], second[mutual]), _ratio(best_back[there], second_back[there]))
@@ -220,7 +252,8 @@ LOOPS = 3  # most similar pictures with which each one is matched as well
 WORDS = 256  # visual words by whose frequencies pictures are compared
 LEAST_MATCHES = 15  # of two pictures: a fundamental matrix fits 7 by chance
 EPIPOLAR = 1.5  # px from the epipolar line, about three standard deviations of usual features
-LEAST_LENGTH = 3  # pictures that have to show a point, so that a third confirms the match of two
+LEAST_LENGTH = 3  # pictures that have to show a point: of two any camera explains it
+MOST_WIDE = 64  # pictures that are tried again with affine features: of more, many will be close
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +261,7 @@ class FilmMatches:
     """Matches between the pictures of a film."""
 
     frame: Indices  # (n,): the picture of each feature, those of all pictures one after the other
-    # (m, 2): features that look alike and obey one epipolar geometry, as a third picture confirms
+    # (m, 2): features that look alike and obey one epipolar geometry
     pairs: Indices
     doubt: Array  # (m,): of each pair; see `match_features`
 
@@ -258,9 +291,7 @@ class FilmMatches:
         frame = np.repeat(np.arange(len(pictures)), np.diff(edges))
         if not pairs:
             return cls(frame, np.zeros((0, 2), np.int64), np.zeros(0))
-        every, doubt = np.concatenate(pairs), np.concatenate(doubts)
-        sure = _confirmed_by_third(every, len(frame))
-        return cls(frame, every[sure], doubt[sure])
+        return cls(frame, np.concatenate(pairs), np.concatenate(doubts))
 
     def tracks(self, most: int) -> tuple[Indices, Indices]:
         """Join features into tracks, the surest matches first, never two of one picture.
@@ -279,15 +310,6 @@ class FilmMatches:
         names = np.empty(len(first), np.int64)
         names[np.argsort(first)] = np.arange(len(first))
         return features, names[track]
-
-
-def _confirmed_by_third(pairs: Indices, n_features: int) -> Mask:
-    """Return which matches a third picture confirms: both features match the same one there."""
-    ones = np.ones(2 * len(pairs), np.int32)
-    rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
-    matched = coo_array((ones, (rows, columns)), shape=(n_features, n_features)).tocsr()
-    confirmed: Mask = (matched @ matched)[pairs[:, 0], pairs[:, 1]] > 0
-    return confirmed
 
 
 def _longest(track: Indices, frame: Indices, most: int) -> Mask:
@@ -395,6 +417,13 @@ class FeatureTracks:
         return cls(identities, matched, seen, together | together.T, areas, matched)
 
     @property
+    def tied(self) -> Mask:
+        """`(n_frames,)`: whether points tie a picture to most others; see `tied_frames`."""
+        shown = np.zeros((len(self.areas), len(self.identities)), np.bool_)
+        shown[self.matched.frame, self.matched.point] = True
+        return tied_frames(shown) & bool(len(self.identities))
+
+    @property
     def log_prior(self) -> float:
         """Log probability of the matched features under the uniform density over the picture.
 
@@ -498,17 +527,28 @@ class FeatureMatcher:
         return [PointMessage.uniform()] * len(trajectory.areas)
 
     def _match_pictures(self, incoming_over_time: Sequence[BatchIncoming]) -> FeatureTracks:
-        pictures: list[Features] = []
-        patches: list[NDArray[np.float32]] = []
-        areas = np.ones(len(incoming_over_time))
-        for time, incoming in enumerate(incoming_over_time):
-            frame, side = incoming.frame, cast(PointTracks, incoming.node(PointTracks)).patch_size
-            if frame.image is None or frame.points is not None:
-                pictures.append(Features.none())
-                patches.append(np.zeros((0, side, side), np.float32))
-            else:
-                grey = grey_of(frame.image)
-                pictures.append(find_features(grey, self.n_features))
-                patches.append(sample_patches(grey, pictures[-1].positions, side))
-                areas[time] = grey.size
+        """Match plain features, and affine ones where these do not tie all pictures together."""
+        side = cast(PointTracks, incoming_over_time[0].node(PointTracks)).patch_size
+        greys = [
+            None if each.frame.image is None or each.frame.points is not None else grey_of(each.frame.image)
+            for each in incoming_over_time
+        ]
+        shown = np.array([grey is not None for grey in greys])
+        tracks = self._tracks(greys, side, affine=False)
+        if 0 < np.count_nonzero(shown) <= MOST_WIDE and not tracks.tied[shown].all():
+            tracks = self._tracks(greys, side, affine=True)
+        return tracks
+
+    def _tracks(self, greys: Sequence[NDArray[np.uint8] | None], side: int, *, affine: bool) -> FeatureTracks:
+        pictures = [
+            Features.none() if grey is None else find_features(grey, self.n_features, affine=affine)
+            for grey in greys
+        ]
+        patches = [
+            np.zeros((0, side, side), np.float32)
+            if grey is None
+            else sample_patches(grey, each.positions, side)
+            for grey, each in zip(greys, pictures, strict=True)
+        ]
+        areas = np.array([1.0 if grey is None else grey.size for grey in greys])
         return FeatureTracks.of(pictures, patches, areas, self.n_points)

@@ -49,7 +49,7 @@ LEAST_SHARED = 12  # points from which a camera is found: twice what it needs
 LEVELS = ((1, 1.0), (2 / 3, 0.5), (0.5, 0.2))
 """Shares of `LEAST_SHARED` and of `NARROW` that are enough: less, when no other frame can be added."""
 LEAST_TYING = 6  # points that tie a frame to another one: twice what a camera needs
-LEAST_AGREEING = 0.5  # share of the points that agree with a frame's camera
+LEAST_AGREEING = 0.35  # share of the points that agree with a frame's camera: few, where it sees another side
 SAMPLES = math.ceil(math.log(1 - SURE) / math.log(1 - LEAST_AGREEING**4))  # of four points
 MOSTLY = 0.7  # share of the points of the frame that shows most from which another one is taken along with it
 GROWTH = 1.25  # factor by which the number of frames grows between two bundle adjustments
@@ -198,7 +198,8 @@ class _Growth:
                 shape, seen, np.eye(3), None, confidence=SURE, iterationsCount=SAMPLES,
                 reprojectionError=AGREEING_DISTANCE * self._cameras.curvature, flags=cv2.SOLVEPNP_AP3P,
             )  # fmt: skip
-            if not found or agreeing is None or len(agreeing) < LEAST_AGREEING * len(points):
+            least = max(LEAST_TYING, LEAST_AGREEING * len(points))
+            if not found or agreeing is None or len(agreeing) < least:
                 return False
             good = agreeing[:, 0]
             solved, vector, translation = cv2.solvePnP(
@@ -331,7 +332,7 @@ def _refitted(positions: Array, weights: Array, cameras: Array) -> tuple[Array, 
 
 Start = tuple[PerspectiveCameras, Array]
 
-FOCAL_STARTS = (0.8, 1.5, 3.0)  # focal lengths to grow with, in widths of the picture: 64 to 19 degrees
+FOCAL_STARTS = (0.8, 1.5, 3.0, 6.0)  # focal lengths to grow with, in widths of the picture: 64 to 10 degrees
 AFFINE_STARTS = (1.0, 2.0)  # and those for an affine structure, which may need them for either mirror image
 TRIAL_STEPS = 15  # steps of bundle adjustment in each of two rounds after which starts are compared
 FINALISTS = 2  # starts that go on after that
