@@ -469,20 +469,6 @@ def head_terms(heads, contrast, scales, scores, out):
 
 
 @helper
-def _beside_limbs(joints, k, limbs, count, x, y, halves, sharp):
-    """Share of a place that none of the first `count` limbs of pose k covers, whose borders are ramps."""
-    free = _f4(1.0)
-    for limb in range(count):
-        first = 2 + 3 * (limb // 2) + limb % 2
-        right, below = x - _f4(joints[k, first, 0]), y - _f4(joints[k, first, 1])
-        along = right * limbs[limb, 0] + below * limbs[limb, 1]
-        off = abs(below * limbs[limb, 0] - right * limbs[limb, 1]) - _f4(halves[limb % 2])
-        beyond = max(max(-along, along - limbs[limb, 2]), off) * sharp
-        free = min(free, min(max(_f4(0.5) + beyond, _f4(0.0)), _f4(1.0)))
-    return free
-
-
-@helper
 def _colour_ratio(x, y, odds, across, down, spread, free, hidden):
     """Nats of a map's log odds at x, y, as far as the place is `free` and in the picture."""
     column = (x + _f4(0.5)) * across - _f4(0.5)
@@ -492,52 +478,49 @@ def _colour_ratio(x, y, odds, across, down, spread, free, hidden):
 
 
 @compiled
-def arm_terms(joints, arms, scales, points, weights, lengths, halves, torso, shoulders, missing, out):
+def arm_terms(joints, arms, scales, points, weights, lengths, torso, shoulders, missing, out):
     """Log likelihood ratios of the colours of arms and shoulders, added to `out` `(n,)`.
 
-    An arm counts as far as it is long in the picture, and where neither the trunk, whose clothes are those of
-    the arms, nor another limb explains the colours. Above the shoulders there are no clothes but of arms.
+    An arm counts as far as it is long in the picture, but not before the trunk, whose clothes are those of
+    the arms. Above the shoulders there are no clothes.
 
     `joints` `(n, 8, 2)` px; `arms`: map of the log odds of an arm's colour; `scales` `(2,)` are its entries a
     px; `points`, `weights` `(2, k)` and `(2,)`: places on upper arm and forearm as shares of their length,
-    and what each counts; `lengths`, `halves` `(2,)` px: of both and half their widths; `torso` `(3,)`: share
-    of the shoulders' distance that the trunk is broad, how far above the shoulders it reaches in that
-    distance, and px over which borders are blurred; `shoulders` `(m, 3)`: places by the share of the
-    shoulders' distance aside and px above, and what each counts, less than 0 if it is no clothes; `missing`:
-    chance that an arm does not look like that.
+    and what each counts; `lengths` `(2,)` px: of both; `torso` `(3,)`: share of the shoulders' distance that
+    the trunk is broad, how far above the shoulders it reaches in that distance, and px over which its border
+    is blurred; `shoulders` `(m, 3)`: places by the share of the shoulders' distance aside and px above, and
+    what each counts, less than 0 if it is no clothes; `missing`: chance that an arm does not look like that.
     """
     broad, above, blur = _f4(torso[0]), _f4(torso[1]), _f4(torso[2])
-    across, down, hidden, sharp = _f4(scales[0]), _f4(scales[1]), _f4(missing), _f4(1.0) / blur
-    limbs = np.empty((4, 3), np.float32)
+    across, down, hidden = _f4(scales[0]), _f4(scales[1]), _f4(missing)
     for k in range(len(joints)):
         root_x, root_y = _f4(joints[k, 1, 0]), _f4(joints[k, 1, 1])
         axis_x, axis_y = _f4(joints[k, 2, 0] - joints[k, 5, 0]), _f4(joints[k, 2, 1] - joints[k, 5, 1])
         length = max(np.sqrt(axis_x * axis_x + axis_y * axis_y), _f4(1.0))
         axis_x, axis_y = axis_x / length, axis_y / length
         total = _f4(0.0)
-        for limb in range(4):
-            first, part = 2 + 3 * (limb // 2) + limb % 2, limb % 2
-            x, y = _f4(joints[k, first, 0]), _f4(joints[k, first, 1])
-            along_x, along_y = _f4(joints[k, first + 1, 0]) - x, _f4(joints[k, first + 1, 1]) - y
-            long = max(np.sqrt(along_x * along_x + along_y * along_y), _f4(1e-3))
-            limbs[limb, 0], limbs[limb, 1], limbs[limb, 2] = along_x / long, along_y / long, long
-            weight = _f4(weights[part]) * min(long / _f4(lengths[part]), _f4(1.0))
-            for j in range(points.shape[1]):
-                share = _f4(points[part, j])
-                here_x, here_y = x + share * along_x, y + share * along_y
-                off_x, off_y = here_x - root_x, here_y - root_y
-                beside = abs(off_x * axis_x + off_y * axis_y) - broad * length
-                over = off_x * axis_y - off_y * axis_x - above * length
-                outside = min(max(max(beside, over) * sharp, _f4(-20.0)), _f4(20.0))
-                free = _beside_limbs(joints, k, limbs, limb, here_x, here_y, halves, sharp)
-                free /= _f4(1.0) + exponential(-outside)
-                total += weight * _colour_ratio(here_x, here_y, arms, across, down, blur, free, hidden)
+        for side in range(2):
+            for part in range(2):
+                first = 2 + 3 * side + part
+                x, y = _f4(joints[k, first, 0]), _f4(joints[k, first, 1])
+                along_x, along_y = _f4(joints[k, first + 1, 0]) - x, _f4(joints[k, first + 1, 1]) - y
+                long = np.sqrt(along_x * along_x + along_y * along_y) / _f4(lengths[part])
+                nats = _f4(0.0)
+                for j in range(points.shape[1]):
+                    share = _f4(points[part, j])
+                    here_x, here_y = x + share * along_x, y + share * along_y
+                    off_x, off_y = here_x - root_x, here_y - root_y
+                    beside = abs(off_x * axis_x + off_y * axis_y) - broad * length
+                    over = off_x * axis_y - off_y * axis_x - above * length
+                    outside = min(max(max(beside, over) / blur, _f4(-20.0)), _f4(20.0))
+                    free = _f4(1.0) / (_f4(1.0) + exponential(-outside))
+                    nats += _colour_ratio(here_x, here_y, arms, across, down, blur, free, hidden)
+                total += _f4(weights[part]) * long * nats
         for place in shoulders:
             aside, up = _f4(place[0]) * length, _f4(place[1])
             here_x = root_x + aside * axis_x + up * axis_y
             here_y = root_y + aside * axis_y - up * axis_x
-            free = _beside_limbs(joints, k, limbs, 4, here_x, here_y, halves, sharp)
-            total += _f4(place[2]) * _colour_ratio(here_x, here_y, arms, across, down, blur, free, hidden)
+            total += _f4(place[2]) * _colour_ratio(here_x, here_y, arms, across, down, blur, _f4(1.0), hidden)
         out[k] += total
 
 

@@ -155,7 +155,8 @@ ARM_POINTS = np.array([[0.25, 0.5, 0.75, 1.0], [0.2, 0.4, 0.6, 0.75]])
 """Points of upper arm and forearm whose colours are compared: shares of their lengths from the body."""
 
 ARM_WEIGHTS = np.array([0.25, 0.5])
-"""Weight of the colour of each: neighbours are correlated, and upper arms are mostly known anyway."""
+"""Weight of the colour of each, of an arm across the line of sight: neighbours are correlated, and upper arms
+are mostly known anyway."""
 
 TRUNK, TRUNK_BLUR = (0.45, 0.12), 0.05
 """Shoulder widths: half the width of the trunk, and its height above the shoulders; head heights over which
@@ -163,7 +164,7 @@ its border is blurred."""
 
 SHOULDERS = np.array([[0.28, 0.15, 0.25], [0.45, 0.05, 0.25], [0.28, 0.47, -0.25], [0.45, 0.4, -0.25]])
 """Places 0.16 head heights below and above the upper rim of the trunk: shoulder widths aside, head heights
-above the shoulders, weight. Below there are clothes, above none; a place counts as one of an upper arm."""
+above the shoulders, weight. Below there are clothes, above none."""
 
 NO_SLEEVE = 0.1  # probability that an arm has other colours than the trunk
 
@@ -257,13 +258,10 @@ class ImageLikelihood:
         if image.arms is not None:
             torso = np.array([*TRUNK, TRUNK_BLUR * body.head_height])
             lengths = np.array([body.upper_arm, body.forearm])
-            halves = 0.25 * np.array(
-                [body.upper_arm_width + body.forearm_width, body.forearm_width + body.wrist_width]
-            )
             shoulders = np.concatenate([SHOULDERS, SHOULDERS * [-1, 1, 1]]) * [1, body.head_height, 1]
             arm_terms(
-                joints, image.arms, _scales(image.arms, image), ARM_POINTS, ARM_WEIGHTS, lengths, halves,
-                torso, shoulders, NO_SLEEVE, terms[3],
+                joints, image.arms, _scales(image.arms, image), ARM_POINTS, ARM_WEIGHTS, lengths, torso,
+                shoulders, NO_SLEEVE, terms[3],
             )  # fmt: skip
         return terms
 

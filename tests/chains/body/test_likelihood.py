@@ -335,19 +335,11 @@ def plain_arms(arms: NDArray[np.float32], joints: Array) -> Array:
     across = (left - right) / broad[:, None]
     up = np.stack([across[:, 1], -across[:, 0]], axis=1)
     blur = TRUNK_BLUR * BODY.head_height
-    widths = BODY.upper_arm_width + BODY.forearm_width, BODY.forearm_width + BODY.wrist_width
-    limbs: list[tuple[Array, Array, Array, float]] = []  # beginning, direction, length, half the width
 
     def nats(place: Array, outside: Array | float = 1.0) -> Array:
-        free = np.ones(len(place))
-        for start, axis, long, half in limbs:
-            step = place - start
-            along, off = (step * axis).sum(1), np.abs(axis[:, 0] * step[:, 1] - axis[:, 1] * step[:, 0])
-            beyond = np.max([-along, along - long, off - half], axis=0) / blur
-            free = np.minimum(free, np.clip(0.5 + beyond, 0, 1))
         rows_and_columns = (0.5 * place[:, ::-1] - 0.25).T
         odds = map_coordinates(arms, rows_and_columns, order=1, mode="nearest")
-        odds *= within(place, blur) * free * outside
+        odds *= within(place, blur) * outside
         return np.asarray(np.log((1 - NO_SLEEVE) * np.exp(odds) + NO_SLEEVE))
 
     total = np.zeros(len(joints))
@@ -357,14 +349,12 @@ def plain_arms(arms: NDArray[np.float32], joints: Array) -> Array:
                 joints[:, shoulder + part],
                 np.diff(joints[:, shoulder + part :][:, :2], axis=1)[:, 0],
             )
-            long = np.linalg.norm(step, axis=1)
             for share in ARM_POINTS[part]:
                 place = start + share * step
                 beside = np.abs(((place - root) * across).sum(1)) - TRUNK[0] * broad
                 above = ((place - root) * up).sum(1) - TRUNK[1] * broad
                 outside = 1 / (1 + np.exp(-np.clip(np.maximum(beside, above) / blur, -20, 20)))
-                total += ARM_WEIGHTS[part] * np.minimum(long / length, 1) * nats(place, outside)
-            limbs.append((start, step / long[:, None], long, 0.25 * widths[part]))
+                total += ARM_WEIGHTS[part] * np.linalg.norm(step, axis=1) / length * nats(place, outside)
     for aside, over, weight in SHOULDERS:
         for side in (-aside, aside):
             total += weight * nats(root + side * broad[:, None] * across + over * BODY.head_height * up)
