@@ -254,6 +254,9 @@ def cut(points, narrow, rounds, variances, numbers):
 
 
 NECK = 0.62  # of the way from the head's centre to the root: middle of the neck's skin
+OWN_FACE = (
+    0.5  # half axes of a head off a face of its own at most: 1.4 to 2.5 of `models.body.parts.HEAD_STD`
+)
 FOREARM_POINTS = 4  # places between elbow and wrist at which skin is looked up
 
 
@@ -336,8 +339,8 @@ def _explained(x, y, parts, roots, k, hand, spread):
     for face in hand.faces:
         away_x = (_f4(parts[k, 0, 0]) - _f4(face[0])) / _f4(hand.head[0])
         away_y = (_f4(parts[k, 0, 1]) - _f4(face[1])) / _f4(hand.head[1])
-        if away_x * away_x + away_y * away_y < _f4(0.25):
-            continue  # this head is well within it, and explains it
+        if away_x * away_x + away_y * away_y < _f4(OWN_FACE * OWN_FACE):
+            continue  # this head explains it
         wide, high = _f4(face[2]), _f4(face[3])
         radius = np.sqrt(wide * high)
         off_x, off_y = (x - _f4(face[0])) / wide, (y - _f4(face[1])) / high
@@ -478,18 +481,18 @@ def _colour_ratio(x, y, odds, across, down, spread, free, hidden):
 
 
 @compiled
-def arm_terms(joints, arms, scales, points, weights, lengths, torso, shoulders, missing, out):
+def arm_terms(joints, arms, scales, points, weights, torso, shoulders, missing, out):
     """Log likelihood ratios of the colours of arms and shoulders, added to `out` `(n,)`.
 
-    An arm counts as far as it is long in the picture, but not before the trunk, whose clothes are those of
-    the arms. Above the shoulders there are no clothes.
+    Before the trunk, whose clothes are those of the arms, nothing is told. Above the shoulders there are no
+    clothes.
 
     `joints` `(n, 8, 2)` px; `arms`: map of the log odds of an arm's colour; `scales` `(2,)` are its entries a
     px; `points`, `weights` `(2, k)` and `(2,)`: places on upper arm and forearm as shares of their length,
-    and what each counts; `lengths` `(2,)` px: of both; `torso` `(3,)`: share of the shoulders' distance that
-    the trunk is broad, how far above the shoulders it reaches in that distance, and px over which its border
-    is blurred; `shoulders` `(m, 3)`: places by the share of the shoulders' distance aside and px above, and
-    what each counts, less than 0 if it is no clothes; `missing`: chance that an arm does not look like that.
+    and what each counts; `torso` `(3,)`: share of the shoulders' distance that the trunk is broad, how far
+    above the shoulders it reaches in that distance, and px over which its border is blurred; `shoulders`
+    `(m, 3)`: places by the share of the shoulders' distance aside and px above, and what each counts, less
+    than 0 if it is no clothes; `missing`: chance that an arm does not look like that.
     """
     broad, above, blur = _f4(torso[0]), _f4(torso[1]), _f4(torso[2])
     across, down, hidden = _f4(scales[0]), _f4(scales[1]), _f4(missing)
@@ -504,8 +507,6 @@ def arm_terms(joints, arms, scales, points, weights, lengths, torso, shoulders, 
                 first = 2 + 3 * side + part
                 x, y = _f4(joints[k, first, 0]), _f4(joints[k, first, 1])
                 along_x, along_y = _f4(joints[k, first + 1, 0]) - x, _f4(joints[k, first + 1, 1]) - y
-                long = np.sqrt(along_x * along_x + along_y * along_y) / _f4(lengths[part])
-                nats = _f4(0.0)
                 for j in range(points.shape[1]):
                     share = _f4(points[part, j])
                     here_x, here_y = x + share * along_x, y + share * along_y
@@ -514,8 +515,8 @@ def arm_terms(joints, arms, scales, points, weights, lengths, torso, shoulders, 
                     over = off_x * axis_y - off_y * axis_x - above * length
                     outside = min(max(max(beside, over) / blur, _f4(-20.0)), _f4(20.0))
                     free = _f4(1.0) / (_f4(1.0) + exponential(-outside))
-                    nats += _colour_ratio(here_x, here_y, arms, across, down, blur, free, hidden)
-                total += _f4(weights[part]) * long * nats
+                    ratio = _colour_ratio(here_x, here_y, arms, across, down, blur, free, hidden)
+                    total += _f4(weights[part]) * ratio
         for place in shoulders:
             aside, up = _f4(place[0]) * length, _f4(place[1])
             here_x = root_x + aside * axis_x + up * axis_y

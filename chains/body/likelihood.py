@@ -155,8 +155,7 @@ ARM_POINTS = np.array([[0.25, 0.5, 0.75, 1.0], [0.2, 0.4, 0.6, 0.75]])
 """Points of upper arm and forearm whose colours are compared: shares of their lengths from the body."""
 
 ARM_WEIGHTS = np.array([0.25, 0.5])
-"""Weight of the colour of each, of an arm across the line of sight: neighbours are correlated, and upper arms
-are mostly known anyway."""
+"""Weight of the colour of each: neighbours are correlated, and upper arms are mostly known anyway."""
 
 TRUNK, TRUNK_BLUR = (0.45, 0.12), 0.05
 """Shoulder widths: half the width of the trunk, and its height above the shoulders; head heights over which
@@ -257,11 +256,10 @@ class ImageLikelihood:
             terms[2] = image.keypoints.log_ratios(body, joints)
         if image.arms is not None:
             torso = np.array([*TRUNK, TRUNK_BLUR * body.head_height])
-            lengths = np.array([body.upper_arm, body.forearm])
             shoulders = np.concatenate([SHOULDERS, SHOULDERS * [-1, 1, 1]]) * [1, body.head_height, 1]
             arm_terms(
-                joints, image.arms, _scales(image.arms, image), ARM_POINTS, ARM_WEIGHTS, lengths, torso,
-                shoulders, NO_SLEEVE, terms[3],
+                joints, image.arms, _scales(image.arms, image), ARM_POINTS, ARM_WEIGHTS, torso, shoulders,
+                NO_SLEEVE, terms[3],
             )  # fmt: skip
         return terms
 

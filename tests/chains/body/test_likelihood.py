@@ -344,7 +344,7 @@ def plain_arms(arms: NDArray[np.float32], joints: Array) -> Array:
 
     total = np.zeros(len(joints))
     for shoulder in (2, 5):
-        for part, length in enumerate((BODY.upper_arm, BODY.forearm)):
+        for part in (0, 1):
             start, step = (
                 joints[:, shoulder + part],
                 np.diff(joints[:, shoulder + part :][:, :2], axis=1)[:, 0],
@@ -354,7 +354,7 @@ def plain_arms(arms: NDArray[np.float32], joints: Array) -> Array:
                 beside = np.abs(((place - root) * across).sum(1)) - TRUNK[0] * broad
                 above = ((place - root) * up).sum(1) - TRUNK[1] * broad
                 outside = 1 / (1 + np.exp(-np.clip(np.maximum(beside, above) / blur, -20, 20)))
-                total += ARM_WEIGHTS[part] * np.linalg.norm(step, axis=1) / length * nats(place, outside)
+                total += ARM_WEIGHTS[part] * nats(place, outside)
     for aside, over, weight in SHOULDERS:
         for side in (-aside, aside):
             total += weight * nats(root + side * broad[:, None] * across + over * BODY.head_height * up)
@@ -376,6 +376,18 @@ def test_arms_equal_plain_numpy(seed: int) -> None:
     arms = cv2.GaussianBlur(random.normal(0, 8, (180, 320)).astype(np.float32), (0, 0), 3)
     found = BodyLikelihood(BODY)(sleeved(arms)).inner_terms(poses)[CLOTHES]
     np.testing.assert_allclose(found, plain_arms(arms, BODY.joints(poses)[:, :, :2]), rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("down", [-0.4, 0.4])
+def test_clothes_tell_where_the_shoulders_are(down: float) -> None:
+    """A body that is too high or too low, with the same arms, explains the colours of its clothes worse."""
+    labels = masks(BODY, signing(), SIZE)[0]
+    arms = np.where((labels > 0) & (labels != 1), np.float32(4), np.float32(-4))[::2, ::2]
+    poses = BodyPoses.concatenated(
+        [signing(), replace(signing(), roots=signing().roots + np.array([0, 80 * down]))]
+    )
+    right, wrong = BodyLikelihood(BODY)(sleeved(np.ascontiguousarray(arms))).inner_terms(poses)[CLOTHES]
+    assert right > wrong + 1
 
 
 def test_a_first_look_is_all_but_edges() -> None:
