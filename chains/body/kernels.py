@@ -254,9 +254,7 @@ def cut(points, narrow, rounds, variances, numbers):
 
 
 NECK = 0.62  # of the way from the head's centre to the root: middle of the neck's skin
-OWN_FACE = (
-    0.5  # half axes of a head off a face of its own at most: 1.4 to 2.5 of `models.body.parts.HEAD_STD`
-)
+OWN_FACE = 0.5  # half axes of a head from its own face at most: 1.4 to 2.5 of `parts.HEAD_STD`
 FOREARM_POINTS = 4  # places between elbow and wrist at which skin is looked up
 
 
