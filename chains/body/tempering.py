@@ -59,10 +59,9 @@ MOVES = 4  # Metropolis moves of every sample after each step
 SCALES = (0.1, 0.25, 0.6, 1.2)  # of moves over the dynamics' in `MOVE_TIME`: peaks may be narrow
 MOVE_TIME = 0.04  # s
 
-BLOCKS = 9
+BLOCKS = 6
 """Coordinates that move together: position and neck; left or right arm; either arm with its hand fixed in the
-image; the torso with both hands and the swivels of the elbows fixed; hand and elbow of the left arm, of the
-right one, or of both, which exchange their places in the image."""
+image; the torso with both hands and the swivels of the elbows fixed."""
 
 
 @runtime_checkable
@@ -238,24 +237,4 @@ def perturb(dynamics: BodyDynamics, poses: BodyPoses, random: np.random.Generato
         offsets[:, 2] += reach * size * random.standard_normal(len(kept))
         arms[kept, side], within = arm_at(body, side, offsets, angles)
         correction[kept] += np.where(within, before - log_volume(body, offsets), -np.inf)
-        turned = np.flatnonzero((block == 6 + side) | (block == 8))
-        arms[turned, side], ratio = _turned_forearms(body, arms[turned, side], random)
-        correction[turned] += ratio
     return BodyPoses(roots, torsos, necks, arms), correction
-
-
-def _turned_forearms(body: UpperBody, arms: Array, random: np.random.Generator) -> tuple[Array, Array]:
-    """Exchange hand and elbow in the image, of arms `(n, 2, 3)`; return the log of the Hastings ratio `(n,)`.
-
-    The map of both directions' image is linear and its own inverse; its ratio of solid angles is that of the
-    depths of the upper arms.
-    """
-    upper, forearm = arms[:, 0], -arms[:, 1]
-    turned = np.stack([upper - body.forearm / body.upper_arm * forearm, forearm], axis=1)
-    rest = 1 - np.square(turned[:, 0, :2]).sum(axis=1)
-    signs = random.choice([-1.0, 1.0], (2, len(arms)))
-    turned[:, 0, 2] = signs[0] * np.sqrt(np.maximum(rest, 0))
-    turned[:, 1, 2] *= signs[1]
-    with np.errstate(divide="ignore"):
-        ratio = np.log(np.abs(upper[:, 2])) - 0.5 * np.log(np.maximum(rest, 0))
-    return turned, np.where(rest > 0, ratio, -np.inf)
