@@ -28,7 +28,7 @@ from .samples import (
     stationary_samples,
     weighted_moments,
 )
-from .tempering import anneal, temper
+from .tempering import temper
 
 Array = NDArray[np.float64]
 
@@ -57,8 +57,7 @@ class ArticulatedPose:
 
     In the first frame, head and hands are drawn from the messages at F (face and skin in the image, other
     chains' predictions) and completed to poses by inverse kinematics (`draw_from_likelihood`); then poses are
-    drawn from those of the frame before, some with a hand at a detection (`draw_guided`). The first ones
-    become samples of the posterior by annealing (`anneal`): bare arms fit an image in narrow peaks only.
+    drawn from those of the frame before, some with a hand at a detection (`draw_guided`).
 
     The paper weights its samples once, by the posterior over the proposal. Here weighting gives samples of
     the prediction; the likelihood is then applied by tempering, with Metropolis moves after each step
@@ -127,27 +126,16 @@ class ArticulatedPose:
         def log_prior(poses: BodyPoses, owners: NDArray[np.int64]) -> Array:
             return candidates.log_prior(poses, owners) + message.log_values(self.body.parts(poses))
 
-        if state.ancestors is None:
-            posterior = anneal(
-                self._dynamics,
-                candidates.poses,
-                candidates.log_drawn,
-                lambda poses: log_prior(poses, np.zeros(len(poses), np.int64)),
-                likelihood,
-                self.samples,
-                random,
-            )
-        else:
-            posterior = temper(
-                self._dynamics,
-                candidates.poses,
-                candidates.log_weights,
-                log_prior,
-                likelihood,
-                self.samples,
-                random,
-                PRESELECTED * self.samples,
-            )
+        posterior = temper(
+            self._dynamics,
+            candidates.poses,
+            candidates.log_weights,
+            log_prior,
+            likelihood,
+            self.samples,
+            random,
+            PRESELECTED * self.samples,
+        )
         return BodySamples(
             posterior.poses, posterior.log_weights, state.size, random, log_evidence=posterior.log_evidence
         )

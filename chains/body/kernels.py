@@ -469,28 +469,17 @@ def head_terms(heads, contrast, scales, scores, out):
         out[k] += _seen_or_not(full * response, hidden)
 
 
-@helper
-def _colour_ratio(x, y, odds, across, down, spread, free, hidden):
-    """Nats of a map's log odds at x, y, as far as the place is `free` and in the picture."""
-    column = (x + _f4(0.5)) * across - _f4(0.5)
-    row = (y + _f4(0.5)) * down - _f4(0.5)
-    free *= _in_picture(column, row, odds, spread * across)
-    return _seen_or_not(free * _at(odds, column, row), hidden)
-
-
 @compiled
-def arm_terms(joints, arms, scales, points, weights, torso, shoulders, missing, out):
-    """Log likelihood ratios of the colours of arms and shoulders, added to `out` `(n,)`.
+def arm_terms(joints, arms, scales, points, weights, torso, missing, out):
+    """Log likelihood ratios of the colours along arms, added to `out` `(n,)`.
 
-    Before the trunk, whose clothes are those of the arms, nothing is told. Above the shoulders there are no
-    clothes.
+    Before the trunk, whose clothes are those of the arms, nothing is told.
 
     `joints` `(n, 8, 2)` px; `arms`: map of the log odds of an arm's colour; `scales` `(2,)` are its entries a
     px; `points`, `weights` `(2, k)` and `(2,)`: places on upper arm and forearm as shares of their length,
     and what each counts; `torso` `(3,)`: share of the shoulders' distance that the trunk is broad, how far
-    above the shoulders it reaches in that distance, and px over which its border is blurred; `shoulders`
-    `(m, 3)`: places by the share of the shoulders' distance aside and px above, and what each counts, less
-    than 0 if it is no clothes; `missing`: chance that an arm does not look like that.
+    above the shoulders it reaches in that distance, and px over which its border is blurred; `missing`:
+    chance that an arm does not look like that.
     """
     broad, above, blur = _f4(torso[0]), _f4(torso[1]), _f4(torso[2])
     across, down, hidden = _f4(scales[0]), _f4(scales[1]), _f4(missing)
@@ -512,14 +501,11 @@ def arm_terms(joints, arms, scales, points, weights, torso, shoulders, missing, 
                     beside = abs(off_x * axis_x + off_y * axis_y) - broad * length
                     over = off_x * axis_y - off_y * axis_x - above * length
                     outside = min(max(max(beside, over) / blur, _f4(-20.0)), _f4(20.0))
-                    free = _f4(1.0) / (_f4(1.0) + exponential(-outside))
-                    ratio = _colour_ratio(here_x, here_y, arms, across, down, blur, free, hidden)
-                    total += _f4(weights[part]) * ratio
-        for place in shoulders:
-            aside, up = _f4(place[0]) * length, _f4(place[1])
-            here_x = root_x + aside * axis_x + up * axis_y
-            here_y = root_y + aside * axis_y - up * axis_x
-            total += _f4(place[2]) * _colour_ratio(here_x, here_y, arms, across, down, blur, _f4(1.0), hidden)
+                    column = (here_x + _f4(0.5)) * across - _f4(0.5)
+                    row = (here_y + _f4(0.5)) * down - _f4(0.5)
+                    odds = _at(arms, column, row) / (_f4(1.0) + exponential(-outside))
+                    odds *= _in_picture(column, row, arms, blur * across)
+                    total += _f4(weights[part]) * _seen_or_not(odds, hidden)
         out[k] += total
 
 

@@ -161,10 +161,6 @@ TRUNK, TRUNK_BLUR = (0.45, 0.12), 0.05
 """Shoulder widths: half the width of the trunk, and its height above the shoulders; head heights over which
 its border is blurred."""
 
-SHOULDERS = np.array([[0.28, 0.15, 0.25], [0.45, 0.05, 0.25], [0.28, 0.47, -0.25], [0.45, 0.4, -0.25]])
-"""Places 0.16 head heights below and above the upper rim of the trunk: shoulder widths aside, head heights
-above the shoulders, weight. Below there are clothes, above none."""
-
 NO_SLEEVE = 0.1  # probability that an arm has other colours than the trunk
 
 
@@ -256,10 +252,9 @@ class ImageLikelihood:
             terms[2] = image.keypoints.log_ratios(body, joints)
         if image.arms is not None:
             torso = np.array([*TRUNK, TRUNK_BLUR * body.head_height])
-            shoulders = np.concatenate([SHOULDERS, SHOULDERS * [-1, 1, 1]]) * [1, body.head_height, 1]
             arm_terms(
-                joints, image.arms, _scales(image.arms, image), ARM_POINTS, ARM_WEIGHTS, torso, shoulders,
-                NO_SLEEVE, terms[3],
+                joints, image.arms, _scales(image.arms, image), ARM_POINTS, ARM_WEIGHTS, torso, NO_SLEEVE,
+                terms[3],
             )  # fmt: skip
         return terms
 

@@ -319,7 +319,6 @@ class Candidates:
     log_weights: Array  # `(n,)`; normalised after `weighted`
     ancestors: BodyPoses  # n poses of the frame before; restarted poses are their own
     restarted: NDArray[np.bool_]  # `(n,)`: which ones were drawn without a past
-    starts: GaussianMixtures  # of head and hands, from which these were drawn
 
     @classmethod
     def of_first_frame(
@@ -337,14 +336,7 @@ class Candidates:
         log_weights -= np.log(max(proposal.tried, 1.0))
         count = len(proposal.poses)
         return cls(
-            dynamics,
-            size,
-            np.inf,
-            proposal.poses,
-            log_weights,
-            proposal.poses,
-            np.ones(count, np.bool_),
-            starts,
+            dynamics, size, np.inf, proposal.poses, log_weights, proposal.poses, np.ones(count, np.bool_)
         )
 
     @classmethod
@@ -371,18 +363,11 @@ class Candidates:
             np.concatenate([fresh.log_weights + log_elsewhere, continued.log_weights + log_stays]),
             BodyPoses.concatenated([fresh.poses, past.poses.take(continued.ancestors)]),
             np.arange(len(fresh.poses) + len(continued.poses)) < len(fresh.poses),
-            starts,
         )
 
     def weighted(self, log_factors: Array) -> Self:
         """Multiply the weights by factors `(n,)` nats, and normalise them."""
         return replace(self, log_weights=normalised(self.log_weights + log_factors))
-
-    def log_drawn(self, poses: BodyPoses) -> Array:
-        """`(m,)` nats: log density from which poses are drawn without a past, up to a constant; minus
-        infinity where joints forbid a pose."""
-        density = _log_density(self.dynamics, poses, self.starts)
-        return np.where(self.dynamics.body.allowed(poses), density, -np.inf)
 
     def log_prior(self, poses: BodyPoses, owners: NDArray[np.int64]) -> Array:
         """`(m,)` nats: log prior of poses given the ancestors of candidates `owners` `(m,)`, up to a constant

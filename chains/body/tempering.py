@@ -6,7 +6,7 @@ Doucet and Perez, "Maintaining multi-modality through mixture tracking", 2003).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -54,7 +54,7 @@ class Strata:
 LogDensity = Callable[[BodyPoses], Array]
 
 KEPT = 0.3  # share of effective samples that is left by a step of tempering
-MOST_STEPS = 12  # of tempering; the last one reaches power 1
+MOST_STEPS = 3  # of tempering; the last one reaches power 1
 MOVES = 4  # Metropolis moves of every sample after each step
 SCALES = (0.1, 0.25, 0.6, 1.2)  # of moves over the dynamics' in `MOVE_TIME`: peaks may be narrow
 MOVE_TIME = 0.04  # s
@@ -138,33 +138,6 @@ def temper(
         if power >= 1:
             break
     return Tempered(poses, normalised(log_weights), log_sum(log_weights))
-
-
-def anneal(
-    dynamics: BodyDynamics,
-    poses: BodyPoses,
-    log_drawn: LogDensity,
-    log_prior: LogDensity,
-    log_likelihood: LogDensity,
-    n: int,
-    random: np.random.Generator,
-) -> Tempered:
-    """Draw samples of the posterior from even draws of a proposal.
-
-    That is annealed importance sampling (Neal, "Annealed importance sampling", 2001): as `temper`, but from
-    the proposal to the posterior, where the prior is so much broader that hardly any draw weighs anything.
-
-    `poses`: of the proposal; `log_drawn`, `log_prior`: its log density and that of the prior, both up to a
-    constant, and minus infinity where a pose is impossible; `n`: samples that are returned.
-    """
-
-    def log_ratio(some: BodyPoses) -> Array:
-        return np.asarray(log_prior(some) + log_likelihood(some) - log_drawn(some))
-
-    even = np.full(len(poses), -np.log(len(poses)))
-    found = temper(dynamics, poses, even, lambda some, _: log_drawn(some), log_ratio, n, random)
-    mass = log_sum(even + log_prior(poses) - log_drawn(poses))
-    return replace(found, log_evidence=found.log_evidence - mass)
 
 
 def preselect(

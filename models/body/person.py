@@ -113,7 +113,6 @@ its lower end. Most of it is clothes, in spite of arms and hands."""
 
 ELSEWHERE = (1.3, 0.8)  # head heights: farther to the side or higher is background
 SHRINK = 0.5  # size of the map over that of the image
-SKIN_OF_BARE = 0.5  # share of skin in an arm with a bare forearm: upper arms are in sleeves
 BLUR = 0.06  # head heights: of the map; a sleeve is three times as broad
 
 
@@ -154,7 +153,7 @@ class ClothesColour:
         """
         odds = look_up(self.table, colours)
         if bare > 0:
-            blended(odds.reshape(-1), skin.reshape(-1), 1 - SKIN_OF_BARE * bare, SKIN_OF_BARE * bare)
+            blended(odds.reshape(-1), skin.reshape(-1), 1 - min(bare, 0.999), bare)
         half = cv2.resize(odds, None, fx=SHRINK, fy=SHRINK, interpolation=cv2.INTER_AREA)
         return np.asarray(cv2.GaussianBlur(half, (0, 0), BLUR * SHRINK * head_height), np.float32)
 
