@@ -93,19 +93,21 @@ class SegmentedVideo:
     """A video that survives the end of its process at any moment.
 
     Pictures go to a segment, `name.partNNNNNNNNN.suffix`, that is complete at each checkpoint and named by
-    its last frame. Closing joins the segments without encoding anew into the whole video; they stay, since
-    a run that is resumed goes on with those that do not end behind its frame. Time stamps follow the frames'
-    times in units of 1/rate, so that a picture missing in between does not shift others.
+    its last frame. Closing joins the segments without encoding anew into the whole video. Those of a run
+    stay: it can go on after frame `resume_after` (0 for a new run) with those that do not end behind it;
+    `None` where nothing will go on. Time stamps follow the frames' times in units of 1/rate, so that a
+    picture missing in between does not shift others.
     """
 
-    def __init__(self, path: Path, rate: float, form: VideoForm, resume_after: int = 0) -> None:
+    def __init__(self, path: Path, rate: float, form: VideoForm, resume_after: int | None = None) -> None:
         self._path = path
         self._form = form
         self._rate = Fraction(rate).limit_denominator(1001)
         self._segment: _Segment | None = None
         self._unfinished = path.with_name(f"{UNFINISHED}part-{path.name}")
         self._unfinished.unlink(missing_ok=True)
-        drop_segments(path, behind=resume_after)
+        self._stay = resume_after is not None
+        drop_segments(path, behind=resume_after or 0)
 
     def write(self, picture: NDArray[np.uint8], number: int, time: float) -> None:
         """Append a picture, BGR or gray as the form demands, of the frame with this number and time."""
@@ -144,7 +146,7 @@ class SegmentedVideo:
         """Write the whole video."""
         self.checkpoint()
         with _naming(self._path):
-            join_segments(self._path, partial(_join, form=self._form))
+            join_segments(self._path, partial(_join, form=self._form), stay=self._stay)
 
     def _open(self, picture: NDArray[np.uint8], time: float) -> _Segment:
         height, width = picture.shape[:2]
@@ -247,12 +249,14 @@ def drop_segments(path: Path, behind: int = 0) -> None:
         segment.unlink()
 
 
-def join_segments(path: Path, join: Callable[[Sequence[Path], Path], None]) -> None:
-    """Write the whole file, by what joins its segments, if any."""
+def join_segments(path: Path, join: Callable[[Sequence[Path], Path], None], *, stay: bool) -> None:
+    """Write the whole file, by what joins its segments, if any, and remove them unless they `stay`."""
     segments = segments_of(path)
     if segments:
         with write_atomically(path) as unfinished:
             join(segments, unfinished)
+    if not stay:
+        drop_segments(path)
 
 
 class Worker:
@@ -339,7 +343,7 @@ class MaskWriter:
     rate
         frames per second of the video.
     resume_after
-        number of the frame after which this run continues; 0 for a new one.
+        see `SegmentedVideo`.
     """
 
     def __init__(
@@ -347,7 +351,7 @@ class MaskWriter:
         folder: str | Path,
         mode: Literal["none", "png", "video"] = "png",
         rate: float = 25.0,
-        resume_after: int = 0,
+        resume_after: int | None = None,
     ) -> None:
         if mode not in ("none", "png", "video"):
             raise ValueError(f"masks: got {mode!r}, expected none, png or video")
@@ -363,7 +367,7 @@ class MaskWriter:
             self._folder.mkdir(exist_ok=True)
             for path in self._folder.glob("bin*.png"):
                 digits = path.stem[3:]
-                if digits.isdecimal() and int(digits) > resume_after:
+                if digits.isdecimal() and int(digits) > (resume_after or 0):
                     path.unlink()
         if mode != "none":
             self._worker = Worker("masks")

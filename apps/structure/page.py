@@ -15,9 +15,8 @@ from ...chains.reconstruction import Numbers, Reconstruction, lens_of
 from ...inference.sfm.perspective.structure import Lens, PerspectiveStructure
 from ...models.core.frame import Frame
 from ...models.numerics.evenly_spaced import evenly_spaced
-from ..io.files import drop_segments
 from ..io.sources.images import focal_of_picture
-from ..view.film import FILM, ROWS, Film, FilmWriter, Row, read_film
+from ..view.film import Film, FilmWriter, Row, read_film
 from ..view.overlay import css_colour, identity_colour
 from ..view.page import Line, Page, Plot, Section, encoded
 from ..view.points import LAYER, SIDES, FollowedPoints, film_of_points, most_over_film, packed
@@ -109,8 +108,6 @@ def write_film(
     with FilmWriter(folder, rate) as writer:
         for index, frame in enumerate(frames):
             writer.add(frame, dict if result is None else partial(view_row, result, index))
-    for name in (FILM, ROWS):
-        drop_segments(folder / name)
     return read_film(folder)
 
 

@@ -43,14 +43,14 @@ class FilmWriter:
     """`film.mp4` and `view.npz`, of the last part of a run if it is long.
 
     Both grow by segments as `SegmentedVideo` does. Whenever they take more than `MOST_BYTES`, the oldest go,
-    so that a stream may last for ever. A frame without image shows the one before. A run that goes on does so
-    after frame `resume_after`.
+    so that a stream may last for ever. A frame without image shows the one before.
     """
 
-    def __init__(self, folder: Path, rate: float, resume_after: int = 0) -> None:
+    def __init__(self, folder: Path, rate: float, resume_after: int | None = None) -> None:
         self._film, self._rows = folder / FILM, folder / ROWS
         self._video = SegmentedVideo(self._film, rate, SMALL, resume_after)
-        drop_segments(self._rows, behind=resume_after)
+        self._stay = resume_after is not None
+        drop_segments(self._rows, behind=resume_after or 0)
         self._drop_unpaired()
         self._worker = Worker("film", AHEAD)
         self._columns: dict[str, list[NDArray[Any]]] = {}
@@ -68,7 +68,7 @@ class FilmWriter:
         finally:
             self._cut()
             self._video.close()
-            join_segments(self._rows, _join)
+            join_segments(self._rows, _join, stay=self._stay)
 
     def add(self, frame: Frame, view_row: Callable[[], Row]) -> None:
         """Append a frame, which must not change any more; `view_row` is called in a thread.

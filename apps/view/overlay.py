@@ -472,8 +472,8 @@ class Draw(Protocol):
 class OverlayVideo:
     """A video of frames with what was found on them, drawn in their order in a thread.
 
-    Without a path, pictures are shown only: `show` is given each, in that thread. A run that goes on does so
-    after frame `resume_after`.
+    Without a path, pictures are shown only: `show` is given each, in that thread. See `SegmentedVideo` for
+    `resume_after`.
     """
 
     def __init__(
@@ -481,7 +481,7 @@ class OverlayVideo:
         path: Path | None,
         rate: float,
         draw: Draw,
-        resume_after: int = 0,
+        resume_after: int | None = None,
         show: Callable[[Image], None] | None = None,
     ) -> None:
         self._video = None if path is None else SegmentedVideo(path, rate, PLAYABLE, resume_after)
