@@ -40,7 +40,8 @@ COVERED, CRUMB = 0.3, 0.1
 """Probability of cover from which on pixels make a spot, and share of the largest that crumbs have not."""
 
 WORDS = RECORD.itemsize // 8  # of 8 bytes, of one blob
-FARTHEST = 1e9  # in any unit: numbers of a record are nearer, and fit whole numbers of 32 bits
+PLACES, FARTHEST = ("position", "velocity", "size", "origin", "box_mean"), 1e9  # px
+"""Fields of records that loops round to whole numbers, and what is beyond any picture."""
 
 
 @short_repr
@@ -191,7 +192,7 @@ class Blobs:
         for first, end, length in (("top", "bottom", rows), ("left", "right", columns)):
             for kind in ("", "faint_"):
                 fit &= (table[kind + first] >= 0) & (table[kind + end] <= length)
-        for name in RECORD.names or ():
+        for name in PLACES:
             near = np.abs(table[name]) < FARTHEST
             fit &= near.reshape(len(table), math.prod(near.shape[1:])).all(axis=1)
         if not fit.all():

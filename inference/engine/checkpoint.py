@@ -7,10 +7,10 @@ rest, and `digest` the SHA-256 of both. Values are read by their declared kinds:
 of one of these. A field of a dataclass whose metadata say `{"saved": False}` is left out. A nested mapping
 of names to kinds stands for a record without a class of its own, or `None` where it is not there yet.
 
-Whoever changes a file can give it a new digest, and compiled loops trust what they index with. Therefore
-fields have to be as their annotations declare (`models.core.checks`); names of sizes hold within a dataclass,
-those of a nested mapping in all that lies below it. Where parts must fit each other, the dataclass has a
-method `require_fit`.
+Whoever changes a file can give it a new digest, and compiled loops trust what they index with. Therefore,
+when a file is read, fields have to be as their annotations declare (`models.core.checks`); names of sizes
+hold within a dataclass, those of a nested mapping in all that lies below it. Where parts must fit each
+other, the dataclass has a method `require_fit`.
 """
 
 import hashlib
@@ -54,7 +54,7 @@ def save(path: str | Path, values: Mapping[str, Any], kinds: Mapping[str, Any]) 
     """
     arrays: Arrays = {}
     skeleton = json.dumps({"format": FORMAT, "values": _encode(values, arrays, "")})
-    _restore(json.loads(skeleton)["values"], kinds, arrays)
+    _restore(json.loads(skeleton)["values"], kinds, arrays, None)
     whole = {SKELETON: np.array(skeleton), **arrays}
     with write_atomically(Path(path)) as unfinished, unfinished.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **whole, **{DIGEST: np.array(_digest(whole))})
@@ -102,7 +102,7 @@ def load(file: str | Path | Contents, kinds: Mapping[str, Any]) -> dict[str, Any
     """
     contents = file if isinstance(file, Contents) else read(file)
     try:
-        return _restore(contents.values, kinds, contents.arrays)
+        return _restore(contents.values, kinds, contents.arrays, {})
     except ValueError as error:
         raise ValueError(f"{contents.path}: {error}") from error
 
@@ -166,16 +166,16 @@ def _encode(value: Any, arrays: Arrays, place: str) -> Any:
     return value
 
 
-def _restore(data: Any, kinds: Mapping[str, Any], arrays: Arrays) -> dict[str, Any]:
-    """Decode everything; nothing may be left over."""
+def _restore(data: Any, kinds: Mapping[str, Any], arrays: Arrays, sizes: Sizes | None) -> dict[str, Any]:
+    """Decode everything; nothing may be left over. Without `sizes`, what is declared is not checked."""
     unread = dict(arrays)
-    values: dict[str, Any] = _decode(data, kinds, unread, "", {})
+    values: dict[str, Any] = _decode(data, kinds, unread, "", sizes)
     if unread:
         raise ValueError(f"{next(iter(unread))}: got an array, expected plain JSON")
     return values
 
 
-def _decode(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Sizes) -> Any:
+def _decode(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Sizes | None) -> Any:
     """The value of a kind from its JSON and from `arrays`, which lose those that are used; see `SizesOf`."""
     kind = _without_aliases(kind)
     if get_origin(kind) is Annotated:
@@ -213,7 +213,7 @@ def _decode(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Sizes) -> A
     if isinstance(origin, type) and issubclass(origin, tuple) and hasattr(origin, "_fields"):
         hints = get_type_hints(origin, include_extras=True)
         values = _decode(data, GenericAlias(tuple, tuple(hints.values())), arrays, place, sizes)
-        inside = dict(sizes)
+        inside = None if sizes is None else dict(sizes)
         for value, (name, hint) in zip(values, hints.items(), strict=True):
             _check(check_of(hint), value, _below(place, name), inside)
         return origin(*values)
@@ -224,13 +224,13 @@ def _decode(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Sizes) -> A
     raise ValueError(f"{place}: got {str(data)[:40]!r}, expected {_spelled(kind)}")
 
 
-def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Sizes) -> Any:
+def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Sizes | None) -> Any:
     if isinstance(kind, Mapping):
         record, build, inside = kind, dict, sizes
     else:
         hints = get_type_hints(kind, include_extras=True)
         record = {name: hints[name] for name in _saved_fields(kind)}
-        build, inside = kind, dict(sizes)
+        build, inside = kind, None if sizes is None else dict(sizes)
     content = data if isinstance(data, dict) else {}
     if content.keys() != record.keys():
         got, expected = (", ".join(names) or "nothing" for names in (content, record))
@@ -239,10 +239,10 @@ def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Size
     for name, part in record.items():
         below = _below(place, name)
         values[name] = value = _decode(content[name], part, arrays, below, sizes)
-        if not isinstance(part, Mapping):
+        if not isinstance(part, Mapping) and part is not float:  # which may be infinite
             _check(check_of(part), value, below, inside)
     made = build(**values)
-    if hasattr(made, "require_fit"):
+    if sizes is not None and hasattr(made, "require_fit"):
         try:
             made.require_fit()
         except ValueError as error:
@@ -250,9 +250,10 @@ def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Size
     return made
 
 
-def _check(check: Check, value: Any, place: str, sizes: Sizes) -> None:
+def _check(check: Check, value: Any, place: str, sizes: Sizes | None) -> None:
     try:
-        check(value, place, sizes)
+        if sizes is not None:
+            check(value, place, sizes)
     except TypeError as error:
         raise ValueError(str(error)) from None
 

@@ -30,7 +30,7 @@ DTYPES = st.one_of(
     hnp.boolean_dtypes(), hnp.integer_dtypes(), hnp.floating_dtypes(), hnp.complex_number_dtypes()
 )
 ARRAYS = hnp.arrays(DTYPES, hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=3))
-FLOATS = st.floats(allow_nan=False, allow_infinity=False)
+FLOATS = st.floats()
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ TREES = st.builds(
     pair=st.tuples(st.integers(), ARRAYS),
     named=st.builds(Named, ARRAYS, st.none() | PARTS),
     parts=st.lists(PARTS, max_size=2).map(tuple),
-    floats=st.lists(FLOATS, max_size=3),
+    floats=st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=3),
     by_number=st.dictionaries(st.integers(), PARTS, max_size=2),
     by_name=st.dictionaries(TEXT, ARRAYS, max_size=2),
     random=GENERATORS,
