@@ -110,6 +110,7 @@ class GFlowState:
         own = (n, self.covariance.shape[1])
         poses_fit = all((len(each), each.dimension) == own for each in (self.poses, self.last_reliable))
         memories_fit = all(memory.texture.fits(1, n_texels) for memory in self.memories)
+        memories_fit &= bool(self.memories) or not self.frames_seen
         if not (poses_fit and memories_fit and self.texture.fits(n, n_texels)):
             raise ValueError(f"poses: got {len(self.poses)}, expected {n} with textures of {n_texels} texels")
 

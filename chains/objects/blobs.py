@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...models.camera.moving_camera import View
-from ...models.core.checks import NotNegative, Shape
+from ...models.core.checks import NotNegative, Shape, SizesOf
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import FOOT_X, FOOT_Y, HEIGHT, WIDTH
@@ -377,7 +377,7 @@ class BlobState:
 
     blobs: Blobs
     born: int  # how many there have been
-    size: tuple[int, int]  # (height, width) px of the picture
+    size: Annotated[tuple[int, int], SizesOf("height", "width")]  # px of the picture
     elapsed: NotNegative  # s since the last frame with an image
     confirmation_time: float  # s for which an object must have been seen before it is reported
     detecting: bool = False  # whether a detector has run, which decides what is reported

@@ -118,10 +118,8 @@ def _grow(table: NDArray[np.void], found: NDArray[np.intp], dt: float) -> None:
     added = force * GROWTH_TIME * (2 * dt - 2 * reach - reach**2 / GROWTH_TIME)
     unsure = table["box_variance"][found, WIDTH:] + sides**2 * (2 * reach * both + reach**2 * own + added)
     larger = np.exp(reach * growth)[:, None]
-    table["box_variance"][found, WIDTH:], table["box_mean"][found, WIDTH:] = (
-        larger**2 * unsure,
-        larger * sides,
-    )
+    table["box_variance"][found, WIDTH:] = larger**2 * unsure
+    table["box_mean"][found, WIDTH:] = larger * sides
     table["growth"][found] = kept * growth
     both = kept * (both + reach * own) + force * reach**2 / GROWTH_TIME
     table["growth_covariance"][found] = np.hstack([kept**2 * own + force * (1 - kept**2), both])

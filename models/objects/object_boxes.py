@@ -139,9 +139,7 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     phases = np.array([[NOTICED], [UNNOTICED]]) * visible
     expected = noticed * phases[0] + (1 - noticed) * phases[1]
     own = detector.noise(means) + prior.variances_by_view(means)
-    larger = means * [0, 0, DOUBLE_SIZE, DOUBLE_SIZE]
-    second = covariances + larger[:, :, None] * larger[:, None]
-    further = _log_densities(boxes, means, second, DOUBLE**2 * own, cut)
+    further = _log_densities(boxes, means, covariances + _of_other_size(means), DOUBLE**2 * own, cut)
 
     area = float(size[0] * size[1])
     score = np.ones(len(boxes))
@@ -159,8 +157,7 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     near = (1 - OUTLIERS) * np.exp(_log_densities(boxes, means, covariances, own, cut))
     far = OUTLIERS * np.exp(_log_densities(boxes, means, covariances, OUTLYING**2 * own, cut))
     # who is new may have a second box, too: of two boxes that which is less likely to be anybody new
-    larger = boxes * [0, 0, DOUBLE_SIZE, DOUBLE_SIZE]
-    beside = _log_densities(boxes, boxes, larger[:, :, None] * larger[:, None], DOUBLE**2 * noise, cut)
+    beside = _log_densities(boxes, boxes, _of_other_size(boxes), DOUBLE**2 * noise, cut)
     first = new / (alone + (exists * expected) @ (near + far) * score)
     second = detector.doubles * first @ (np.exp(beside) * (new[:, None] > new))
     doubles, alone = doubles + second, alone + second
@@ -250,6 +247,13 @@ def _picture(frame: Frame, prior: BoxMessage, given: GivenBoxes) -> tuple[int, i
         return prior.newcomers.size
     right, bottom = np.ceil(given.xyxy[:, 2:].max(axis=0, initial=1.0)).astype(int).tolist()
     return bottom, right
+
+
+def _of_other_size(boxes: Numbers) -> Numbers:
+    """Covariances of how much larger or smaller second boxes are than `boxes` `(n, 4)`, `(n, 4, 4)` px^2."""
+    larger = boxes * [0, 0, DOUBLE_SIZE, DOUBLE_SIZE]
+    covariances: Numbers = larger[:, :, None] * larger[:, None]
+    return covariances
 
 
 def _log_densities(
