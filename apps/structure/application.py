@@ -36,7 +36,7 @@ from ..runs.saved_run import STATE, about_of, check_source
 from ..runs.session import OVERLAY, Session
 from ..view.overlay import OverlayVideo, PointsOverlay
 from ..view.page import VIEW, listed, write_page
-from .diagnosis import Diagnosis, no_depth, no_points, too_little
+from .diagnosis import Diagnosis, no_depth, no_points, standing, too_little
 from .files import point_colours, recorded_predictions, write_cameras, write_ply, write_tracks
 from .job import StructureJob
 from .page import (
@@ -125,7 +125,7 @@ class _StructureRun:
             check_source(about, film.fingerprint)
             if about["finished"]:
                 return session.outcome(about["finished"], in_words(about["finished"]))
-        lacking = too_little(film.frames, film.n_tracks)
+        lacking = too_little(film.frames, film.n_tracks) or standing(film.frames)
         if lacking is not None:
             return self._nothing(lacking)
         self._engine = structure_engine(film.frames, job.coherence, job.association, job.robust)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...chains.reconstruction import FEWEST_FRAMES, FEWEST_POINTS, Numbers
-from ...inference.sfm.depth import Kind, Motion, motion_of, picture_motion
+from ...inference.sfm.depth import Kind, Motion, motion_of, picture_motion, stands_still
 from ...models.core.frame import Frame
 from ...models.core.pictures import grey_of
 
@@ -79,6 +79,19 @@ def too_little(frames: Sequence[Frame], n_tracks: int | None) -> Diagnosis | Non
             {"frames": present, "tracks": len(seen)},
         )
     return None
+
+
+def standing(frames: Sequence[Frame]) -> Diagnosis | None:
+    """Diagnose pictures of a camera that stands, in front of a scene that does; else return `None`."""
+    pictures = [grey_of(frame.image) for frame in frames if frame.image is not None]
+    if not pictures or not stands_still(pictures):
+        return None
+    return Diagnosis(
+        "No structure: half of what the pictures show, or more, is in one place in all of them.",
+        "The camera stands still, and so does most of the scene: there is nothing to see depth by.",
+        f"{ADVICE['still'].removesuffix('.')} so that it fills most of the picture.",
+        {"frames": len(pictures), "picture_motion_px": _finite_or_none(picture_motion(pictures))},
+    )
 
 
 def no_points(frames: Sequence[Frame], tracks: Numbers, reason: str) -> Diagnosis:

@@ -101,6 +101,11 @@ def test_too_few(few: Any, words: str, tmp_path: Path, capfd: pytest.CaptureFixt
 def pictures(kind: str) -> list[Image]:
     if kind == "grey":
         return [np.full((120, 160), 90, np.uint8)] * 5
+    if kind == "street":
+        street = wall()[:240, :320].copy()
+        return [
+            cv2.rectangle(street.copy(), (20 * k, 90), (20 * k + 30, 200), 0, -1) for k in range(N_FRAMES)
+        ]
     images = np.zeros((N_FRAMES, 120, 160), np.uint8)
     for number, image in enumerate(images):
         cv2.circle(image, (40 + 3 * number, 60), 3, 255, cv2.FILLED)
@@ -116,6 +121,7 @@ def pictures(kind: str) -> list[Image]:
             "standard deviation of grey levels is 0 of 255",
         ),
         ("dot", "points can be tracked, and 4 are needed", "Only corners can be tracked"),
+        ("street", "is in one place in all of them", "The camera stands still"),
     ],
 )
 def test_pictures(

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rsmcm.inference.sfm.depth import far_pairs, motion_of, variance_over_shape
+from rsmcm.inference.sfm.depth import far_pairs, motion_of, stands_still, variance_over_shape
 
-from ...support.fruitless import tracks_in_depth, tracks_on_wall
+from ...support.fruitless import tracks_in_depth, tracks_on_wall, wall
 
 KINDS = {"still": "still", "zoom": "similarity", "rotation": "rotation", "plane": "plane"}
 
@@ -57,3 +57,19 @@ def test_a_shape_that_is_no_better_than_homographies() -> None:
     assert variance_over_shape(wall, noise, 1.0) == pytest.approx(1, rel=0.4)
     assert variance_over_shape(deep, 5 * noise) > 3
     assert np.isnan(variance_over_shape(wall[:, :5], noise[:, :5]))
+
+
+def test_a_camera_that_stands() -> None:
+    """In spite of noise, and of somebody who walks by; one picture from elsewhere is motion."""
+    scene = wall()[100:340, 100:420]
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        film = [np.clip(scene + random.normal(0, 3, scene.shape), 0, 255).astype(np.uint8) for _ in range(8)]
+        for number, picture in enumerate(film):
+            picture[60:220, 30 * number : 30 * number + 60] = 255 - scene[60:220, :60]
+        assert stands_still(film)
+        column = int(random.integers(3, 40))
+        elsewhere = wall()[100:340, 100 + column : 420 + column]
+        place = int(random.integers(8))
+        assert not stands_still([*film[:place], elsewhere, *film[place + 1 :]])
+    assert not stands_still([np.full((240, 320), 90, np.uint8)] * 8), "nothing is seen"
