@@ -8,7 +8,7 @@ TEST := .venv/with-test
 DOCS := .venv/with-docs
 CHECK := .venv/with-check
 DEV := .venv/with-dev
-PACKAGES := models inference chains apps
+PACKAGES := package models inference chains apps
 MODULES := $(sort $(shell find $(PACKAGES) -type f -not -path '*/__pycache__/*'))
 # Shows all that pyenv has, where there is one.
 NOX := PYENV_VERSION=$$(pyenv versions --bare 2>/dev/null | paste -sd :) $(BIN)/nox
@@ -73,7 +73,7 @@ test-seeds: $(DEV)
 check: $(CHECK)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy $(addprefix -p rsmcm.,$(PACKAGES))
+	$(BIN)/mypy -p rsmcm
 
 # OpenCV 5 has no Haar cascades, so faces would be tested with a model file only.
 constraints: $(DEV)

@@ -13,6 +13,7 @@ import cv2
 from numba.core import event
 from tqdm import tqdm
 
+from ...models.numerics.compiled import COMPILES, is_kept
 from ..io.files import segment_pattern
 from ..io.row_log import COLUMNS, remove_rows
 from ..options.job import Job
@@ -31,23 +32,19 @@ _GROWING = (OVERLAY, FILM, ROWS)
 ALWAYS = (STATE, "summary.json", VIEW, *_GROWING, *map(segment_pattern, _GROWING))
 """Files that every run may leave."""
 
-
-_COMPILES = "numba:compile"
-"""numba's event: a function that is not in its cache is compiled."""
-
 _log = logging.getLogger(__name__)
 
 
 class _Announcement(event.Listener):
-    """Writes a line when a function is compiled for the first time."""
+    """Writes a line when a function is compiled whose code is kept for later runs."""
 
     def __init__(self, application: str) -> None:
         self._application = application
         self._is_due = _log.isEnabledFor(logging.WARNING)
 
-    def on_start(self, _: Any) -> None:
+    def on_start(self, compilation: Any) -> None:
         """Write the line, once."""
-        if self._is_due:
+        if self._is_due and is_kept(compilation.data["dispatcher"]):
             self._is_due = False
             once = f"which is done once and takes {COMPILING}"
             tqdm.write(f"{self._application}: compiling for this machine, {once}", file=sys.stderr)
@@ -105,7 +102,7 @@ class Session:
                 output_folder(
                     job.out, self.application, overwrite=job.overwrite, resume=job.resume
                 ) as self._folder,
-                event.install_listener(_COMPILES, _Announcement(self.application)),
+                event.install_listener(COMPILES, _Announcement(self.application)),
             ):
                 yield
         except Interrupted as stop:

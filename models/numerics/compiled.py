@@ -10,27 +10,30 @@ digest of the loop's module and of all modules that it imports from the package.
 
 import gc
 import hashlib
+import logging
 import os
 import re
 import shutil
-import threading
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numba
 import numpy as np
 from llvmlite import ir
 from numba.core import event
-from numba.core.caching import FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
 from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic
 from numba.misc.appdirs import user_cache_dir
 from numba.np.numpy_support import carray
 
 Function = Callable[..., Any]
+
+_config: Any = numba.config
+_log = logging.getLogger(__name__)
 
 
 def compiled(function: Function) -> Function:
@@ -79,39 +82,93 @@ class _PausedCollection(event.Listener):
             gc.enable()
 
 
-event.register("numba:compile", _PausedCollection())  # type: ignore[no-untyped-call]
+COMPILES = "numba:compile"
+"""numba's event: a function that is not in its cache is compiled. Its data names the `dispatcher`."""
+
+event.register(COMPILES, _PausedCollection())  # type: ignore[no-untyped-call]
+
+
+class _Locator:
+    """Tells numba in which folder the code of a function is, which may be a read-only one.
+
+    The name of the folder follows from the sources, so that their dates need not be compared.
+    """
+
+    def __init__(self, function: Function, file: str) -> None:
+        self._py_file = file  # which numba names in warnings
+        self._folder = cache_folder(Path(file), _config.CACHE_DIR)
+        self._line = function.__code__.co_firstlineno
+
+    @classmethod
+    def from_function(cls, function: Function, file: str) -> Self:
+        return cls(function, file)
+
+    def get_cache_path(self) -> str:
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        return ""
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+    def ensure_cache_path(self) -> None:
+        os.makedirs(self.get_cache_path(), exist_ok=True)
+
+
+class _Files(CompileResultCacheImpl):
+    _locator_classes = [_Locator]  # noqa: RUF012 - as numba has it
 
 
 class _Cache(FunctionCache):
     """numba's cache of a function, whose index one process at a time changes."""
 
+    _impl_class = _Files
+
     def save_overload(self, signature: Any, result: Any) -> None:
         from filelock import FileLock  # which takes a while to import
 
-        with suppress(OSError):  # full or read-only: it is compiled again next time
+        try:
             os.makedirs(self.cache_path, exist_ok=True)
             with FileLock(os.path.join(self.cache_path, "lock"), timeout=10.0, mode=0o666):
                 super().save_overload(signature, result)  # type: ignore[no-untyped-call]
+        except OSError:  # full or read-only: it is compiled again next time
+            _warn()
+
+
+class _Nowhere(NullCache):
+    """The cache of a function where there is no folder for it."""
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        _warn()
+
+
+@cache
+def _warn() -> None:
+    """Say once in a process that code is not kept."""
+    usual = _config.CACHE_DIR
+    where = f"in {usual}" if usual else "beside its modules or with the user's caches"
+    _log.warning("compiled code cannot be kept %s: each process compiles anew (see NUMBA_CACHE_DIR)", where)
+
+
+def is_kept(function: Any) -> bool:
+    """Whether the code of a function that is compiled now is kept on disk."""
+    cache = function._cache
+    return isinstance(cache, _Cache) and os.access(cache.cache_path, os.W_OK)
 
 
 _IMPORT = re.compile(rb"^from (\.+)([\w.]*) import", re.MULTILINE)
-_cache_dir = threading.Lock()
 
 
 def _kept(function: Any) -> Function:
     """Have what a function is compiled to kept on disk, if there is a folder for it."""
-    config: Any = numba.config
     kept: Any = function
     if isinstance(function, Dispatcher):  # it is none where numba is told to compile nothing
-        with _cache_dir:
-            usual = config.CACHE_DIR
-            folder = cache_folder(Path(function.py_func.__code__.co_filename), usual)
-            if folder is not None:
-                try:
-                    config.CACHE_DIR = str(folder)
-                    kept._cache = _Cache(function.py_func)  # type: ignore[no-untyped-call]
-                finally:
-                    config.CACHE_DIR = usual
+        file = Path(function.py_func.__code__.co_filename)
+        if cache_folder(file, _config.CACHE_DIR) is not None:
+            kept._cache = _Cache(function.py_func)  # type: ignore[no-untyped-call]
+        elif file.exists():  # no notebook's
+            kept._cache = _Nowhere()
     return kept  # type: ignore[no-any-return]
 
 
@@ -119,7 +176,8 @@ def _kept(function: Any) -> Function:
 def cache_folder(module: Path, usual: str) -> Path | None:
     """Return the folder of the compiled code of a module: in numba's `usual` one, if it is set.
 
-    Otherwise beside the module, or where the user's caches are. `None` if none of them can be written to.
+    Otherwise beside the module, or where the user's caches are. If none of them can be written to, it is one
+    that was filled before, or `None`.
     """
     if not module.exists():  # of a notebook
         return None
@@ -127,7 +185,10 @@ def cache_folder(module: Path, usual: str) -> Path | None:
     name = f"{module.stem}-{_digest(module)}"
     beside = module.parent / "__pycache__"
     of_user = Path(user_cache_dir("rsmcm", False))  # type: ignore[no-untyped-call]
-    for base in (Path(usual), beside) if usual else (beside, of_user):
+    bases = [Path(usual), beside] if usual else [beside]
+    if not usual and of_user.is_absolute():  # else nobody knows where the user's home is
+        bases.append(of_user)
+    for base in bases:
         folder = base / name
         with suppress(OSError):
             if base == beside and not folder.exists():  # of earlier states of the sources
@@ -136,7 +197,7 @@ def cache_folder(module: Path, usual: str) -> Path | None:
             folder.mkdir(parents=True, exist_ok=True)
             if os.access(folder, os.W_OK):
                 return folder
-    return None
+    return next((base / name for base in bases if any((base / name).glob("*.nbi"))), None)
 
 
 def _digest(module: Path) -> str:

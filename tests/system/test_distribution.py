@@ -14,7 +14,7 @@ from rsmcm.apps.demo import write_scene
 from rsmcm.apps.scenes import sleeping_man
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("models", "inference", "chains", "apps")
+PACKAGES = ("package", "models", "inference", "chains", "apps")
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "_build", "generated", "*.nb[ic]")
 MOST_SECONDS = 900
 
@@ -48,7 +48,8 @@ def environment(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     (packages,) = folder.glob("[Ll]ib/**/site-packages")
     (packages / "others.pth").write_text(sysconfig.get_path("purelib"))
     (wheel,) = built.glob("*.whl")
-    install = ["-m", "pip", "install", "--quiet", "--no-deps", "--no-index", str(wheel)]
+    quiet = ["--quiet", "--no-deps", "--no-index", "--ignore-installed"]
+    install = ["-m", "pip", "install", *quiet, str(wheel)]
     subprocess.run([_program(folder, "python"), *install], check=True, env=_clean(), timeout=MOST_SECONDS)
     yield folder
     shutil.rmtree(folder)
@@ -73,6 +74,66 @@ def test_the_installed_command_tracks(environment: Path, tmp_path: Path) -> None
     subprocess.run(run, check=True, env=_clean(), cwd=tmp_path, timeout=MOST_SECONDS)
     assert len(list((tmp_path / "found" / "foreground").iterdir())) == 6
     assert (tmp_path / "found" / "view.html").stat().st_size > 0
+
+
+USE = """
+import rsmcm, rsmcm.apps
+from rsmcm.models import PixelLabels
+print(rsmcm.__version__, rsmcm.models.__name__)
+"""
+
+
+@pytest.mark.slow
+def test_nothing_beside_a_script_is_taken_for_the_package(environment: Path, tmp_path: Path) -> None:
+    (tmp_path / "rsmcm").mkdir()  # of results, perhaps
+    for name in ("models.py", "inference.py", "chains.py", "apps.py", "rsmcm/models.py"):
+        (tmp_path / name).write_text("raise SystemExit('the wrong one')")
+    (tmp_path / "use.py").write_text(USE)
+
+    def output(*arguments: str) -> str:
+        done = subprocess.run(
+            [*arguments], check=True, env=_clean(), cwd=tmp_path, timeout=MOST_SECONDS, stdout=subprocess.PIPE
+        )
+        return done.stdout.decode().strip()
+
+    python = _program(environment, "python")
+    version = output(_program(environment, "rsmcm"), "--version")
+    assert output(python, "-m", "rsmcm", "--version") == version
+    assert output(python, "use.py") == f"{version} rsmcm.models"
+
+
+NOBODY = ("--reuid=65534", "--regid=65534", "--clear-groups")
+READS_ALL = ("--inh-caps=+dac_read_search", "--ambient-caps=+dac_read_search")
+"""Nobody, who may read where the tests are, and write nothing."""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    shutil.which("setpriv") is None or os.geteuid() != 0, reason="only root can be somebody else"
+)
+def test_another_user_without_a_home_tracks_with_a_read_only_installation(
+    environment: Path, tmp_path: Path
+) -> None:
+    write_scene(sleeping_man(6, size=(64, 48), enter=0), tmp_path / "scene")
+    (tmp_path / "out").mkdir(mode=0o777)
+    (tmp_path / "out").chmod(0o777)
+    for cache in environment.glob("[Ll]ib/**/site-packages/rsmcm/**/__pycache__"):
+        shutil.rmtree(cache)
+
+    def said(*variables: str) -> str:
+        run = ["background", str(tmp_path / "scene" / "input"), "--out", str(tmp_path / "out" / "found")]
+        command = [
+            *("setpriv", *NOBODY, *READS_ALL, "env", "-i", *variables),
+            *(_program(environment, "python"), "-m", "rsmcm", *run, "--overwrite"),
+        ]
+        return subprocess.run(
+            command, check=True, cwd=tmp_path, timeout=MOST_SECONDS, capture_output=True, text=True
+        ).stderr
+
+    kept = f"NUMBA_CACHE_DIR={tmp_path / 'out' / 'cache'}"
+    assert said().count("compiled code cannot be kept") == 1
+    assert "which is done once" in said(kept)
+    assert said(kept) == ""
 
 
 def test_help_of_make_tells_every_target() -> None:

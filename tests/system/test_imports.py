@@ -19,6 +19,7 @@ def loaded(statement: str) -> set[str]:
     ("statement", "heavy"),
     [
         ("import rsmcm.models, rsmcm.chains; from rsmcm.inference import RecursiveBP", HEAVY),
+        ("import rsmcm; assert rsmcm.__version__", {*HEAVY, "numpy", "rsmcm.models"}),
         ("import rsmcm.apps, rsmcm.apps.command_line", {*HEAVY, "numpy", "networkx", "joblib"}),
         (
             "import rsmcm.apps.background.application",

@@ -9,7 +9,7 @@ from pathlib import Path
 import numba
 import pytest
 from numba.core.caching import FunctionCache
-from rsmcm.models.numerics.compiled import cache_folder
+from rsmcm.models.numerics.compiled import _warn, cache_folder
 
 PROGRAM = """
 from numba.core import event
@@ -85,6 +85,7 @@ def twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
     yield imported
     cache_folder.cache_clear()
+    _warn.cache_clear()
 
 
 def test_code_is_kept_until_a_constant_in_another_module_changes(twice) -> None:
@@ -99,19 +100,48 @@ def test_code_is_kept_until_a_constant_in_another_module_changes(twice) -> None:
     assert len([*beside.glob("caller-*")]) == 1  # the folder of the earlier state is removed
 
 
-def test_where_no_folder_can_be_written_to_code_is_compiled_each_time(
-    twice, monkeypatch: pytest.MonkeyPatch
+def test_where_no_folder_can_be_written_to_code_is_compiled_each_time_and_that_is_said_once(
+    twice, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(os, "access", lambda *_: False)
     for _ in range(2):
         function = twice(0.25)
         assert function(1.0) == 1.5
         assert not function.stats.cache_hits
+    (said,) = caplog.messages
+    assert "NUMBA_CACHE_DIR" in said
 
 
-def test_a_full_disk_does_not_end_the_run(twice, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_code_that_was_kept_before_is_used_where_nothing_can_be_written(
+    twice, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    filled = twice(0.25)
+    assert filled(1.0) == 1.5
+    source = Path(filled.py_func.__code__.co_filename)
+    os.utime(source, (1e9, 1e9))  # as a layer of a container may have it
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    kept = twice(0.25)
+    assert kept(1.0) == 1.5
+    assert sum(kept.stats.cache_hits.values()) == 1
+    assert caplog.messages == []
+
+
+def test_a_user_without_a_home_gets_no_folder_of_that_name(
+    twice, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.chdir(tmp_path)
+    assert twice(0.25)(1.0) == 1.5
+    assert not Path("~").exists()
+
+
+def test_a_full_disk_does_not_end_the_run(
+    twice, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     def refuse(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(FunctionCache, "save_overload", refuse)
     assert twice(0.25)(1.0) == 1.5
+    assert "cannot be kept" in caplog.text
