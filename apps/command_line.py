@@ -154,6 +154,18 @@ def demo(*, out: Path = Path("results/demo")) -> int:
 
 
 @app.command
+def doctor() -> int:
+    """Report versions, threads, codecs, cameras, and what is missing for which command; run a self test.
+
+    The self test tracks a person in a generated street, which takes ten seconds, and longer while loops are
+    compiled for the first time. The exit code is 1 if something is missing that every run needs.
+    """
+    from .doctor import examine
+
+    return 0 if examine() else NOTHING_FOUND
+
+
+@app.command
 def view(run: Path) -> int:
     """Open the page of a run in the browser.
 

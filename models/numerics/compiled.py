@@ -14,6 +14,7 @@ import logging
 import os
 import re
 import shutil
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -62,30 +63,42 @@ def helper(function: Function) -> Function:
     return _kept(numba.njit(fastmath=True, error_model="numpy", **options)(function))
 
 
-class _PausedCollection(event.Listener):
-    """Pauses the collection of garbage while numba compiles, which otherwise takes a seventh of that time."""
+class _Compilation(event.Listener):
+    """Counts the seconds in which numba compiles, and pauses the collection of garbage meanwhile.
+
+    Collecting would take a seventh of that time.
+    """
 
     def __init__(self) -> None:
         self._depth, self._was_enabled = 0, False  # one thread at a time compiles
+        self._began = self.seconds = 0.0
 
     def on_start(self, _: Any) -> None:
-        """Pause it at the outermost function; those that it calls are compiled within."""
+        """Begin with the outermost function; those that it calls are compiled within."""
         if self._depth == 0:
-            self._was_enabled = gc.isenabled()
+            self._was_enabled, self._began = gc.isenabled(), time.perf_counter()
             gc.disable()
         self._depth += 1
 
     def on_end(self, _: Any) -> None:
-        """Go on collecting after the outermost function."""
+        """End with the outermost function."""
         self._depth -= 1
-        if self._depth == 0 and self._was_enabled:
-            gc.enable()
+        if self._depth == 0:
+            self.seconds += time.perf_counter() - self._began
+            if self._was_enabled:
+                gc.enable()
 
 
 COMPILES = "numba:compile"
 """numba's event: a function that is not in its cache is compiled. Its data names the `dispatcher`."""
 
-event.register(COMPILES, _PausedCollection())  # type: ignore[no-untyped-call]
+_compilation = _Compilation()
+event.register(COMPILES, _compilation)  # type: ignore[no-untyped-call]
+
+
+def compile_seconds() -> float:
+    """Return for how long this process has compiled until now: what a speed leaves out."""
+    return _compilation.seconds
 
 
 class _Locator:

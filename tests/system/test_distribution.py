@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -115,13 +116,13 @@ def test_another_user_without_a_home_tracks_with_a_read_only_installation(
     environment: Path, tmp_path: Path
 ) -> None:
     write_scene(sleeping_man(6, size=(64, 48), enter=0), tmp_path / "scene")
-    (tmp_path / "out").mkdir(mode=0o777)
-    (tmp_path / "out").chmod(0o777)
+    out = Path(tempfile.mkdtemp())  # unlike pytest's folders in one that everybody may enter
+    out.chmod(0o777)
     for cache in environment.glob("[Ll]ib/**/site-packages/rsmcm/**/__pycache__"):
         shutil.rmtree(cache)
 
     def said(*variables: str) -> str:
-        run = ["background", str(tmp_path / "scene" / "input"), "--out", str(tmp_path / "out" / "found")]
+        run = ["background", str(tmp_path / "scene" / "input"), "--out", str(out / "found")]
         command = [
             *("setpriv", *NOBODY, *READS_ALL, "env", "-i", *variables),
             *(_program(environment, "python"), "-m", "rsmcm", *run, "--overwrite"),
@@ -130,10 +131,11 @@ def test_another_user_without_a_home_tracks_with_a_read_only_installation(
             command, check=True, cwd=tmp_path, timeout=MOST_SECONDS, capture_output=True, text=True
         ).stderr
 
-    kept = f"NUMBA_CACHE_DIR={tmp_path / 'out' / 'cache'}"
+    kept = f"NUMBA_CACHE_DIR={out / 'cache'}"
     assert said().count("compiled code cannot be kept") == 1
     assert "which is done once" in said(kept)
     assert said(kept) == ""
+    shutil.rmtree(out)
 
 
 def test_help_of_make_tells_every_target() -> None:
