@@ -280,11 +280,14 @@ def _run(application: str, job: Any) -> FilmStatus:
 def summary_if_complete(application: str, job: Job) -> dict[str, Any] | None:
     """Return the summary of the run that is complete in the job's folder; `None` if there is none.
 
-    Nothing is written, and no picture decoded. It is a ValueError if it is of another application, source, or
-    other options.
+    One that was killed behind its last state is not: it leaves what a resumed run removes. Nothing is
+    written, and no picture decoded. It is a ValueError if it is of another application, source, or other
+    options.
     """
     path = job.out / STATE
     if not path.exists() or Path(job.source).suffix.lower() in TRACKS:  # which are read at once
+        return None
+    if was_cut_off(job.out):
         return None
     about = about_of(checkpoint.read(path), application, job.settings())
     summary: dict[str, Any] | None = about["finished"]

@@ -1,6 +1,7 @@
 """Batches as they are typed: results of single runs, failures that stop nobody, kills, printed commands."""
 
 import csv
+import json
 import os
 import shlex
 import shutil
@@ -75,6 +76,20 @@ def test_what_is_complete_is_left_as_it_is(
     assert {path: each for path, each in stamps(done).items() if path.parent != done} == before
     assert capfd.readouterr().out == f"3 videos: 3 complete\nresults: {done / 'index.html'}\n"
     assert (done / "index.html").read_text().count("data:image/jpeg;base64,") == 3
+
+
+def test_killed_behind_its_last_state(films: Path, done: Path, tmp_path: Path) -> None:
+    """What such a run had no time to remove is removed by the next batch."""
+    out = shutil.copytree(done, tmp_path / "out")
+    folder = out / "film001"
+    (folder / "film.part000000012.mp4").write_bytes(b"")
+    (folder / ".running.json").write_text("{}")
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["files"].append("film.part*.mp4")
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    assert code_of(films, "--out", out, "--seed", "3") == 0
+    assert results(folder).keys() == results(done / "film001").keys()
+    assert not (folder / ".running.json").exists()
 
 
 def test_other_options_are_not_mixed(films: Path, done: Path, capfd: pytest.CaptureFixture[str]) -> None:
