@@ -116,20 +116,25 @@ def shape(job: Fields[ShapeJob]) -> int:
 
 @app.command
 def export(
-    run: Path, *, to: Literal["coco", "cvat", "movement", "video"], out: Path, overwrite: Flag = False
+    run: Path,
+    *,
+    to: Literal["coco", "cvat", "motchallenge", "movement", "video"],
+    out: Path,
+    overwrite: Flag = False,
 ) -> int:
     """Export the results of a finished run to a file for another tool.
 
     Parameters
     ----------
     run
-        Folder of the run.
+        Folder of the run; for motchallenge also that of a batch, a run for each sequence.
     to
         coco: JSON with boxes, masks and identities of a background run. cvat: its MOT 1.1 (zip), which CVAT
-        imports and --ground-truth reads. movement: netCDF of objects, a body or a face (needs rsmcm[xarray]).
-        video: the video with the results drawn in.
+        imports and --ground-truth reads. motchallenge: a folder with a text file for each sequence, as
+        TrackEval and MOTChallenge take them. movement: netCDF of objects, a body or a face (needs
+        rsmcm[xarray]). video: the video with the results drawn in.
     out
-        File to write: .json, .zip, .nc or .mp4.
+        File to write: .json, .zip, .nc or .mp4; for motchallenge a folder.
     overwrite
         Replace an existing file.
     """

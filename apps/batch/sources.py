@@ -14,6 +14,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from ..io.sources.images import IMAGE_SUFFIXES, images_among, in_natural_order
+from ..io.tracks import PICTURES
 from ..options.settings import read_settings
 from ..runs.output_folder import MANIFEST
 from ..runs.saved_run import STATE
@@ -135,6 +136,7 @@ def _in_folder(folder: Path, kinds: frozenset[str]) -> Iterator[FilmSource]:
     films += [
         path for path in inside if path.is_dir() and not _holds(path, OF_RUN) and images_among(path.iterdir())
     ]
+    films += [path / PICTURES for path in inside if (path / PICTURES).is_dir()]
     if not films:
         raise FileNotFoundError(f"{folder}: the folder holds no images and no films")
     yield from (FilmSource(os.path.abspath(path)) for path in in_natural_order(films))

@@ -5,18 +5,20 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from .coco import to_coco, to_cvat
+from .motchallenge import to_motchallenge
 from .movement import to_movement
 from .video import to_video
 
-Format = Literal["coco", "cvat", "movement", "video"]
+Format = Literal["coco", "cvat", "motchallenge", "movement", "video"]
 
 EXPORTS: Mapping[Format, tuple[str, Callable[[Path, Path], str]]] = {
     "coco": (".json", to_coco),
     "cvat": (".zip", to_cvat),
+    "motchallenge": ("", to_motchallenge),
     "movement": (".nc", to_movement),
     "video": (".mp4", to_video),
 }
-"""How the name of the file ends, and what writes it."""
+"""How the name of the file ends, if it is no folder, and what writes it."""
 
 
 def run_export(run: Path, to: Format, out: Path, *, overwrite: bool = False) -> str:
@@ -33,7 +35,7 @@ def run_export(run: Path, to: Format, out: Path, *, overwrite: bool = False) -> 
     if to not in EXPORTS:
         raise ValueError(f"--to: got {to!r}, expected one of {', '.join(get_args(Format))}")
     suffix, export = EXPORTS[to]
-    if out.suffix.lower() != suffix:
+    if suffix and out.suffix.lower() != suffix:
         raise ValueError(f"--out: got {out}, expected a name that ends with {suffix}")
     if out.exists() and not overwrite:
         raise FileExistsError(f"{out}: is there already: use --overwrite")

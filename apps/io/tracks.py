@@ -19,6 +19,9 @@ from .tables import Row, is_frame, lines_of
 
 TABLE = "tracks.csv"
 
+PICTURES = "img1"
+"""MOTChallenge's folder of a sequence has its pictures in a folder of this name."""
+
 COLUMNS: dict[str, type] = {
     "frame": np.int64,
     "time": np.float64,
@@ -88,19 +91,22 @@ class TrackedBox:
     position_covariance: tuple[tuple[float, float], tuple[float, float]] = ((math.nan,) * 2,) * 2
 
 
-class TrackWriter(LineWriter):
-    """`tracks.txt` in MOT format: frame, id, x, y, width, height, confidence, -1, -1, -1.
+def mot_line(number: int, track: TrackedObject) -> str:
+    """A box (0-based px) in MOT format: frame, id, x, y, width, height, confidence, -1, -1, -1.
 
     Frames and pixels count from 1 in MOT: the upper left corner of a box at (0, 0) is written as 1, 1.
     """
+    x, y, width, height = track.box
+    box = f"{x + 1:.2f},{y + 1:.2f},{width:.2f},{height:.2f}"
+    return f"{number},{track.identity},{box},{track.confidence:.4f},-1,-1,-1"
+
+
+class TrackWriter(LineWriter):
+    """`tracks.txt` in MOT format."""
 
     def write(self, number: int, tracks: Sequence[TrackedObject]) -> None:
         """Append the boxes (0-based px) of a frame."""
-        self.append(
-            f"{number},{track.identity},{track.box[0] + 1:.2f},{track.box[1] + 1:.2f},{track.box[2]:.2f},"
-            f"{track.box[3]:.2f},{track.confidence:.4f},-1,-1,-1"
-            for track in tracks
-        )
+        self.append(mot_line(number, track) for track in tracks)
 
 
 def columns_of(tracks: Sequence[TrackedObject]) -> dict[str, NDArray[Any]]:
