@@ -91,6 +91,7 @@ reproduce: $(INSTALLED)
 results: $(INSTALLED)
 	$(BIN)/python -m rsmcm.apps.experiments.results
 	$(BIN)/python docs/pictures/figures.py
+	$(BIN)/python docs/pictures/street.py
 
 fuzz: $(TEST)
 	$(BIN)/python -m tests.fuzz

@@ -48,8 +48,8 @@ class Documents:
 
     records: Mapping[str, Record]  # by name, in the order of the notes
     notes: Mapping[str, str]  # by a record's name, what is to be said of it
-    # README's figures: `what` they are called there, `record`, and `row`, their name in it
-    chosen: Sequence[Mapping[str, str]]
+    # README's figures: `film`, `measure`, `record`, `column`, and labels of its rows `without` and `with`
+    chosen: Sequence[Mapping[str, Any]]
     earlier: str  # what was measured by hand, as Markdown
 
     @classmethod
@@ -140,29 +140,29 @@ def readme_with(text: str, documents: Documents, changed: str) -> str:
     Raises
     ------
     ValueError
-        if it lacks the marks, or a chosen figure is not in its record.
+        if it lacks the marks, or a chosen cell is not in its record.
     """
     rows, machines = [], set()
     for each in documents.chosen:
         record = documents.records.get(each["record"])
         if record is None:
             continue
-        figure = record.by_what.get(each["row"])
-        if figure is None:
-            raise ValueError(f"readme: got {each['row']!r}, no row of the record {record.name!r}")
-        _, target, measured, error, _ = figure.cells
-        value = (
-            f"{measured} ({error})" if figure.quartiles else f"{measured} ± {error}" if error else measured
-        )
-        rows.append([each["what"], _bound(target), value, _verdict(figure), _when(record.made, changed)])
+        values = [_cell(_value(record, each["column"], each[name])) for name in ("without", "with")]
+        rows.append([each["film"], each["measure"], *values, _when(record.made, changed)])
         machines.add(record.made.machine)
-    chosen = table(("measure", "target", "measured", "", "date, commit"), rows)
-    machine = f"On {'; '.join(sorted(machines))}. " if machines else ""
-    legend = (
-        "± is the standard error over seeds; brackets contain quartiles; other figures were measured once."
-    )
-    content = f"{chosen}\n{machine}{legend}"
-    return between(text, "figures", content, "README.md")
+    chosen = table(("film", "measure", "without feedback", "with", "date, commit"), rows)
+    machine = f"Measured on {'; '.join(sorted(machines))}. " if machines else ""
+    legend = "± is the standard deviation over seeds; brackets contain quartiles over scenes."
+    return between(text, "figures", f"{chosen}\n{machine}{legend}", "README.md")
+
+
+def _value(record: Record, column: str, labels: Sequence[str]) -> object:
+    """The cell of a record's tables in `column`, of the first row that has all of `labels`."""
+    for one in record.tables:
+        for row in one.rows:
+            if column in one.header and set(labels) <= set(map(str, row)):
+                return row[list(one.header).index(column)]
+    raise ValueError(f"readme: got {column!r} of {list(labels)}, no cell of the record {record.name!r}")
 
 
 def between(text: str, name: str, content: str, page: str) -> str:

@@ -1,51 +1,73 @@
-"""Draw street.png, the picture of README: python docs/pictures/street.py."""
+"""Draw street.webp, the moving picture of README: python docs/pictures/street.py.
+
+A frame of a generated street; what the background by itself finds in it; what it finds when it hears the
+tracker. The person stands still from the fifth to the thirteenth second.
+"""
 
 from pathlib import Path
 
-import cv2
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure
-from PIL import Image
+from matplotlib import font_manager
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import PixelLabels
 
-FRAME = 200
-"""The person has been standing still for six seconds."""
+FIRST, LAST, STEP = 60, 360, 5
+SPEED = 2
+"""Times real time."""
 
 TINT = np.array([240, 60, 60])
+TITLES = ("a person stands still", "background alone", "background and tracker")
+GAP, HEAD = 8, 26  # px between the panels, and of their titles
+FONT = ImageFont.truetype(font_manager.findfont("DejaVu Sans"), 15)
 
 
-def figure() -> Figure:
-    """A frame; what the background by itself finds in it; what it finds when it hears the tracker."""
-    scene = sleeping_man(400)[:FRAME]
+def panel(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The frame, pale, with its foreground in red."""
+    shown = 0.35 * image + 0.65 * 235
+    shown[mask > 0] = 0.25 * image[mask > 0] + 0.75 * TINT
+    return shown.astype(np.uint8)
+
+
+def pictures() -> list[Image.Image]:
+    """All three panels for every STEP-th frame."""
+    scene = sleeping_man(LAST)
     alone, pixels = PixelLabels(), PixelLabels()
     by_itself = MultiChain().connect(AdaptiveBackground(), alone)
     together = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)
-    *_, lost = RecursiveBP(by_itself).run(scene)
-    *_, kept = RecursiveBP(together).run(scene)
-    image = cv2.cvtColor(scene[-1].image, cv2.COLOR_BGR2RGB)
-    drawn, panels = plt.subplots(1, 3, figsize=(9, 2.75), dpi=100, layout="constrained")
-    masks = (None, lost[alone].foreground(), kept[pixels].foreground())
-    titles = ("a person stands still", "background by itself", "background and tracker")
-    for axes, mask, title in zip(panels, masks, titles, strict=True):
-        shown = image.astype(float)
-        if mask is not None:
-            shown = 0.35 * shown + 0.65 * 235
-            shown[mask > 0] = 0.25 * image[mask > 0] + 0.75 * TINT
-        axes.imshow(shown.astype(np.uint8))
-        axes.set_title(title, fontsize=11)
-        axes.set_axis_off()
-    for track in kept["blobs"].tracks():
-        x, y, width, height = track.box
-        panels[2].add_patch(plt.Rectangle((x, y), width, height, fill=False, linewidth=1.5, color="black"))
-        panels[2].text(x, y - 4, f"object {track.identity}", fontsize=8)
+    drawn = []
+    for lost, kept in zip(RecursiveBP(by_itself).run(scene), RecursiveBP(together).run(scene), strict=True):
+        number, image = lost.frame.number, lost.frame.image[..., ::-1]
+        if number < FIRST or number % STEP:
+            continue
+        width, height = scene.size
+        picture = Image.new("RGB", (3 * width + 2 * GAP, height + HEAD), "white")
+        pen = ImageDraw.Draw(picture)
+        panels = (image, panel(image, lost[alone].foreground()), panel(image, kept[pixels].foreground()))
+        for left, title, shown in zip(range(0, 3 * width, width + GAP), TITLES, panels, strict=False):
+            picture.paste(Image.fromarray(np.ascontiguousarray(shown)), (left, HEAD))
+            pen.text((left + width / 2, HEAD / 2), title, "black", FONT, "mm")
+        for track in kept["blobs"].tracks():
+            x, y, across, down = track.box
+            x, y = x + 2 * (width + GAP), y + HEAD
+            pen.rectangle((x, y, x + across, y + down), outline="black", width=2)
+            pen.text((x, y - 3), f"object {track.identity}", "black", FONT, "ls")
+        pen.text((8, HEAD + 6), f"{lost.frame.time:.0f} s", "white", FONT)
+        drawn.append(picture)
     return drawn
 
 
 if __name__ == "__main__":
-    path = Path(__file__).with_suffix(".png")
-    figure().savefig(path)
-    Image.open(path).convert("RGB").quantize(256).save(path, optimize=True)
+    first, *others = pictures()
+    first.save(
+        Path(__file__).with_suffix(".webp"),
+        save_all=True,
+        append_images=others,
+        duration=round(1000 * STEP / 25 / SPEED),
+        loop=0,
+        quality=30,
+        method=4,
+    )

@@ -22,13 +22,15 @@ NOTES = """
 second = "Why it falls | short."
 first = ""
 [[readme]]
-what = "a ratio"
+film = "a film"
+measure = "F of it"
 record = "first"
-row = "ratio"
+column = "F"
+without = ["a|b"]
+with = ["ours"]
 [[readme]]
-what = "not recorded yet"
+film = "not recorded yet"
 record = "third"
-row = "anything"
 """
 BEGIN, END = "<!-- figures -->", "<!-- /figures -->"
 BEFORE, AFTER = "2026-11-22T11:00:00+02:00", "2026-11-22T09:30:00-01:00"
@@ -88,12 +90,21 @@ def test_page(checkout: Path) -> None:
     assert "earlier code**" not in page
 
 
+def test_figures_of_readme(checkout: Path) -> None:
+    text = readme_with(f"before\n{BEGIN}\n{END}\n", documents(checkout), BEFORE)
+    assert text.startswith(f"before\n{BEGIN}\n| film | measure | without feedback | with | date, commit |\n")
+    assert "| a film | F of it | – | 0.877 | 2026-11-22, `0123456789` |" in text
+    assert "earlier code" not in text
+    assert "**of earlier code**" in readme_with(text, documents(checkout), AFTER)
+    assert "not recorded yet" not in text
+
+
 def test_what_does_not_fit_is_named(checkout: Path) -> None:
     with pytest.raises(ValueError, match=r"README\.md: expected <!-- figures -->"):
         readme_with("no marks", documents(checkout), BEFORE)
     notes = checkout / "docs" / "results" / "notes.toml"
-    notes.write_text(NOTES.replace('row = "ratio"', 'row = "rato"'))
-    with pytest.raises(ValueError, match="got 'rato', no row of the record 'first'"):
+    notes.write_text(NOTES.replace('["ours"]', '["others"]'))
+    with pytest.raises(ValueError, match=r"got 'F' of \['others'\], no cell of the record 'first'"):
         readme_with(f"{BEGIN}{END}", documents(checkout), BEFORE)
     record("unknown").write(notes.with_name("unknown.json"))
     with pytest.raises(ValueError, match=r"notes\.toml: no note of unknown"):
