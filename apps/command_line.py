@@ -23,6 +23,7 @@ from .options.job import Flag, Job
 from .options.libraries import have_one_thread, opencv_hint, own_standard_error
 from .options.settings import options_from_file
 from .runs.interruption import SIGNALLED, Outcome
+from .runs.messages import say_wrong, show_messages
 from .shape.job import ShapeJob
 from .structure.job import StructureJob
 
@@ -366,7 +367,7 @@ def _ended(outcome: Outcome, job: Job | None = None) -> int:
     lost = None if outcome.lost is None else f"lost permanently: {outcome.lost}"
     if (wrong := lost or outcome.nothing) is None:
         return 0
-    print(f"rsmcm: {outcome.summary['source']}: {wrong}", file=sys.stderr)
+    say_wrong(f"{outcome.summary['source']}: {wrong}")
     return NOTHING_FOUND
 
 
@@ -380,6 +381,7 @@ def launch(
     threads: int | None = None,
     quiet: Flag = False,
     verbose: Flag = False,
+    log: Path | None = None,
 ) -> int | None:
     """Run a command with the global options.
 
@@ -393,13 +395,13 @@ def launch(
         Print errors only.
     verbose
         Also print details of the run.
+    log
+        Append all messages, details of the run among them, to this file, with their times.
     """
     if quiet and verbose:
         raise ValueError("--quiet and --verbose: got both, expected one of them")
     function, bound, _ = app.parse_args(command, exit_on_error=False, print_error=False)
-    from .runs.progress import show_messages
-
-    show_messages(logging.ERROR if quiet else logging.INFO if verbose else logging.WARNING)
+    show_messages(logging.ERROR if quiet else logging.INFO if verbose else logging.WARNING, log)
     try:
         if threads is not None:
             from ..models.numerics.threads import set_threads
@@ -434,13 +436,13 @@ def _exit_code(arguments: Sequence[str]) -> int:
         hint = opencv_hint(error)
         if isinstance(error, ImportError | AttributeError) and not hint:
             raise
-        print(f"rsmcm: {one_line(error)}{hint}", file=sys.stderr)
+        say_wrong(f"{one_line(error)}{hint}")
         return USAGE_ERROR
     except MemoryError:
-        print("rsmcm: not enough memory for this run", file=sys.stderr)
+        say_wrong("not enough memory for this run")
         return USAGE_ERROR
     except KeyboardInterrupt as stop:
-        print(f"rsmcm: {str(stop) or 'interrupted'}", file=sys.stderr)
+        say_wrong(str(stop) or "interrupted")
         return SIGNALLED + getattr(stop, "signal", signal.SIGINT)
 
 

@@ -4,7 +4,6 @@ import base64
 import logging
 import os
 import shlex
-import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -28,6 +27,7 @@ from ..io.sources.video_reader import without_password
 from ..options.complaints import one_line, reason
 from ..options.job import Job
 from ..runs.interruption import SIGNALLED, Interrupted, Interruption, Outcome
+from ..runs.messages import say_wrong
 from ..runs.output_folder import lock_of, was_cut_off
 from ..runs.parallel import Workers, chosen_workers, end_working, is_ending, whatever_fails, working
 from ..runs.saved_run import STATE, about_of, check_source
@@ -60,7 +60,7 @@ class BatchResult:
         for line in failed:
             error = line.status.error
             named = error if error.startswith(line.source) else f"{line.source}: {error}"
-            print(f"rsmcm: {named}", file=sys.stderr)
+            say_wrong(named)
         counts = Counter({"complete": 0})
         counts.update(line.status.state for line in self.lines)
         listed = ", ".join(f"{count} {state}" for state, count in counts.items())

@@ -21,6 +21,7 @@ from ...inference import Belief, MultiChain, RecursiveBP
 from ...inference.engine.checkpoint import EXPECTED
 from ...inference.engine.recursive_bp import RunState
 from ...models.core.frame import Frame
+from ...models.numerics.compiled import work_clock
 from ...models.numerics.threads import thread_count
 from ..io.files import segments_of, write_json
 from ..io.film import SeenFrames
@@ -472,9 +473,9 @@ class _FilmRun:
 
             unsaved, spent = 0, 0.0
             for frame in frames:
-                began = time.perf_counter()
+                began = work_clock()
                 answered = engine.step(frame)
-                spent += time.perf_counter() - began
+                spent += work_clock() - began
                 for belief in answered:
                     write(belief, spent / len(answered))
                 if answered:

@@ -22,7 +22,8 @@ from joblib.externals.loky import ProcessPoolExecutor
 from ...models.numerics.threads import set_threads
 from ..options.libraries import thread_limits
 from .interruption import Interruption
-from .progress import Progress, show_messages
+from .messages import show_messages
+from .progress import Progress
 
 Task = tuple[Callable[..., Any], tuple[Any, ...]]
 """A function and its arguments, all of which can be sent to another process."""

@@ -1,4 +1,4 @@
-"""What is said on standard error while a run goes on: progress, with rate and time left, and messages."""
+"""Progress of a run on standard error, with rate and time left."""
 
 import logging
 import sys
@@ -6,34 +6,19 @@ import time
 from types import TracebackType
 from typing import Never, Self
 
-from tqdm import tqdm
+from tqdm import auto, tqdm
+
+from ...models.numerics.compiled import compile_seconds
+from .messages import is_shown
 
 SPARSE_SECONDS = 10.0  # between lines where standard error is no terminal
 
-_package = logging.getLogger("rsmcm")
-
-
-def show_messages(level: int) -> None:
-    """Show the package's messages from `level` on; above `logging.WARNING`, no progress is shown either.
-
-    Modules say what they find out and decide as `logging.INFO`, by `logging.getLogger(__name__)`.
-    """
-    _package.handlers = [_BesideProgress()]
-    _package.setLevel(level)
-
-
-class _BesideProgress(logging.Handler):
-    """Writes messages to standard error, above a progress bar."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        tqdm.write(self.format(record), file=sys.stderr)
-
 
 class Progress:
-    """Progress: a bar in a terminal, elsewhere a line every 10 s at most.
+    """Progress: a bar in a terminal or a notebook, elsewhere a line every 10 s at most.
 
-    The rate in a line is without the first update, in which loops may be compiled for a minute, and without
-    what an earlier run has `done`. A `total` of `None` is an unknown length; `unit` is in the plural.
+    Rates are without the time in which loops are compiled, and in a line without the first update and what an
+    earlier run has `done`. A `total` of `None` is an unknown length; `unit` is in the plural.
     """
 
     def __init__(self, label: str, total: int | None, done: int = 0, unit: str = "frames") -> None:
@@ -42,11 +27,11 @@ class Progress:
         self._total = total
         self._first = self._done = done
         self._started: float | None = None  # when the first update was over
-        self._printed = time.monotonic()
-        self._shown = _package.isEnabledFor(logging.WARNING)
+        self._printed, self._compiled = time.monotonic(), compile_seconds()
+        self._shown = is_shown(logging.WARNING)
         self._bar: tqdm[Never] | None = None
-        if self._shown and sys.stderr.isatty():
-            self._bar = tqdm(
+        if self._shown and ("ipykernel" in sys.modules or sys.stderr.isatty()):
+            self._bar = auto.tqdm(
                 total=total, initial=done, desc=label, unit=f" {unit}", dynamic_ncols=True, file=sys.stderr
             )
 
@@ -62,14 +47,18 @@ class Progress:
         """Count frames as done."""
         self._done += n_frames
         if self._bar is not None:
+            compiling, self._compiled = compile_seconds() - self._compiled, compile_seconds()
+            self._bar.start_t += compiling
+            self._bar.last_print_t += compiling
             self._bar.update(n_frames)
             return
         now = time.monotonic()
         if self._started is None:
-            self._started, self._first = now, self._done
+            self._started, self._first, self._compiled = now, self._done, compile_seconds()
         if self._shown and now - self._printed >= SPARSE_SECONDS:
             self._printed = now
-            print(self._line(now - self._started), file=sys.stderr, flush=True)
+            working = now - self._started - (compile_seconds() - self._compiled)
+            print(self._line(working), file=sys.stderr, flush=True)
 
     def close(self) -> None:
         """Leave the last state of the bar, and the cursor on a new line."""

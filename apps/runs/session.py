@@ -4,7 +4,6 @@ import importlib.metadata
 import logging
 import platform
 import sys
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -13,13 +12,14 @@ import cv2
 from numba.core import event
 from tqdm import tqdm
 
-from ...models.numerics.compiled import COMPILES, is_kept
+from ...models.numerics.compiled import COMPILES, is_kept, work_clock
 from ..io.files import segment_pattern
 from ..io.row_log import COLUMNS, remove_rows
 from ..options.job import Job
 from ..view.film import FILM, ROWS
 from ..view.page import VIEW
 from .interruption import Interrupted, Interruption, Outcome
+from .messages import is_shown
 from .output_folder import OutputFolder, output_folder
 from .saved_run import STATE
 
@@ -32,15 +32,13 @@ _GROWING = (OVERLAY, FILM, ROWS)
 ALWAYS = (STATE, "summary.json", VIEW, *_GROWING, *map(segment_pattern, _GROWING))
 """Files that every run may leave."""
 
-_log = logging.getLogger(__name__)
-
 
 class _Announcement(event.Listener):
     """Writes a line when a function is compiled whose code is kept for later runs."""
 
     def __init__(self, application: str) -> None:
         self._application = application
-        self._is_due = _log.isEnabledFor(logging.WARNING)
+        self._is_due = is_shown(logging.WARNING)
 
     def on_start(self, compilation: Any) -> None:
         """Write the line, once."""
@@ -84,7 +82,7 @@ class Session:
         self.saved = self.ended_early = self.live = False
         self.resume_hint = f"--resume continues {job.out}"
         self.earlier_seconds = 0.0
-        self._started = time.perf_counter()
+        self._started = work_clock()
         self._folder: OutputFolder
 
     @contextmanager
@@ -148,8 +146,8 @@ class Session:
         return Outcome(summary, self.interruption.signal if self.ended_early else None, words)
 
     def seconds(self) -> float:
-        """Wall time of the work, that before it was resumed included."""
-        return self.earlier_seconds + time.perf_counter() - self._started
+        """Wall time of the work, that before it was resumed included, without that of compiling."""
+        return self.earlier_seconds + work_clock() - self._started
 
 
 def versions() -> dict[str, str]:
