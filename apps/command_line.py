@@ -223,6 +223,43 @@ def events(run: Path, *, zones: Path) -> int:
     return 0
 
 
+@app.command
+def tune(
+    *folders: Path,
+    out: Path = Path("results/tune"),
+    minutes: float = 60.0,
+    folds: int = 3,
+    seeds: int = 0,
+    config: Path | None = None,
+) -> int:
+    """Search parameters of rsmcm background that are better on films with ground truth.
+
+    Films are divided into folds; what is found without the films of a fold is judged on these. Writes
+    tuned.toml for --config, index.html with what mattered, and study.log, with which the same command goes
+    on. If the parameters found are no better on films that were left out, it says so and keeps those before.
+    Needs rsmcm[tune].
+
+    Parameters
+    ----------
+    folders
+        Folders of films with masks, or of films with boxes, as of rsmcm reproduce films.
+    out
+        Folder for the results.
+    minutes
+        Time for the search.
+    folds
+        Number of folds, from 2 to the number of films.
+    seeds
+        Number of seeds of noise for each film. Default: videos as they are.
+    config
+        TOML file with the parameters to begin with.
+    """
+    from .tune.application import run_tune
+
+    print(*run_tune(folders, out, minutes=minutes, folds=folds, seeds=seeds, config=config), sep="\n")
+    return 0
+
+
 def _experiment(name: str) -> Callable[..., None]:
     """What reproduces a figure, as a command, with the options that make a difference to it."""
     entry, folder = EXPERIMENTS[name], usual_folder(name)

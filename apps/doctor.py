@@ -25,6 +25,7 @@ from .trackers.objects import ObjectTracker
 EXTRAS = {
     "dask": ("distributed", "--dask of rsmcm batch and reproduce"),
     "xarray": ("xarray", "rsmcm export --to movement"),
+    "tune": ("optuna", "rsmcm tune"),
     "supervision": ("supervision", "results as supervision.Detections, in Python"),
 }
 """Of `pyproject.toml`: the package that each brings, and what lacks without it."""

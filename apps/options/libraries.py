@@ -101,9 +101,11 @@ def own_standard_error() -> Iterator[None]:
             sys.stderr = before
 
 
-def needed(package: str) -> Any:
-    """Import a package that the extra of its name brings; the ImportError says what to install."""
+def needed(package: str, extra: str = "") -> Any:
+    """Import a package of an extra, whose name may be another; the ImportError says what to install."""
     try:
         return import_module(package)
     except ImportError as error:
-        raise ImportError(f"this needs {package}: pip install 'rsmcm[{package}]'", name=package) from error
+        raise ImportError(
+            f"this needs {package}: pip install 'rsmcm[{extra or package}]'", name=package
+        ) from error

@@ -1,0 +1,1 @@
+"""Search for parameters of the chains that are better on films with ground truth, judged on other films."""
