@@ -11,7 +11,7 @@ from ...models.body.kernels import lean
 from ...models.body.upper_body import BodyPoses, UpperBody, arm_at
 from ...models.core.checks import NotNegative, Positive, checked
 from ...models.core.short_repr import short_repr
-from .kernels import draw_terms, least_squares_to_rows, mixture_values
+from .kernels import RAISED, draw_terms, least_squares_to_rows, mixture_values
 
 Array = NDArray[np.float64]
 
@@ -126,7 +126,10 @@ class BodyDynamics:
         values = np.empty(len(poses), np.float32)
         mixture_values(*terms, values)
         return np.asarray(
-            log_scales + np.log(values.astype(np.float64)) + self.log_posture(poses, ancestors.elapsed)
+            log_scales
+            + np.log(values.astype(np.float64))
+            - RAISED
+            + self.log_posture(poses, ancestors.elapsed)
         )
 
     def log_step(self, poses: BodyPoses, before: BodyPoses, dt: float) -> Array:

@@ -39,6 +39,10 @@ def least_squares_to_rows(points, rows, least):
         least[i] = best
 
 
+RAISED = 40.0  # nats by which sums over ancestors are raised: subnormal products would take six times as long
+FARTHEST = -83.0  # nats of a place, over the nearest ancestor's, at least
+
+
 @helper
 def _products_to_row(i, body, ancestors, nearest, arms, ancestor_arms, weights, concentrations, floors, row):
     """For pose i, fill `row` `(k,)` with weight, Gaussian of the body's place and kernels of both arms."""
@@ -50,7 +54,7 @@ def _products_to_row(i, body, ancestors, nearest, arms, ancestor_arms, weights, 
     floor, floor_2 = floors[i, 0], floors[i, 1]
     _squares_to_rows(body[i], ancestors, row)
     for j in range(len(row)):
-        place = exponential(_f4(-0.5) * (row[j] - nearest))
+        place = exponential(max(_f4(-0.5) * (row[j] - nearest), _f4(FARTHEST)) + _f4(RAISED))
         left = upper * (
             a0 * ancestor_arms[0, j] + a1 * ancestor_arms[1, j] + a2 * ancestor_arms[2, j] - _f4(1.0)
         ) + fore * (a3 * ancestor_arms[3, j] + a4 * ancestor_arms[4, j] + a5 * ancestor_arms[5, j] - _f4(1.0))
@@ -73,7 +77,7 @@ def mixture_values(body, ancestors, least, arms, ancestor_arms, weights, concent
     to it; `arms`, `ancestor_arms` `(n, 12)`, `(12, k)`: unit vectors, left upper arm, left forearm, right
     upper arm, right forearm; `weights` `(k,)` of the ancestors; `concentrations` `(2,)` of von Mises and
     Fisher's density, of upper arms and forearms; `floors` `(n, 2)`: density of an arm that jumped, by the
-    peak of that of one that did not; `values` `(n,)` filled in.
+    peak of that of one that did not; `values` `(n,)` filled in, times exp(`RAISED`).
     """
     row = np.empty(ancestors.shape[1], np.float32)
     for i in range(len(body)):

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -12,6 +12,7 @@ from ...models.body.image_features import BodyImage
 from ...models.body.parts import FALSE_HANDS, HAND_DETECTED
 from ...models.body.skin import HIGHEST
 from ...models.body.upper_body import PART_JOINTS, BodyPoses, UpperBody
+from ...models.core.gaussian_mixtures import GaussianMixtures
 from ...models.numerics.threads import over_bands
 from .kernels import (
     LANES,
@@ -218,9 +219,8 @@ class ImageLikelihood:
         total, solid = np.zeros(len(poses)), solid_of(self.body)
 
         def work(first: int, end: int) -> None:
-            some = poses.take(slice(first, end))
             outline_terms(
-                *some.arrays, solid, self.edges,
+                *(each[first:end] for each in poses.arrays), solid, self.edges,
                 EDGE_POINTS / N_POINTS, EDGE_DIRECTIONS, NO_EDGE, total[first:end],
             )  # fmt: skip
 
@@ -243,7 +243,7 @@ class ImageLikelihood:
         joints = body.joints(poses)[:, :, :2]
         parts = joints[:, PART_JOINTS]
         terms = np.zeros((4, len(poses)))
-        terms[0] = image.mixtures.take([0]).log_values(parts[:, :1])[:, 0]
+        terms[0] = self._face.log_values(parts[:, :1])[:, 0]
         if self.head is not None:
             head_terms(parts[:, 0], self.head, _scales(self.head, image), np.array(HEAD_SCORES), terms[0])
         if self.skin is not None:
@@ -257,6 +257,10 @@ class ImageLikelihood:
                 terms[3],
             )  # fmt: skip
         return terms
+
+    @cached_property
+    def _face(self) -> GaussianMixtures:
+        return self.image.mixtures.take([0])
 
     def hand_log_odds(self, poses: BodyPoses) -> Array:
         """`(n, 2)` nats: log odds that left and right hand are seen where poses have them.

@@ -5,6 +5,7 @@ Arrays are shown by dtype and shape, collections by their length, parameters whe
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
+from functools import cache
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -92,16 +93,31 @@ def _name(value: object) -> str:
 
 
 class Rows:
-    """A dataclass of arrays with one row for each item."""
+    """A dataclass of arrays with one row for each item.
+
+    Rows of what is checked are not checked again.
+    """
 
     def only(self, kept: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Self:
         """Return the rows where `kept` is true, or at these places, in order."""
-        return type(self)(*(getattr(self, field.name)[kept] for field in fields(self)))  # type: ignore[arg-type]
+        return self.made(getattr(self, name)[kept] for name in self._names())
 
     def joined(self, others: Iterable[Self]) -> Self:
         """Return these rows followed by others."""
-        every, names = (self, *others), [field.name for field in fields(self)]  # type: ignore[arg-type]
-        return type(self)(*(np.concatenate([getattr(each, name) for each in every]) for name in names))
+        every = (self, *others)
+        return self.made(np.concatenate([getattr(each, name) for each in every]) for name in self._names())
+
+    @classmethod
+    def made(cls, arrays: Iterable[NDArray[Any]]) -> Self:
+        """Return an object of these arrays, in the order of the fields, without checks."""
+        whole = object.__new__(cls)
+        vars(whole).update(zip(cls._names(), arrays, strict=True))
+        return whole
+
+    @classmethod
+    @cache
+    def _names(cls) -> tuple[str, ...]:
+        return tuple(field.name for field in fields(cls))  # type: ignore[arg-type]
 
 
 class PickledByFields:
