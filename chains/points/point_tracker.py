@@ -29,8 +29,9 @@ from ...models.core.frame import Frame, GivenPoints
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.identities import places_of
 from ...models.core.short_repr import Rows, short_repr
-from ...models.points.patches import Patches, find_corners, match_light, ncc
+from ...models.points.patches import NOISE, Patches, find_corners, match_light, ncc
 from ...models.points.point_tracks import PointMessage, PointTracks, View
+from ...models.points.search import MIN_STD
 from .trajectory import (
     MEDIAN,
     Appearances,
@@ -59,25 +60,27 @@ class PointTable(Rows):
     unseen: Annotated[Array, Shape("n", finite=False)]  # s since a frame showed the point
     first: OfSides  # first patch; 0 where points come without pictures
     patches: OfSides  # current patch
+    cut: Annotated[Array, Shape("n")]  # s: time of the picture from which it was first cut
 
     @classmethod
     def none(cls) -> "PointTable":
         """Return an empty table."""
         nothing = np.zeros((0, 0, 0), np.float32)
-        return cls.new(np.zeros(0, np.int64), PointStates.at_rest([], 1.0, 1.0), nothing)
+        return cls.new(np.zeros(0, np.int64), PointStates.at_rest([], 1.0, 1.0), nothing, 0.0)
 
     @classmethod
-    def new(cls, identities: Identities, states: PointStates, patches: Pixels) -> "PointTable":
-        """Return points that have just been seen, `identities` in order."""
+    def new(cls, identities: Identities, states: PointStates, patches: Pixels, time: float) -> "PointTable":
+        """Return points that have just been seen, `identities` in order, in the picture of a time, s."""
         alive, unseen = np.ones(len(identities), np.bool_), np.zeros(len(identities))
-        return cls(identities, states.mean, states.covariance, alive, unseen, patches, patches)
+        cut = np.full(len(identities), time)
+        return cls(identities, states.mean, states.covariance, alive, unseen, patches, patches, cut)
 
     @classmethod
-    def lost(cls, identities: Identities, patches: Pixels) -> "PointTable":
-        """Return lost points with patches and without positions."""
+    def lost(cls, identities: Identities, patches: Pixels, cut: Array) -> "PointTable":
+        """Return lost points with patches, which were `cut` at these times, and without positions."""
         mean, covariance = np.zeros((len(identities), STATE)), np.tile(np.eye(STATE), (len(identities), 1, 1))
         alive, unseen = np.zeros(len(identities), np.bool_), np.full(len(identities), np.inf)
-        return cls(identities, mean, covariance, alive, unseen, patches, patches)
+        return cls(identities, mean, covariance, alive, unseen, patches, patches, cut)
 
     @property
     def states(self) -> PointStates:
@@ -192,7 +195,7 @@ def add_given_points(state: TrackerState, message: PointMessage) -> TrackerState
     states = initial_states(state, view, mean, covariance)
     patches = np.zeros((len(identities), view.patch_size, view.patch_size), np.float32)
     largest = int(identities.max(initial=state.next_identity - 1))
-    known = state.known.merged(PointTable.new(identities, states, patches))
+    known = state.known.merged(PointTable.new(identities, states, patches, view.time))
     return replace(state, known=known, next_identity=largest + 1)
 
 
@@ -209,7 +212,7 @@ def replenish(state: TrackerState, n_points: int, spacing: float) -> TrackerStat
     states = initial_states(state, view, corners, NEW_POINT_STD**2 * np.eye(2))
     return replace(
         state,
-        known=known.merged(PointTable.new(identities, states, view.patches_at(corners))),
+        known=known.merged(PointTable.new(identities, states, view.patches_at(corners), view.time)),
         next_identity=state.next_identity + len(corners),
         since_corner_search=0.0,
         view=replace(view, points=view.points.joined([GivenPoints(corners, identities)])),
@@ -458,7 +461,7 @@ class FilmSearch:
                 evidence.append(incoming.search(PointTracks, others))
             else:
                 state, seen = self._step(state, incoming, others, number)
-                evidence.append(seen)
+                evidence.append(_with_usual_noise(seen, state.known))
         return evidence, PointTable.none() if state is None else state.known
 
     def _step(
@@ -496,7 +499,7 @@ class FilmSearch:
             return self._tracker.empty()
         seen = current.appearances
         kept = np.isin(seen.identities, current.identities) & ~np.isin(seen.identities, list(self.same))
-        lost = PointTable.lost(seen.identities[kept], seen.first[kept])
+        lost = PointTable.lost(seen.identities[kept], seen.first[kept], seen.cut[kept])
         return replace(self._tracker.empty(), known=lost)
 
     def _restart_points(self, state: TrackerState, others: PointMessage, number: int) -> TrackerState:
@@ -511,10 +514,11 @@ class FilmSearch:
         places, seen = places_of(known.identities, names), current.appearances
         begins = ~known.alive[places] & _is_plausible(others.positions, names, position)
         points, places, position = points[begins], places[begins], position[begins]
-        patches = known.patches.copy()
-        patches[places] = seen.first[places_of(seen.identities, current.identities[points])]
+        patches, cut, which = known.patches.copy(), known.cut.copy(), current.identities[points]
+        which = places_of(seen.identities, which)
+        patches[places], cut[places] = seen.first[which], seen.cut[which]
         states = initial_states(state, view, position, NEW_POINT_STD**2 * np.eye(2))
-        return replace(state, known=replace(known, patches=patches).with_states(places, states))
+        return replace(state, known=replace(known, patches=patches, cut=cut).with_states(places, states))
 
 
 def _without(message: PointMessage, alone: Identities) -> PointMessage:
@@ -523,6 +527,22 @@ def _without(message: PointMessage, alone: Identities) -> PointMessage:
         return message
     stay = ~np.isin(message.positions.identities, alone)
     return replace(message, positions=message.positions.only(stay))
+
+
+def _with_usual_noise(message: PointMessage, known: PointTable) -> PointMessage:
+    """Return the evidence with the usual noise where a patch was compared with itself.
+
+    There is no residual then, by which the noise is estimated otherwise.
+    """
+    view, positions = message.view, message.positions
+    if view is None or view.grey is None:
+        return message
+    itself = np.isin(positions.identities, known.identities[known.cut == view.time])
+    identities, mean, covariance = positions.moments
+    least = MIN_STD**2 * np.eye(2)
+    covariance = np.where(itself[:, None, None], NOISE**2 * (covariance - least) + least, covariance)
+    usual = GaussianMessage.from_moments(identities, mean, covariance)
+    return replace(message, positions=replace(usual, log_scale=usual.log_scale + np.log(view.grey.size)))
 
 
 def _is_plausible(others: GaussianMessage, identities: Identities, positions: Array) -> Mask:
@@ -626,7 +646,7 @@ class PointTracker:
             evidence, known = search.run()
             trajectory = replace(
                 self._smooth_tracks(evidence, search.others, incoming_over_time),
-                appearances=Appearances(known.identities, known.first, known.patches),
+                appearances=Appearances(known.identities, known.first, known.patches, known.cut),
                 absorbed=np.array(sorted(search.same.items()), np.int64).reshape(-1, 2),
             )
         else:

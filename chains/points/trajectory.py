@@ -147,11 +147,15 @@ BATCH = 128
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Appearances:
-    """`first` and `last` patches of points, `(n, side, side)` float32; `identities` increase."""
+    """`first` and `last` patches of points, `(n, side, side)` float32; `identities` increase.
+
+    First ones were `cut` from the pictures of these times, s.
+    """
 
     identities: Identities
     first: NDArray[np.float32]
     last: NDArray[np.float32]
+    cut: Array
 
 
 @short_repr

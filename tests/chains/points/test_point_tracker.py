@@ -225,6 +225,15 @@ def test_points_are_followed_to_fractions_of_a_pixel() -> None:
     assert np.sqrt((errors[right] ** 2).mean()) < 0.2
 
 
+def test_pictures_from_which_patches_are_cut_are_no_surer_than_the_others() -> None:
+    """A patch compared with itself fits without a residual; its place is known no better for it."""
+    frames = pictures(film(sliding(4), noise=2.0))
+    solution = CoordinateAscent(MultiChain().connect(PointTracker(), PointTracks())).run(frames)
+    cut, after = (solution.evidence("points")[t].positions.moments[2] for t in (0, 2))
+    ratio = np.median(np.trace(cut, axis1=1, axis2=2)) / np.median(np.trace(after, axis1=1, axis2=2))
+    assert 0.5 < ratio < 2.0
+
+
 BEHIND = 62
 """Frame in which all of the left third is behind the bar's end."""
 
@@ -351,7 +360,7 @@ def trajectory(first: NDArray[np.float32], last: NDArray[np.float32]) -> PointTr
     n = len(first)
     nothing = np.zeros((1, n), np.bool_)
     flat, square = np.zeros((1, n, 2)), np.zeros((1, n, 2, 2))
-    appearances = Appearances(np.arange(n), first, last)
+    appearances = Appearances(np.arange(n), first, last, np.zeros(n))
     return PointTrajectory(
         np.arange(n), flat, square, nothing, nothing, square, flat, appearances, np.array([[5, 3]]), 0.0
     )
@@ -397,7 +406,7 @@ def known(identities: list[int], alive: list[bool], unseen: list[float]) -> Poin
     states = PointStates.at_rest(np.arange(2.0 * n).reshape(n, 2), 1.0, 1.0)
     return PointTable(
         np.array(identities), states.mean, states.covariance, np.array(alive), np.array(unseen), PIXELS[:n],
-        PIXELS[:n],
+        PIXELS[:n], np.zeros(n),
     )  # fmt: skip
 
 
