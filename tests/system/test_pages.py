@@ -32,6 +32,7 @@ NOT_RUN_BLOCKS = {
     "detectors": 1,  # networks of others
     "figures": 2,  # data of others; the bench, which takes minutes
     "keypoints": 1,  # the same
+    "parameters": 1,  # films with ground truth, and an hour
     "running": 1,  # a camera
     "scale": 2,  # a cluster
     "start": 1,  # pip install

@@ -178,11 +178,15 @@ class Source:
         return notes
 
     def close(self) -> None:
-        """Stop decoding; the thread releases the file or device."""
+        """Stop decoding; the thread releases the file or device.
+
+        The end of a picture's decoding is waited for: a thread in OpenCV that outlives Python aborts it.
+        """
         self._ended = True
         self._stopping.set()
         self._queue.close()
-        self._thread.join(CLOSING_SECONDS)
+        is_picture = isinstance(getattr(self, "_reader", None), ImageReader)
+        self._thread.join(None if is_picture else CLOSING_SECONDS)
 
     def fingerprint(self) -> dict[str, Any]:
         """Return an identifier of this source as JSON: equal ones are assumed to have the same frames."""

@@ -2,6 +2,8 @@
 
 import math
 import struct
+import threading
+import time
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -11,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rsmcm.apps.io.sources import images
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.models.core.frame import Frame
 
@@ -326,3 +329,23 @@ def test_address_or_camera_that_is_not_there() -> None:
         open_source("97")
     with pytest.raises(ValueError, match="ftp://a/b: expected an address of one of"):
         open_source("ftp://a/b")
+
+
+def test_no_thread_that_decodes_a_picture_outlives_its_source(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), picture(number))
+    begun = threading.Event()
+
+    def slow(path: Path) -> NDArray[np.uint8]:
+        if path.stem == "1":
+            begun.set()
+            time.sleep(0.3)
+        return picture(int(path.stem))
+
+    monkeypatch.setattr(images, "read_image", slow)
+    monkeypatch.setattr("rsmcm.apps.io.sources.open_source.CLOSING_SECONDS", 0.0)
+    with open_source(str(tmp_path)) as source:
+        assert begun.wait(10)
+    assert not source._thread.is_alive()
