@@ -10,6 +10,7 @@ using Markov chain Monte Carlo" (2013), move each pose x_t where it is
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, Protocol, TypeVar
 
 import numpy as np
@@ -87,8 +88,13 @@ class ArmProposal:
         """`(n,)` nats, of one arm for each of the next frame."""
         about = (self.shares * np.exp(_log_kernels(arms, self.centres, self.concentrations))).sum(axis=1)
         cosines = (arms * self.near).sum(axis=2) - 1
-        near = np.mean([np.exp(cosines @ kappa) * _peak(kappa) for kappa in self.scaled], axis=0)
+        near = np.einsum("nk,k->n", np.exp(cosines @ self.scaled.T), self._peaks) / len(self.scaled)
         return np.asarray(np.log(NEXT * near + (1 - NEXT) * about + LEAST_DENSITY))
+
+    @cached_property
+    def _peaks(self) -> Array:
+        """`(4,)`: of the densities about the next frame's."""
+        return _peak(self.scaled)
 
 
 def move_between(
@@ -158,9 +164,9 @@ def _log_kernels(arms: Array, centres: Array, concentrations: Array) -> Array:
     return np.asarray(cosines + np.log(_peak(concentrations)))
 
 
-def _peak(concentrations: Array) -> float:
-    """Peak of the product of both segments' densities."""
-    return float(np.prod(concentrations / (2 * np.pi * -np.expm1(-2 * concentrations))))
+def _peak(concentrations: Array) -> Array:
+    """`(...)`: peaks of the products of both segments' densities, of concentrations `(..., 2)`."""
+    return np.asarray(np.prod(concentrations / (2 * np.pi * -np.expm1(-2 * concentrations)), axis=-1))
 
 
 CLOUD = 400  # poses of a frame that are kept until it is smoothed
