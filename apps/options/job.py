@@ -3,6 +3,7 @@
 The docstrings are the command line's help. Nothing here takes long to import.
 """
 
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
@@ -51,7 +52,7 @@ class Job:
     Raises
     ------
     ValueError
-        if fields contradict each other.
+        if fields contradict each other, or results would be written into a folder that is the source.
     """
 
     source: str
@@ -85,6 +86,9 @@ class Job:
                 if self._given(one) and self._given(other):
                     reason = f" ({why[0]})" if why else ""
                     raise ValueError(f"{one} and {other}: got both, expected one of them{reason}")
+        if os.path.isdir(self.source) and self.out.resolve().is_relative_to(Path(self.source).resolve()):
+            wrong = "which is the source or lies in it, expected another folder"
+            raise ValueError(f"--out: got {self.out}, {wrong}")
 
     def _given(self, option: str) -> bool:
         """Whether an option is given; of `--name value`, with this value."""

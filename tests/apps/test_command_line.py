@@ -18,7 +18,7 @@ from rsmcm.apps.command_line import main
 from rsmcm.apps.demo import write_scene
 from rsmcm.apps.scenes import sleeping_man
 
-from ..conftest import Command, modified
+from ..conftest import Command, modified, names
 
 SIZE = (64, 48)
 COMMAND = [sys.executable, "-m", "rsmcm.apps.command_line"]
@@ -194,6 +194,19 @@ def test_quiet_and_verbose(scene: Path, tmp_path: Path, capfd: pytest.CaptureFix
     assert "missing" not in err
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == results
     assert "nowhere" in complaint(capfd, "background", "nowhere", "--out", tmp_path / "x", "--quiet")
+
+
+def test_results_are_not_written_into_the_source(
+    scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "input"
+    shutil.copytree(scene / "input", folder)
+    before = names(folder)
+    for out in (folder, folder / "results", tmp_path / "input" / ".." / "input"):
+        words = "which is the source or lies in it"
+        assert words in complaint(capfd, "background", folder, "--out", out, "--overwrite")
+        assert words in complaint(capfd, "body", folder, "--out", out, "--overwrite")
+    assert names(folder) == before
 
 
 def test_wrong_sources(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
