@@ -6,7 +6,7 @@ no error, but counted as unknown.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -35,7 +35,7 @@ from ..io.sources.open_source import open_source
 from ..scenes import cylinder, face, signer, sleeping_man, turntable
 from ..scenes.street import mottle
 from ..trackers.body import BodyTracker
-from ..trackers.face import FaceTracker
+from ..trackers.face import FaceTracker, TrackedFace
 from .datasets import data_folder
 from .experiment import Findings, Image, Plot, by_seed, noisy
 from .pets import AnnotatedFilm
@@ -288,10 +288,43 @@ def generated_face(hidden: range, seed: int) -> Statements:
         assert found is not None
         off, size = found.vertices[:, :2] - true, float(np.ptp(true[:, 0]))
         near = index not in hidden and np.linalg.norm(off, axis=1).mean() < NEAR * size
-        tracked += Reliability.of_claims(np.array([near]), np.array([not found.lost]))
+        tracked += probable(found, right=bool(near))
         if not found.lost and index not in hidden:
             places += in_the_picture(off, found.covariances)
-    return {"vertex of a face": places, "face is not lost": tracked}
+    return {"vertex of a face": places, "face is where it is stated": tracked}
+
+
+def probable(found: TrackedFace | None, *, right: bool) -> Reliability:
+    """Return that of the probability of a face, of which nothing is claimed where it is lost or not found."""
+    if found is None or found.lost:
+        return replace(Reliability.nothing(), unknown=1)
+    return Reliability.of_probabilities(np.array([found.probability]), np.array([right]))
+
+
+WITH_FACE, WITHOUT = "films with a face", "films without a face"
+FACES: Mapping[str, Mapping[str, str]] = {
+    WITH_FACE: {
+        "talking-face": "franck.webm",
+        "carphone": "carphone_pristine.mp4",
+        "signer": "signseg_demo_video.mp4",
+        "sign-pose": "wave.mp4",
+    },
+    WITHOUT: {"cmu-hotel": "", "bobot": "", "middlebury-dino": ""},
+}
+"""Public films that show one all the time, or never: folders, and files in them."""
+N_FRAMES_OF_FILMS = 100
+MINUTE = 60 * 25  # frames
+
+
+def faces_of_films(kind: str, seed: int) -> Statements:
+    """Whether there is a face, in films that show one all the time or never."""
+    shown = Reliability.nothing()
+    for name, file in FACES[kind].items():
+        tracker = FaceTracker(seed=seed)
+        with open_source(str(data_folder(name) / file), stop=N_FRAMES_OF_FILMS) as source:
+            for frame in source:
+                shown += probable(tracker.update(noisy(frame, seed).image), right=kind == WITH_FACE)
+    return {"face is in view": shown}
 
 
 def in_the_picture(off: Numbers, covariances: Numbers) -> Reliability:
@@ -415,6 +448,8 @@ CASES: Mapping[str, Callable[[int], Statements]] = {
     "middlebury-dino": real_turntable,
     "generated face": partial(generated_face, range(0)),
     "generated face that another hides for a second": partial(generated_face, range(30, 55)),
+    WITH_FACE: partial(faces_of_films, WITH_FACE),
+    WITHOUT: partial(faces_of_films, WITHOUT),
     "random texture": nobody,
     "generated signer": generated_signer,
     "real people": real_signers,
@@ -464,12 +499,18 @@ def _statements(case: str, seed: int) -> Statements:
 
 
 def expectations_of(made: Mapping[str, Mapping[str, Sequence[Reliability]]]) -> list[Expectation]:
-    """Return how far what is stated is from what is observed."""
-    return [
+    """Return how far what is stated is from what is observed, and mistakes a minute of films."""
+    expected = [
         Expectation(f"{what}, {of}: mean difference", sum(seeds, Reliability.nothing()).mean, "<=", BOUND)
         for of, statements in made.items()
         for what, seeds in statements.items()
     ]
+    for kind, mistakes in ((WITH_FACE, "misses"), (WITHOUT, "false alarms")):
+        total = sum(made[kind]["face is in view"], Reliability.nothing())
+        wrong = total.unknown if kind == WITH_FACE else total.cases
+        rate = MINUTE * wrong / (total.cases + total.unknown)
+        expected.append(Expectation(f"{mistakes} a minute, {kind}", rate, "<=", 0))
+    return expected
 
 
 def draw(totals: Mapping[str, Reliability], canvas: Figure) -> None:

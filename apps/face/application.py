@@ -96,7 +96,7 @@ POSES = {
     "frame_numbers": "number", "times": "time", **{name: name for name in (
         "weights", "rotations", "translations", "morphs", "mean_rotation", "mean_translation", "mean_morphs",
         "vertices_2d", "vertices_3d", "covariance", "landmarks", "log_evidence", "fit", "lost",
-        "reinitialised", "missing",
+        "tracked_probability", "reinitialised", "missing",
     )}
 }  # fmt: skip
 """Arrays of `poses.npz` with a row a frame, and the columns of the log that they are: `frame_numbers`,
@@ -105,7 +105,8 @@ px, `morphs (n_experts, n_bases)` px; of their mean `mean_rotation`, `mean_trans
 `vertices_2d (n_vertices, 2)` px, `vertices_3d (n_vertices, 3)` px with depth, and `covariance (n_vertices, 3,
 3)` px squared, how the experts differ; `landmarks (n_landmarks, 2)` px, NaN for those that were missing at
 the start; `log_evidence` nats and `fit`, the share of the picture under the face that the texture explains,
-NaN where there is none; `lost`, `reinitialised`, `missing`. `bases (n_bases, n_vertices, 3)` and `triangles
+NaN where there is none; `lost`, `reinitialised`, `missing`; `tracked_probability`, that the face is where it
+is stated to be, 0 while it is lost. `bases (n_bases, n_vertices, 3)` and `triangles
 (n_triangles, 3)` of the person's model come once."""
 
 SMALL_EVERY = 25
@@ -229,6 +230,7 @@ class Face(Application[FaceJob]):
             "log_evidence": np.float64(evidence),
             "fit": np.float64(fit),
             "lost": np.bool_(state.lost),
+            "tracked_probability": np.float64(state.tracked_probability),
             "reinitialised": np.bool_(restarted),
             "missing": np.bool_(frame.missing),
         }
@@ -265,6 +267,7 @@ class Face(Application[FaceJob]):
             "bases": start.model.n_bases,
             "lost_frames": len(record.lost),
             "lost": record.lost_periods,
+            "tracked_probability": record.tracked_probability,
             "reinitialised": record.restarted,
             "log_evidence": record.evidence_measures,
             "error": None if self._given is None else record.error_measures(self._given.size),

@@ -61,6 +61,8 @@ class FaceRecord(FrameRecord):
         nats; NaN in the first frame, and where nothing was to be seen.
     fits
         share of the picture under the face that the texture explained, at most 1; NaN as above.
+    probability
+        that the face is where it is stated to be; 0 while it is lost.
     errors
         px: mean distance of the landmarks from the given ones; NaN where none is given.
     experts
@@ -73,6 +75,7 @@ class FaceRecord(FrameRecord):
         super().__init__(log)
         self.lost, self.restarted = (log["number"][log[name]].tolist() for name in ("lost", "reinitialised"))
         self.log_evidence, self.fits, self.errors = log["log_evidence"], log["fit"], log["error"]
+        self.probability = np.asarray(log["tracked_probability"])
         self.experts = 1 / np.square(log["weights"]).sum(axis=1)
         self.angles, self.morphs = np.array([*map(angles, log["mean_rotation"])]), log["mean_morphs"]
 
@@ -80,6 +83,15 @@ class FaceRecord(FrameRecord):
     def lost_periods(self) -> list[tuple[int, int]]:
         """First and last frame of every period in which the face was lost."""
         return periods(self.numbers, self.lost)
+
+    @property
+    def tracked_probability(self) -> float | None:
+        """Mean probability, of the frames in which the face is not lost, that it is where it is stated to be.
+
+        `None` without such a frame.
+        """
+        tracked = ~np.isin(self.numbers, self.lost)
+        return float(self.probability[tracked].mean()) if tracked.any() else None
 
     @property
     def start_fit(self) -> float:
@@ -282,6 +294,12 @@ def _plots(record: FaceRecord, names: Sequence[str], film: Film | None) -> list[
             "%",
             [Line(100 * np.array(record.fits))],
             "Share of the variance under the face that the texture explains, by which it is told to be lost.",
+        ),
+        plot(
+            "tracked",
+            "%",
+            [Line(100 * record.probability)],
+            "Probability that the face is where it is stated to be; 0 while it is lost.",
         ),
         plot("experts, effective", "", [Line(np.array(record.experts))], "1 / Σ weight²."),
     ]

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from ...models.core.checks import Count, CountFrom0, checked
 from ...models.core.frame import Frame
@@ -58,30 +57,6 @@ class Turntable:
     def frames(self) -> list[Frame]:
         """The film, 25 pictures a second."""
         return [Frame(image, number / 25, number + 1) for number, image in enumerate(self.images)]
-
-    def on_body(self, frames: NDArray[np.int64], places: Numbers) -> Numbers:
-        """Return the points of the body `(n, 3)` that frames (n,), from 0, show at `places` `(n, 2)` px.
-
-        NaN beside it.
-        """
-        depth = map_coordinates(self.depth, [frames, places[:, 1], places[:, 0]], order=1, cval=np.nan)
-        depth = np.where(np.isfinite(depth), depth, np.nan)
-        rays = np.column_stack([(places - self._middle) / self.focal, np.ones(len(places))])
-        points: Numbers = np.einsum(
-            "nji,nj->ni", self.rotations[frames], rays * depth[:, None] - self.translation
-        )
-        return points
-
-    def seen(self, frames: NDArray[np.int64], points: Numbers) -> Numbers:
-        """Return where frames (n,), from 0, show points of the body `(n, 3)` or `(3,)`: `(n, 2)` px."""
-        there = (self.rotations[frames] @ points[..., None])[..., 0] + self.translation
-        places: Numbers = self.focal * there[:, :2] / there[:, 2:] + self._middle
-        return places
-
-    @property
-    def _middle(self) -> Numbers:
-        height, width = self.images.shape[1:]
-        return np.array([(width - 1) / 2, (height - 1) / 2])
 
 
 @checked

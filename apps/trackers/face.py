@@ -49,6 +49,8 @@ class TrackedFace:
         `(n, 2)` px: the landmarks given at the start, tracked on the surface.
     lost
         whether the face is lost: all else is then as it was last seen.
+    probability
+        that the face is where it is stated to be; 0 while it is lost.
     """
 
     vertices: Floats
@@ -59,6 +61,7 @@ class TrackedFace:
     expression: Floats
     landmarks: Floats
     lost: bool
+    probability: float
 
 
 class FaceTracker(DetectingTracker[FaceStart, TrackedFace | None]):
@@ -131,6 +134,7 @@ class FaceTracker(DetectingTracker[FaceStart, TrackedFace | None]):
             pose.morphs[0],
             self._gflow.points(state, start.points) if start.present.any() else np.zeros((0, 2)),
             state.lost,
+            state.tracked_probability,
         )
 
     def _find(self, frame: Frame, box: ArrayLike | None, landmarks: ArrayLike | None) -> FaceStart | None:

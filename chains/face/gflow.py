@@ -151,6 +151,11 @@ class GFlowState:
         return self.trust.lost
 
     @property
+    def tracked_probability(self) -> float:
+        """Probability that the object is where it is stated to be; 0 while it is lost."""
+        return 0.0 if self.lost else self.trust.probability
+
+    @property
     def doubted(self) -> bool:
         """Whether the object may be lost: the fit has been too low in the last picture."""
         return self.trust.doubt > 0
@@ -706,6 +711,9 @@ class GFlow(PickledByFields):
     def _advance(self, state: GFlowState, seen: Observation, trust: Trust) -> GFlowState:
         """Update what every picture changes."""
         particles = seen.particles
+        if state.elapsed:
+            probability = state.trust.probability_after(seen.fit, seen.area, state.elapsed)
+            trust = replace(trust, probability=probability)
         return replace(
             state,
             poses=particles.poses,

@@ -3,12 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, Self, runtime_checkable
+from typing import Annotated, Protocol, Self, runtime_checkable
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit, logit
 
+from ...models.core.checks import between
 from ...models.core.frame import Frame
 from ...models.core.short_repr import PickledByFields, short_repr
 from ...models.face.detectors import FACE, PartDetector, for_height
@@ -226,6 +228,10 @@ if the old texture fits better than by chance, and if it does not, since it may 
 object for a second or two. Of 1200 pictures without a face four showed one, and one of these for more than
 three pictures."""
 
+HERE_FOR, AWAY_FOR = 60.0, 2.0
+"""s: mean times for which a face is in view, and is hidden or gone: round numbers, which matter only for a
+picture or two after a change."""
+
 ROUNDING = 1e-6  # s: rounding of sums of frame times
 
 
@@ -240,6 +246,8 @@ class Trust:
     trial: float = 0.0  # s for which a detected object must still be confirmed; 0 without a trial
     relocations: int = 0  # number of times that the object was lost and found again
     searches: int = 0  # pictures searched since it was lost
+    # that the object is where it is tracked, see `probability_after`
+    probability: Annotated[float, between(0, 1)] = 1.0
 
     @property
     def lost(self) -> bool:
@@ -264,6 +272,21 @@ class Trust:
         """
         seen = np.minimum(area / self.usual_area, 1.0) if self.usual_area else 1.0
         return np.asarray(1 - (1 - fit) ** seen)
+
+    def probability_after(self, fit: float, area: float, elapsed: float) -> float:
+        """Return the probability that the object is where it is tracked, given a picture and those before.
+
+        The forward step of a Markov chain of two states, here and away. Evidence is normal: about the usual
+        fit if the object is here, with `least_fit` at two standard deviations, and no less likely above;
+        about 0 if it is away, with `CHANCE` at two.
+        """
+        evidence, usual = float(self.evidence(fit, area)), max(self.usual_fit, 2 * CHANCE)
+        stays, returns = np.exp(-elapsed / HERE_FOR), -np.expm1(-elapsed / AWAY_FOR)
+        prior = self.probability * stays + (1 - self.probability) * returns
+        deviations = LEAST_SHARE / 2 * usual, CHANCE / 2
+        here, away = min(evidence - usual, 0.0) / deviations[0], max(evidence, 0.0) / deviations[1]
+        log_ratio = -0.5 * (here**2 - away**2) - np.log(deviations[0] / deviations[1])
+        return float(expit(logit(prior) + log_ratio))
 
     def confirmed(self, fit: float, area: float, elapsed: float) -> Self:
         """Update with a picture in which the object was tracked."""

@@ -39,5 +39,11 @@ def transferred(film: Turntable, positions: Array, one: int, other: int) -> Arra
 
     Not finite where there is nothing at the pixel.
     """
-    one_each, other_each = np.repeat([[one], [other]], len(positions), axis=1)
-    return film.seen(other_each, film.on_body(one_each, positions))
+    column, row = np.rint(positions).astype(int).T
+    depth = film.depth[one, row, column].astype(np.float64)[:, None]
+    middle = (np.array(film.images.shape[:0:-1]) - 1) / 2
+    with np.errstate(invalid="ignore"):
+        seen = np.concatenate([(positions - middle) / film.focal, np.ones((len(positions), 1))], 1)
+        body = (seen * depth - film.translation) @ film.rotations[one]
+        points = body @ film.rotations[other].T + film.translation
+        return film.focal * points[:, :2] / points[:, 2:] + middle

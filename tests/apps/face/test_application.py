@@ -126,6 +126,7 @@ def test_poses(finished: Path, scene: Any) -> None:
         "mean_translation": (n, 2), "mean_morphs": (n, k),
         "vertices_2d": (n, nv, 2), "vertices_3d": (n, nv, 3),
         "covariance": (n, nv, 3, 3), "landmarks": (n, nv, 2), "log_evidence": (n,), "fit": (n,), "lost": (n,),
+        "tracked_probability": (n,),
         "reinitialised": (n,), "missing": (n,), "bases": (k, nv, 3), "triangles": scene.model.triangles.shape,
     }  # fmt: skip
     assert {name: array.shape for name, array in poses.items()} == shapes
@@ -349,6 +350,7 @@ FACE_ROW = {
     "fit": 0.9,
     "error": np.nan,
     "lost": np.bool_(False),
+    "tracked_probability": 0.9,
     "reinitialised": np.bool_(False),
 }
 """What a record takes of a frame."""
@@ -433,6 +435,7 @@ def test_a_record_of_any_length() -> None:
     ]
     record = FaceRecord(log_of(rows))
     assert record.lost_periods == [(5, 7), (20, 20), (100, 100)]
+    assert record.tracked_probability == pytest.approx(0.9)
     assert record.missing == [9]
     assert record.notes == [
         "Missing, unreadable or blank, and only predicted: frame 9.",

@@ -51,6 +51,7 @@ def row(scene: FaceScene, index: int) -> dict[str, Any]:
         "log_evidence": np.float64(np.nan if index == MISSING else -index),
         "fit": np.float64(0.9),
         "lost": np.bool_(index in LOST),
+        "tracked_probability": np.float64(index not in LOST),
         "missing": np.bool_(index == MISSING),
         "reinitialised": np.bool_(index == LOST.stop),
     }
@@ -67,6 +68,7 @@ def record_of(scene: FaceScene, n_frames: int, error: float) -> FaceRecord:
             "log_evidence",
             "fit",
             "lost",
+            "tracked_probability",
             "reinitialised",
         )
         found = {name: made[name] for name in of_record}

@@ -1,13 +1,17 @@
 """Recovery of a lost object: dispersed starts, trust, views of detectors, poses in boxes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.face.recovery import (
     ASIDE,
+    AWAY_FOR,
     CHANCE,
     CHANCE_ANYWHERE,
     FARTHEST_AHEAD,
+    HERE_FOR,
     LEAST_SHARE,
     MAX_DOUBT_TIME,
     MEMORY,
@@ -28,6 +32,7 @@ from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.morphable_model import Poses
 from rsmcm.models.numerics.rotations import exponential
+from scipy.stats import norm
 
 N, BASES = 4000, 3
 
@@ -75,6 +80,29 @@ def test_less_in_view_is_less_evidence() -> None:
         assert ratio == pytest.approx(area / 100)
     assert usual.evidence(0.6, 300.0) == Trust().evidence(0.6, 7.0) == pytest.approx(0.6)
     assert usual.evidence(-0.5, 50.0) < 0
+
+
+def test_probability_is_that_of_a_chain_of_two_states() -> None:
+    """Its forward step, with the densities of scipy; at any frame rate without evidence."""
+    trust = Trust(usual_fit=0.8, usual_area=100.0, probability=0.7)
+    usual, chance, dt = norm(0.8, 0.2), norm(0.0, CHANCE / 2), 0.04
+    leaves, returns = -np.expm1(-dt / HERE_FOR), -np.expm1(-dt / AWAY_FOR)
+    for fit in (0.1, 0.3, 0.5, 0.79):
+        here = (0.7 * (1 - leaves) + 0.3 * returns) * usual.pdf(fit)
+        away = (0.7 * leaves + 0.3 * (1 - returns)) * chance.pdf(fit)
+        assert trust.probability_after(fit, 100.0, dt) == pytest.approx(here / (here + away))
+    assert trust.probability_after(0.9, 100.0, dt) > 0.99, "a better fit than usual is no doubt"
+
+
+def test_what_is_covered_becomes_improbable_and_what_is_seen_again_probable() -> None:
+    trust = Trust(usual_fit=0.8, usual_area=100.0)
+    found = []
+    for fit in [0.8] * 5 + [0.0] * 5 + [0.8] * 5:
+        trust = replace(trust, probability=trust.probability_after(fit, 100.0, 0.04))
+        found.append(trust.probability)
+    assert min(found[:5]) > 0.99
+    assert max(found[6:10]) < 0.1
+    assert min(found[11:]) > 0.9
 
 
 @pytest.mark.parametrize(("dt", "pictures"), [(0.04, 3), (1 / 30, 3), (0.2, 2), (10.0, 2)])
