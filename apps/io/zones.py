@@ -354,6 +354,8 @@ def _text(given: object, where: str) -> str:
         raise ValueError(
             f"{where}: got {_short(given)}, expected a text on one line, of {MOST_LETTERS} letters at most"
         )
+    if given.lstrip()[:1] in ("=", "+", "-", "@"):  # it stands in cells of events.csv
+        raise ValueError(f"{where}: got {_short(given)}, which a spreadsheet takes for a formula")
     return given
 
 

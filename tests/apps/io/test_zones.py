@@ -164,3 +164,11 @@ def test_whatever_is_wrong_is_one_line(text: str, message: str, tmp_path: Path) 
     assert str(error.value).startswith(f"--zones: {path}: ")
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["=HYPERLINK(1)", "+1", "-1", "@SUM(1)", " =1"])
+def test_no_name_is_a_formula_of_a_spreadsheet(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "zones.toml"
+    path.write_text(f'[[zone]]\nname = "{name}"\npolygon = [[1, 1], [50, 1], [50, 40]]\n')
+    with pytest.raises(ValueError, match="takes for a formula"):
+        read_zones(path, (64, 48))
