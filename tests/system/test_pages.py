@@ -7,14 +7,16 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.demo import N_FRAMES, write_scene
 from rsmcm.apps.experiments import EXPERIMENTS
 from rsmcm.apps.io.tracks import COLUMNS
 from rsmcm.apps.scenes import sleeping_man
+from scipy.io import loadmat
 
-from ..support import films
+from ..support import films, stand_ins
 from ..support.newcomer import write_demo, write_film
 from ..support.pages import Reader, blocks, pages
 
@@ -33,6 +35,7 @@ NOT_RUN_BLOCKS = {
     "figures": 2,  # data of others; the bench, which takes minutes
     "keypoints": 1,  # the same
     "parameters": 1,  # films with ground truth, and an hour
+    "recipes": 2,  # a camera, a proxy
     "running": 1,  # a camera
     "scale": 2,  # a cluster
     "start": 1,  # pip install
@@ -72,6 +75,8 @@ def test_a_page_can_be_typed(
     monkeypatch.chdir(here)
     if name in WHOLE_SCENE:
         write_scene(sleeping_man(N_FRAMES), Path("results/demo/scene"))
+    if name == "recipes":
+        stand_ins.install(monkeypatch, here)
     reader = Reader(PAGES[name]).read()
     CHECKS.get(name, lambda reader: None)(reader)
 
@@ -170,6 +175,32 @@ def check_files(reader: Reader) -> None:
     assert Path("matches.txt").read_text().count("\n\n") == n_frames * (n_frames - 1) / 2
 
 
+def check_recipes(reader: Reader) -> None:
+    names, seconds = reader.names, 24 / 25
+    found = names["detector"](names["frame"])
+    assert found.shape == (1, 5)  # of two, the person
+    assert names["counts"]["film.mp4"] > 0
+    assert 0 <= names["by_object"].seconds.max() <= seconds
+    assert Path("drawn.mp4").stat().st_size > 0
+    assert cv2.imread("heat.png").shape == (240, 320, 3)
+    assert all(
+        cv2.imread(str(path), cv2.IMREAD_UNCHANGED).shape[2] == 4 for path in Path().glob("person-*.png")
+    )
+    assert names["rows"].execute("select count(*) from boxes").fetchone()[0] > 0
+    assert len(loadmat("street.mat")["tracks"]["frame"][0, 0].ravel()) == len(names["columns"]["frame"])
+    colmap = np.load("from-colmap.npz")["tracks"]
+    np.testing.assert_array_equal(colmap, [[[1, 2], [5, 6]], [[3, 4], [np.nan, np.nan]]])
+    marked = np.load("deeplabcut.npz")["tracks"]
+    np.testing.assert_array_equal(marked, [[[1, 2], [3, 4]], [[5, 6], [np.nan, np.nan]]])
+
+
+def test_recipes_are_short() -> None:
+    recipes = PAGES["recipes"].read_text().split("\n## ")[1:]
+    assert len(recipes) >= 20
+    path = PAGES["recipes"]
+    assert max(len(block.text.splitlines()) for block in blocks(path)) <= 15
+
+
 def check_scale(reader: Reader) -> None:
     for folder in ("films", "cameras"):
         with Path("results", folder, "summary.csv").open(newline="") as file:
@@ -184,6 +215,7 @@ CHECKS: dict[str, Callable[[Reader], None]] = {
     "faces": lambda reader: result_files("faces", "face"),
     "bodies": check_bodies,
     "python": check_python,
+    "recipes": check_recipes,
     "scale": check_scale,
     "files": check_files,
 }
