@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from rsmcm.apps.command_line import app
 from rsmcm.apps.demo import write_scene
 from rsmcm.apps.scenes import sleeping_man
 
@@ -136,6 +137,13 @@ def test_another_user_without_a_home_tracks_with_a_read_only_installation(
     assert "which is done once" in said(kept)
     assert said(kept) == ""
     shutil.rmtree(out)
+
+
+def test_the_image_of_a_container_is_warmed_by_commands_that_there_are() -> None:
+    lines = re.findall(r"&& rsmcm (.*?)(?: \\)?$", (ROOT / "Dockerfile").read_text(), re.MULTILINE)
+    assert {line.split()[0] for line in lines} == {"demo", "structure", "face", "body"}
+    for line in lines:
+        app.parse_args(line.split(), exit_on_error=False, print_error=False)
 
 
 def test_help_of_make_tells_every_target() -> None:

@@ -36,7 +36,7 @@ NOT_RUN_BLOCKS = {
     "keypoints": 1,  # the same
     "parameters": 1,  # films with ground truth, and an hour
     "recipes": 2,  # a camera, a proxy
-    "running": 1,  # a camera
+    "running": 2,  # a camera, a container
     "scale": 2,  # a cluster
     "start": 1,  # pip install
     "structure": 1,  # a camera
