@@ -92,6 +92,7 @@ results: $(INSTALLED)
 	$(BIN)/python -m rsmcm.apps.experiments.results
 	$(BIN)/python docs/pictures/figures.py
 	$(BIN)/python docs/pictures/street.py
+	$(BIN)/python docs/pictures/tutorial.py
 
 fuzz: $(TEST)
 	$(BIN)/python -m tests.fuzz

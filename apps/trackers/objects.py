@@ -1,6 +1,6 @@
 """Tracker of moving objects, given one image after the other."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -13,6 +13,7 @@ from ...inference import RecursiveBP
 from ...models.camera.moving_camera import View
 from ...models.core.checks import Positive, checked
 from ...models.core.frame import GivenBoxes
+from ...models.core.short_repr import html_table
 from ..background.application import build_model, read_frame_result
 from ..background.parameters import with_defaults
 from ..exports.coco import object_masks
@@ -45,6 +46,12 @@ class Objects:
 
     def __len__(self) -> int:
         return len(self.tracks)
+
+    def _repr_html_(self) -> str:
+        """The objects, for notebooks: px, px/s."""
+        header = ("identity", "x, y, width, height", "velocity", "existence", "seen")
+        rows = ((t.identity, *_rounded(t.box, t.velocity), t.confidence, t.seen) for t in self.tracks)
+        return html_table(f"{len(self)} objects", header, rows)
 
     @cached_property
     def boxes(self) -> Floats:
@@ -89,6 +96,10 @@ class Objects:
     def _sizes(self) -> Floats:
         """`(n, 4)` px: x, y, width, height."""
         return np.array([track.box for track in self.tracks], np.float64).reshape(-1, 4)
+
+
+def _rounded(*values: tuple[float, ...]) -> Iterator[str]:
+    return (", ".join(f"{number:.1f}" for number in each) for each in values)
 
 
 class ObjectTracker(Tracker[None, Objects]):

@@ -21,7 +21,7 @@ from ...models.core.checks import (
     checked,
 )
 from ...models.core.frame import Frame
-from ...models.core.short_repr import short_repr
+from ...models.core.short_repr import html_table, short_repr
 from ...models.numerics.threads import side_by_side
 from . import checkpoint
 from .graph import IMAGE, MultiChain, as_frame, require_frames, require_later, require_model
@@ -118,6 +118,10 @@ class Belief:
         names = "nothing yet" if self._slice is None else self._slice.model.names
         settled = "" if self.converged else f", not settled after {self.sweeps} sweeps"
         return f"Belief(frame {self.frame.number} at {self.frame.time:.6g} s{missing}{settled}: {names})"
+
+    def _repr_html_(self) -> str:
+        """Posterior states of the chains, for notebooks."""
+        return html_table(repr(self), ("chain", "state"), self.states.items())
 
     @property
     def states(self) -> Mapping[str, Any]:

@@ -1,11 +1,12 @@
-"""Helpers of dataclasses: `repr` of one line, selection and joining of rows, pickles of fields only.
+"""Helpers of dataclasses: `repr` of one line, tables for notebooks, rows, pickles of fields only.
 
 Arrays are shown by dtype and shape, collections by their length, parameters where they were set.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
 from functools import cache
+from html import escape
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -25,6 +26,20 @@ def short_repr(kind: Kind) -> Kind:
     """
     kind.__repr__ = _summary  # type: ignore[method-assign, assignment]
     return kind
+
+
+def html_table(title: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table for a notebook (`_repr_html_`), whose cells are shown in a few characters, escaped."""
+
+    def line(kind: str, cells: Iterable[str]) -> str:
+        return f"<tr>{''.join(f'<{kind}>{escape(cell)}</{kind}>' for cell in cells)}</tr>"
+
+    lines = [line("th", header), *(line("td", map(_cell, row)) for row in rows)]
+    return f"<table><caption>{escape(title)}</caption>{''.join(lines)}</table>"
+
+
+def _cell(value: object) -> str:
+    return value if isinstance(value, str) else repr(value) if is_dataclass(value) else brief(value)
 
 
 def brief(value: object) -> str:

@@ -158,6 +158,7 @@ def test_objects_are_the_tracks_of_the_belief(detected: Any) -> None:
     inside = objects.foreground[top:bottom, left:right] > 0
     np.testing.assert_array_equal(objects.masks[0, top:bottom, left:right], inside)
     assert objects.masks[0].sum() == inside.sum() > 0
+    assert objects._repr_html_().count("<tr>") == 1 + len(objects)
 
 
 def test_a_detector_that_saw_nothing_counts_against_objects_and_one_that_did_not_run_does_not(

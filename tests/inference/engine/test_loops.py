@@ -198,6 +198,7 @@ def test_a_belief_tells_whether_its_messages_have_settled() -> None:
     belief = RecursiveBP(model, most_sweeps=2, tolerance=0).step(RunState(), frame)
     assert (belief.converged, belief.sweeps) == (False, 2)
     assert "not settled after 2 sweeps" in repr(belief)
+    assert belief._repr_html_().count("<tr>") == 1 + len(model.chains)
     nothing = RecursiveBP(model).step(RunState(), Frame(None, 0.0, 1))
     assert (nothing.converged, nothing.sweeps) == (True, 1)
     missing = RecursiveBP(model).step(belief.state, Frame(None, 1.0, 2))
