@@ -175,6 +175,17 @@ def check_files(reader: Reader) -> None:
     assert Path("matches.txt").read_text().count("\n\n") == n_frames * (n_frames - 1) / 2
 
 
+def check_tutorial(reader: Reader) -> None:
+    """The tracker keeps who stands, and the window's chain keeps the background closed."""
+    names = reader.names
+    assert names["f_score"](names["masks"]) > names["f_score"](names["masks_alone"]) + 0.2
+    top, left, height, width = names["region"]
+    closed = names["frames"][290].image.astype(float)
+    off = [abs(beliefs[290]["background"].picture() - closed) for beliefs in names["runs"]]
+    alone, explained = (each[top : top + height, left : left + width].mean() for each in off)
+    assert alone > 5 * explained  # 77 and 5 grey levels
+
+
 def check_recipes(reader: Reader) -> None:
     names, seconds = reader.names, 24 / 25
     found = names["detector"](names["frame"])
@@ -217,5 +228,6 @@ CHECKS: dict[str, Callable[[Reader], None]] = {
     "python": check_python,
     "recipes": check_recipes,
     "scale": check_scale,
+    "tutorial": check_tutorial,
     "files": check_files,
 }
