@@ -334,7 +334,7 @@ def expectations_of_objects(
 
 def track_object(folders: Mapping[str, Path], name: str, seed: int) -> dict[str, TrackedObject]:
     """Run both methods on a sequence with noise; pictures are made with the first seed."""
-    film = read_film(StructureJob(str(folders[name]), out=folders[name]))  # nothing is written
+    film = read_film(StructureJob(str(folders[name]), out=Path()))  # nothing is written
     frames = [noisy(frame, seed) for frame in film.frames]
     tracked = {}
     for method, association in ALONE_OR_NOT.items():
