@@ -52,10 +52,11 @@ class Busy(Application):
 # ``resume=True`` continues, with the same bytes as an uninterrupted run.
 
 folder = TemporaryDirectory()
+source, out = Path(folder.name) / "film", Path(folder.name) / "results"
+source.mkdir()
 for frame in sleeping_man(120, size=(160, 120), enter=5):
-    cv2.imwrite(f"{folder.name}/{frame.number:04}.png", frame.image)
-out = Path(folder.name) / "results"
-outcome = run_film(Busy(FilmJob(folder.name, out=out)))
+    cv2.imwrite(str(source / f"{frame.number:04}.png"), frame.image)
+outcome = run_film(Busy(FilmJob(str(source), out=out)))
 print(*outcome.words, f"{outcome.summary['mean_objects']:.2f} objects a frame", sep=", ")
 print(*sorted(path.name for path in out.iterdir()))
 
