@@ -28,7 +28,8 @@ MEMORY = 2 << 30
 """Bytes that reading an input may take."""
 HEADROOM = 3
 """Factor of the process limit above this memory, so that an excessive request is measured, not refused."""
-SECONDS = 10.0
+SECONDS = 30.0
+"""Most wall time of an input, of a process's first one with imports, which take six on a busy machine."""
 RESULT, REFUSED = "result", "refused"
 
 Seeds = dict[str, list[Files]]
