@@ -77,10 +77,12 @@ def test_what_is_done_once_counts_for_the_whole_film_only() -> None:
 
 @pytest.mark.slow
 def test_the_moments_are_those_of_frames_that_are_answered(tmp_path: Path) -> None:
+    film = tmp_path / "film"
+    film.mkdir()
     for frame in sleeping_man(3, size=(64, 48)):
         assert frame.image is not None
-        write_image(tmp_path / f"{frame.number}.png", frame.image)
-    command = [sys.executable, "-m", background.__name__, "--quiet", "background", str(tmp_path)]
+        write_image(film / f"{frame.number}.png", frame.image)
+    command = [sys.executable, "-m", background.__name__, "--quiet", "background", str(film)]
     before = time.time()
     done = subprocess.run(
         [*command, "--out", str(tmp_path / "out")], check=True, capture_output=True, text=True
