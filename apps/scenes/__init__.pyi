@@ -1,3 +1,4 @@
+from .glossy import GlossyRoom, glossy
 from .shaken import ShakenFilm, shaken
 from .signing.signer import SignerScene, signer
 from .street import Scene, TruthBox, sleeping_man
@@ -8,6 +9,7 @@ from .turntable import Turntable, turntable
 __all__ = [
     "Cylinder",
     "FaceScene",
+    "GlossyRoom",
     "Scene",
     "ShakenFilm",
     "SignerScene",
@@ -15,6 +17,7 @@ __all__ = [
     "Turntable",
     "cylinder",
     "face",
+    "glossy",
     "shaken",
     "signer",
     "sleeping_man",

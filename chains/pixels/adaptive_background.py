@@ -41,6 +41,7 @@ from .background_prediction import BackgroundPrediction, fixed_point, stored_pla
 from .empty_scene import empty_scene
 from .gaussians import MEAN_STEPS, Gaussians
 from .light import LightField, light_grid, share_of_blocks, track_light
+from .mirror import mirroring, update_mirror
 from .second_colours import SETTLED, SecondColours, Settling, learn_second_colours, update_behind
 from .shade import shade_in, update_shade
 from .sway import Sway, sway_reach, update_rates
@@ -84,6 +85,7 @@ class BackgroundState:
     covered: OfBlocks  # share of each block behind known objects
     sway: OfBlocks  # how often its pixels show what is beside them, as leaves do
     shade: Annotated[Planes, Shape(3, "block_rows", "block_columns")]  # shares of blocks; see `shade_in`
+    mirror: Annotated[Planes, Shape(2, "block_columns")]  # shares of time; see `mirroring`
     # colours that are neither background nor an object
     candidate: Annotated[NDArray[np.uint8], Shape("height * width * channels")]
     seen: OfPixels  # how much of the settling time they have lasted; see `SecondColours`
@@ -132,6 +134,7 @@ class BackgroundState:
             variance=np.where(where, variance, fresh.variance),
             noise=np.where(where, noise, fresh.noise),
             shade=np.zeros_like(fresh.shade) + self.shade.mean(axis=(1, 2), keepdims=True),  # of the film
+            mirror=np.zeros_like(fresh.mirror) + self.mirror.mean(axis=1, keepdims=True),
             age=self.age,
             frames=self.frames,
         )
@@ -192,6 +195,7 @@ class AdaptiveBackground:
             covered=np.zeros(grid, np.float32),
             sway=np.zeros(grid, np.float32),
             shade=np.zeros((3, *grid), np.float32),
+            mirror=np.zeros((2, grid[1]), np.float32),
             candidate=np.zeros(image.size, np.uint8),
             seen=np.zeros(height * width, np.uint16),
             elapsed=0.0,
@@ -238,6 +242,9 @@ class AdaptiveBackground:
                 composed.regions, composed.shift, flat, subtraction.unshaded, prediction.pixels, light,
                 prediction.model, prediction.rounding, colour.to_pixels(channels), after, second, covered,
             )  # fmt: skip
+        mirrored = prediction.mirrored(image)
+        if mirrored is not None:
+            covered |= mirrored  # it tells nothing of the light
         sway = update_rates(
             prediction.sway, flat, prediction.pixels, light, subtraction.log_odds, covered, state.age,
             state.elapsed,
@@ -264,6 +271,7 @@ class AdaptiveBackground:
             shade=update_shade(
                 state.shade, prediction.shade_counts(image), state.size, state.age, state.elapsed
             ),
+            mirror=update_mirror(state.mirror, prediction.mirror_seen(image), state.age, state.elapsed),
             candidate=second.colours,
             seen=second.seen,
             elapsed=0.0,
@@ -333,4 +341,5 @@ class AdaptiveBackground:
             tolerance=8.0 * len(state.mean) * self.noise,
             sway=Sway(state.sway, sway_reach(state.size)),
             shade=shade_in(state.shade, state.size),
+            mirroring=mirroring(state.mirror),
         )

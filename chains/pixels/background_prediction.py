@@ -49,6 +49,7 @@ from .gaussians import (
     whole_steps,
 )
 from .light import LightField
+from .mirror import find_axes, recall_mirrored
 from .second_colours import SecondColours, recall
 from .shade import Shade, recall_shaded
 from .sway import LEAST_RATE, Sway, recall_moved
@@ -275,6 +276,8 @@ class Compared(NamedTuple):
     subtraction: Subtraction
     after: Gaussians | None
     shade_counts: NDArray[np.int64]  # see `recall_shaded`
+    mirror_seen: Planes  # see `find_axes`
+    mirrored: NDArray[np.uint8] | None  # see `recall_mirrored`; none where nothing is
 
 
 CERTAIN = 6.0  # nats: the bound of the log odds of a pixel by itself
@@ -306,6 +309,7 @@ class BackgroundPrediction:
     tolerance: float  # squared grey levels, four times the variance of all channels
     sway: Sway  # how often pixels show what is beside them
     shade: Shade  # how often they stand in something's shade
+    mirroring: NDArray[np.bool_]  # (block_columns,): which show what is above
     _compared: dict[int, tuple[NDArray[np.uint8], "Compared"]] = field(default_factory=dict)
 
     @property
@@ -344,6 +348,14 @@ class BackgroundPrediction:
     def shade_counts(self, image: NDArray[np.uint8]) -> NDArray[np.int64]:
         """Return how much of each block is not the plain scene, and in shade; see `recall_shaded`."""
         return self._comparison(image).shade_counts
+
+    def mirror_seen(self, image: NDArray[np.uint8]) -> Planes:
+        """Return which columns of blocks had foreground, and an axis of reflection; see `find_axes`."""
+        return self._comparison(image).mirror_seen
+
+    def mirrored(self, image: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+        """Return 255 for pixels that show a reflection, `(n_pixels,)`; none if no pixel does."""
+        return self._comparison(image).mirrored
 
     def update(self, image: NDArray[np.uint8]) -> Gaussians:
         """Return the background after the image. The caller owns the arrays: they are forgotten here."""
@@ -392,6 +404,13 @@ class BackgroundPrediction:
 
         over_bands(compare, height)
         some_unknown = max(highest) > HIGHEST_VARIANCE * VARIANCE_STEPS
+        mirror_seen, mirrored = np.zeros((2, self.mirroring.size), np.float32), None
+        axes, shares = np.empty(self.mirroring.size, np.int64), np.zeros(self.mirroring.size, np.float32)
+        find_axes(flat, self.pixels, light, self.model, log_odds, axes, shares, mirror_seen)
+        axes[~self.mirroring] = -1
+        if axes.max() >= 0:
+            mirrored = np.zeros(log_odds.size, np.uint8)
+            recall_mirrored(flat, self.pixels, light, self.model, axes, shares, log_odds, mirrored)
         counts = []
 
         def pool(first: int, end: int) -> None:
@@ -415,7 +434,8 @@ class BackgroundPrediction:
                     each[band][unknown] = np.int8(self.model.label_odds * np.float32(ODDS_STEPS))
 
         over_bands(pool, height)
-        return Compared(Subtraction(log_odds, smoothed, unshaded), after, np.sum(counts, axis=0))
+        subtraction = Subtraction(log_odds, smoothed, unshaded)
+        return Compared(subtraction, after, np.sum(counts, axis=0), mirror_seen, mirrored)
 
 
 def fixed_point(mean: Planes, variance: Planes, noise: Planes) -> Gaussians:

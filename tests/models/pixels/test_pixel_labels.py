@@ -46,6 +46,7 @@ def background(channels=3, **changes):
         "tolerance": 50.0,
         "sway": Sway(np.zeros((3, 4), np.float32), 3),
         "shade": shade_in(np.zeros((3, 3, 4), np.float32), SIZE),
+        "mirroring": np.zeros(4, bool),
     }
     return BackgroundPrediction(**{**values, **changes})
 
