@@ -32,7 +32,7 @@ STRANGE = -4.0  # nats at least, of a pixel: a surface ends somewhere
 LEAST = 2.0  # nats per pixel of foreground below an axis
 LEAST_SEEN = 24  # pixels of foreground in three columns of blocks that may tell
 MIRROR_TIME = 10.0  # s for which it is remembered
-LITTLE = 0.05  # share of time for which a column has to show foreground to tell by itself
+LITTLE = 0.2  # share of time for which a column has to show foreground to tell by itself
 
 
 def mirroring(seen: NDArray[np.float32]) -> NDArray[np.bool_]:
