@@ -157,7 +157,7 @@ def with_peak(*arguments: object) -> tuple[subprocess.CompletedProcess[str], int
         "    print(open('/proc/self/status').read())\n"
     )
     command = [sys.executable, "-c", script, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=3000)
     (kilobytes,) = re.findall(r"VmHWM:\s*(\d+) kB", done.stdout)
     return done, 1024 * int(kilobytes)
 
