@@ -171,7 +171,7 @@ _log = logging.getLogger(__name__)
 MOST_CONNECTIONS = 32
 """At the same time; further ones are hung up on."""
 
-PATIENCE = 10.0  # s for which somebody may neither ask nor take what is sent, before he is hung up on
+PATIENCE = 10.0  # s in which somebody has to have asked, and to take something of what is sent
 AGAIN = 5.0  # s after which a picture is sent again if no other comes: who has gone away is noticed
 EVERY = 1.0  # s between two states
 FAREWELL = 1.0  # s at most for those who look to hear that the run has ended
@@ -296,9 +296,27 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = PATIENCE
 
     def setup(self) -> None:
-        """Keep little of what is on its way to somebody slow."""
+        """Keep little of what is on its way to somebody slow, and wait no longer for all that he asks."""
         self.request.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         super().setup()
+        self._asking = threading.Timer(self.timeout, self._stop_listening)
+        self._asking.daemon = True
+        self._asking.start()
+
+    def parse_request(self) -> bool:
+        """Read the rest of what is asked, and whether it can be answered."""
+        is_right = super().parse_request()
+        self._asking.cancel()
+        return is_right
+
+    def finish(self) -> None:
+        """End the connection."""
+        self._asking.cancel()
+        super().finish()
+
+    def _stop_listening(self) -> None:
+        with suppress(OSError):  # he has gone away
+            self.connection.shutdown(socket.SHUT_RD)
 
     def do_GET(self) -> None:
         """Answer, if it is one of ours."""

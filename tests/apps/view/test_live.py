@@ -1,9 +1,10 @@
 import http.client
 import json
+import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import count, islice
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -12,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.options.job import Address
+from rsmcm.apps.view import live
 from rsmcm.apps.view.live import Running, live_page
 from rsmcm.models.core.frame import Frame
 
@@ -157,6 +159,81 @@ def test_head_is_the_headers_only(page: str, path: str) -> None:
 def test_names_that_somebody_else_has_made_are_refused(page: str, host: str) -> None:
     for path in ("/", "/snapshot.jpg", "/status.json", "/stream.mjpg"):
         assert ask(page, path, host=host).status == 421
+
+
+def sent(page: str, what: bytes) -> bytes:
+    """All that is answered to some bytes, until it hangs up or says no more."""
+    place = urlsplit(page)
+    answer = b""
+    connection = socket.create_connection((place.hostname, place.port), timeout=5)
+    with connection, suppress(OSError):  # hung up on while it still talks
+        connection.sendall(what)
+        connection.shutdown(socket.SHUT_WR)
+        while (some := connection.recv(1 << 16)) and len(answer) < 1 << 20:
+            answer += some
+    return answer
+
+
+OWN = b"Host: localhost\r\n"
+PATHS = (
+    b"/../live.py", b"/%2e%2e/%2e%2e/etc/passwd", b"/%2E%2E%2Fetc%2Fpasswd", b"/..%2f..%2fetc/passwd",
+    b"/%252e%252e/etc/passwd", b"/..\\..\\live.py", b"/%5c..%5clive.py", b"/%c0%ae%c0%ae/live.py", b"/%00",
+    b"/\0", b"/status.json%00.html", b"/./status.json", b"/status.json;x", b"/templates/live.html",
+    b"file:///etc/passwd", b"http://evil.example/", b"/%0d%0aSet-Cookie:%20a=b", b"/<script>alert",
+)  # fmt: skip
+PROBES = {
+    **{b"GET " + path + b" HTTP/1.1\r\n" + OWN + b"\r\n": b"404" for path in PATHS},
+    **{
+        method + b" / HTTP/1.1\r\n" + OWN + b"Content-Length: 3\r\n\r\nabc": b"405"
+        for method in (b"POST", b"PUT", b"PATCH", b"DELETE", b"OPTIONS")
+    },
+    **{method + b" / HTTP/1.1\r\n" + OWN + b"\r\n": b"501" for method in (b"TRACE", b"CONNECT", b"<b>")},
+    b"GET / HTTP/1.1\r\n\r\n": b"421",
+    b"GET / HTTP/1.1\r\nHost: evil.example\r\n" + OWN + b"\r\n": b"421",
+    b"GET / HTTP/9.9\r\n" + OWN + b"\r\n": b"505",
+    b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n": b"505",
+    b"\x16\x03\x01\x02\0\x01\0\x01\xfc\x03\x03" + bytes(range(256)): b"400",
+    b"no request of any kind\r\n\r\n": b"400",
+    b"GET /" + b"a" * 70_000 + b" HTTP/1.1\r\n\r\n": b"414",
+    b"GET / HTTP/1.1\r\n" + OWN + b"A: " + b"a" * 70_000 + b"\r\n\r\n": b"431",
+    b"GET / HTTP/1.1\r\n" + OWN + b"A: a\r\n" * 200 + b"\r\n": b"431",
+    b"GET / HTTP/1.1\r\n" + OWN + b"Upgrade: websocket\r\nConnection: Upgrade\r\n\r\n": b"200",
+    b"GET / HTTP/1.1\r\n" + OWN + b"Range: bytes=0-9999999999\r\n\r\n": b"200",
+    b"GET / HTTP/1.1\r\n" + OWN + b"Transfer-Encoding: chunked\r\n\r\nffffffff\r\n": b"200",
+    b"GET / HTTP/1.1\r\n" + OWN + b"Content-Length: -1\r\n\r\n": b"200",
+    b"": b"",
+    b"GET": b"400",
+}
+
+
+@pytest.mark.parametrize(("probe", "status"), PROBES.items(), ids=lambda each: repr(each[:40]))
+def test_probes_get_nothing(page: str, probe: bytes, status: bytes) -> None:
+    answer = sent(page, probe)
+    head, _, body = answer.partition(b"\r\n\r\n")
+    assert status in answer[:500] or (not answer and len(probe) > 60_000), "hung up on while it talks"
+    assert (b"200 OK" in head) == (status == b"200")
+    assert b"set-cookie" not in head.lower()
+    assert b"<script>alert" not in body
+    assert b"root:" not in body
+    assert ask(page).status == 200
+
+
+def test_who_asks_slowly_is_hung_up_on(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A byte now and then keeps nobody's place: all places are free again after `PATIENCE`."""
+    monkeypatch.setattr(live._Handler, "timeout", 1.0)
+    with live_page(LOOPBACK, running) as page, ExitStack() as opened:
+        place = urlsplit(page)
+        connections = [
+            opened.enter_context(socket.create_connection((place.hostname, place.port), timeout=5))
+            for _ in range(live.MOST_CONNECTIONS)
+        ]
+        began = time.monotonic()
+        while time.monotonic() < began + 1.6:
+            for connection in connections:
+                with suppress(OSError):
+                    connection.sendall(b"A")
+            time.sleep(0.2)
+        wait_until(lambda: sent(page, b"GET / HTTP/1.1\r\n" + OWN + b"\r\n").startswith(b"HTTP/1.0 200"), 20)
 
 
 def test_port_that_is_taken(page: str, tmp_path: Path) -> None:
