@@ -3,6 +3,7 @@
 The docstrings are the command line's help. Nothing here takes long to import.
 """
 
+import glob
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -86,7 +87,7 @@ class Job:
                 if self._given(one) and self._given(other):
                     reason = f" ({why[0]})" if why else ""
                     raise ValueError(f"{one} and {other}: got both, expected one of them{reason}")
-        if os.path.isdir(self.source) and self.out.resolve().is_relative_to(Path(self.source).resolve()):
+        if any(self.out.resolve().is_relative_to(folder.resolve()) for folder in _folders_of(self.source)):
             wrong = "which is the source or lies in it, expected another folder"
             raise ValueError(f"--out: got {self.out}, {wrong}")
 
@@ -107,6 +108,19 @@ class Job:
         return {
             name: str(value.resolve()) if isinstance(value, Path) else value for name, value in values.items()
         }
+
+
+def _folders_of(source: str) -> list[Path]:
+    """Folders of images that a source consists of; none for a video."""
+    if os.path.isdir(source):
+        return [Path(source)]
+    if os.path.exists(source) or "://" in source or not glob.has_magic(source):
+        return []
+    return [
+        Path(each)
+        for each in glob.glob(os.path.dirname(source) or ".", recursive=True)
+        if os.path.isdir(each)
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
