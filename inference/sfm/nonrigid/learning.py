@@ -367,6 +367,7 @@ def _best_first(tracks: Tracks, states: Sequence[State]) -> list[tuple[float, St
     return different
 
 
+ROUNDING = 1e-8  # of the largest coordinate: what differs by less does not differ
 LEAST_FRAMES = 3  # that a point is seen in, and that there are; two views leave depth open
 LEAST_POINTS = 4  # of a frame, for its pose to be known
 
@@ -416,7 +417,7 @@ def learn_shape(
     middles = np.nanmean(positions[determined], axis=1)
     centred = positions[determined] - middles[:, None]
     unit = float(np.sqrt(np.nanmean(centred**2)))
-    if not unit > 0:
+    if not unit > ROUNDING * np.nanmax(np.abs(positions)):
         raise ValueError("tracks: got points that all lie in one place, expected a shape")
     centred /= unit
     observed = Tracks.of(centred)
@@ -566,6 +567,7 @@ def choose_bases(
     as far as the tracks determine so many; other arguments and errors are those of `learn_shape`.
     """
     positions = np.array(tracks, np.float64)
+    _check(positions, 2)
     hidden = withheld(positions)
     partial = positions.copy()
     partial[hidden] = np.nan
