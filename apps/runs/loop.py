@@ -36,7 +36,7 @@ from ..view.page import VIEW, FrameRecord, Line, Page, Plot, write_page
 from .interruption import Interrupted, Outcome
 from .memory import check_memory
 from .progress import Progress
-from .saved_run import STATE, SavedRun, check_source, save_run
+from .saved_run import STATE, SavedRun, check_source, save_run, words_of
 from .session import OVERLAY, Session
 
 __all__ = [
@@ -407,7 +407,7 @@ class _FilmRun:
                 check_source(saved.about, session.fingerprint)
                 if saved.about["finished"]:
                     summary = saved.about["finished"]
-                    return session.outcome(summary, application.in_words(summary))
+                    return session.outcome(summary, words_of(saved.path, summary, application.in_words))
                 session.earlier_seconds = saved.about["seconds"]
                 session.notes.extend(saved.about["notes"])
             check_memory(source.name, source.size, *application.bytes_needed(source))

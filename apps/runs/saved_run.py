@@ -1,6 +1,6 @@
 """`state.npz`: all that a run needs to go on, and what another run may learn from it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,8 @@ class SavedRun:
         """Of its frames' images; `None` where there was none."""
         run = self._contents.plain("run")
         shape = run.get("shape") if isinstance(run, dict) else None
-        return tuple(map(int, shape)) if isinstance(shape, list) and len(shape) in (2, 3) else None
+        is_shape = isinstance(shape, list) and len(shape) in (2, 3)
+        return tuple(shape) if is_shape and all(isinstance(size, int) for size in shape) else None
 
     def state(self, chains: Mapping[str, Any]) -> RunState:
         """That of the engine, of these chains by name; ValueError if it is of others."""
@@ -116,6 +117,16 @@ def about_of(
     if settings is not None:
         refuse_other("parameters", about["settings"], settings)
     return about
+
+
+def words_of(
+    path: Path, summary: Mapping[str, Any], in_words: Callable[[Any], Sequence[str]]
+) -> Sequence[str]:
+    """The summary of a finished run `in_words`; ValueError if it is none of this application's."""
+    try:
+        return in_words(summary)
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise ValueError(f"{path}: got another summary, {checkpoint.EXPECTED}") from error
 
 
 def check_source(about: Mapping[str, Any], fingerprint: Mapping[str, Any]) -> None:

@@ -32,7 +32,7 @@ from ..runs.interruption import Interrupted, Outcome
 from ..runs.loop import run_film
 from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, STRUCTURE_POINTS, check_memory
 from ..runs.progress import Progress
-from ..runs.saved_run import STATE, about_of, check_source
+from ..runs.saved_run import STATE, about_of, check_source, words_of
 from ..runs.session import OVERLAY, Session
 from ..view.overlay import OverlayVideo, PointsOverlay
 from ..view.page import VIEW, listed, write_page
@@ -124,7 +124,8 @@ class _StructureRun:
         if about is not None:
             check_source(about, film.fingerprint)
             if about["finished"]:
-                return session.outcome(about["finished"], in_words(about["finished"]))
+                summary = about["finished"]
+                return session.outcome(summary, words_of(self._state, summary, in_words))
         lacking = too_little(film.frames, film.n_tracks) or standing(film.frames)
         if lacking is not None:
             return self._nothing(lacking)

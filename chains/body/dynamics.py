@@ -2,14 +2,14 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.kernels import lean
 from ...models.body.upper_body import BodyPoses, UpperBody, arm_at
-from ...models.core.checks import NotNegative, Positive, checked
+from ...models.core.checks import NotNegative, Positive, Shape, checked
 from ...models.core.short_repr import short_repr
 from .kernels import RAISED, draw_terms, least_squares_to_rows, mixture_values
 
@@ -37,8 +37,8 @@ class Ancestors:
     """k weighted poses of the frame before."""
 
     poses: BodyPoses
-    weights: Array  # `(k,)`, with sum 1
-    elapsed: float  # s since then
+    weights: Annotated[Array, Shape("k")]  # with sum 1
+    elapsed: NotNegative  # s since then
 
 
 @checked

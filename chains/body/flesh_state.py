@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import UpperBody
-from ...models.core.checks import Shape, SizesOf
+from ...models.core.checks import LOG_WEIGHTS, NO_NAN, NotNegative, Positive, Shape, SizesOf
 from ...models.core.gaussian_mixtures import log_sums
 from ...models.core.short_repr import Rows, short_repr
 from .flesh_assignment import MovingParts
@@ -148,17 +148,24 @@ class FleshTracks:
     """Weighted hypotheses of head, left hand and right hand, in each of which parts are Gaussians."""
 
     size: Annotated[tuple[int, int], SizesOf("height", "width")]  # px of the image
-    max_coast_time: float  # s without a detection after which a part is lost
-    log_weights: Annotated[Array, Shape("n", finite=False)]  # of weights that sum to 1; the best one first
+    max_coast_time: Positive  # s without a detection after which a part is lost
+    # of weights that sum to 1; the best one first
+    log_weights: Annotated[Array, Shape("n", finite=False), LOG_WEIGHTS]
     means: Annotated[Array, Shape("n", 3, 4)]  # x, y px and their velocities px/s
     covariances: Annotated[Array, Shape("n", 3, 4, 4)]  # in the same order
     visible: Annotated[Array, Shape("n", 3)]  # probability that a part is not hidden
     # s since a part was last detected; infinite before the first time
-    since: Annotated[Array, Shape("n", 3, finite=False)]
+    since: Annotated[Array, Shape("n", 3, finite=False), NO_NAN]
     # label of the detection that a part was or was hidden by, or -1
     detections: Annotated[NDArray[np.int64], Shape("n", 3)]
     clutter: Clutter
-    elapsed: float = 0.0  # s since the last update
+    elapsed: NotNegative = 0.0  # s since the last update
+
+    def require_fit(self) -> None:
+        """Raise a `ValueError` if the clutter is not that of all hypotheses."""
+        known, n = len(self.clutter.places), len(self.log_weights)
+        if known != n:
+            raise ValueError(f"clutter: got that of {known} hypotheses, expected {n}")
 
     @cached_property
     def weights(self) -> Array:

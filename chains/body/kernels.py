@@ -268,7 +268,7 @@ def _at(picture, x, y):
     height, width = picture.shape
     x = min(max(x, _f4(0.0)), _f4(width - 1))
     y = min(max(y, _f4(0.0)), _f4(height - 1))
-    column, row = min(np.int64(x), width - 2), min(np.int64(y), height - 2)
+    column, row = max(min(np.int64(x), width - 2), 0), max(min(np.int64(y), height - 2), 0)
     right, down = x - _f4(column), y - _f4(row)
     above = picture[row, column] + right * (picture[row, column + 1] - picture[row, column])
     below = picture[row + 1, column] + right * (picture[row + 1, column + 1] - picture[row + 1, column])

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from ...inference.smc import copied, log_sum, normalised, systematic
 from ...models.body.parts import PartMessage
 from ...models.body.upper_body import JOINTS, PARTS, BodyPoses, UpperBody
-from ...models.core.checks import Shape, SizesOf, checked
+from ...models.core.checks import LOG_WEIGHTS, NotNegative, Shape, SizesOf, checked
 from ...models.core.gaussian_mixtures import GaussianMixtures
 from ...models.core.short_repr import short_repr
 from .dynamics import Ancestors, BodyDynamics
@@ -31,7 +31,7 @@ class BodySamples:
     """Weighted poses."""
 
     poses: BodyPoses  # n of them
-    log_weights: Annotated[Array, Shape("n", finite=False)]  # of weights that sum to 1
+    log_weights: Annotated[Array, Shape("n", finite=False), LOG_WEIGHTS]  # of weights that sum to 1
     size: Annotated[tuple[int, int], SizesOf("height", "width")]  # px of the picture
     random: np.random.Generator  # generator of the draws to come
     # of a prediction: poses of the frame before, some of them with exchanged hands, whose mixture was drawn
@@ -39,7 +39,7 @@ class BodySamples:
     ancestors: Ancestors | None = None
     # of a prediction, the samples from which it was made, and s since then
     before: "BodySamples | None" = None
-    elapsed: float = 0.0
+    elapsed: NotNegative = 0.0
     # nats: log of the mean likelihood of the frame, up to a constant; 0 without an image
     log_evidence: float = 0.0
     stationary: bool = False  # whether the frame showed no part, so that the poses are only predicted
@@ -48,6 +48,8 @@ class BodySamples:
         """Raise a `ValueError` if not every pose has a weight."""
         if len(self.poses) != len(self.log_weights):
             raise ValueError(f"poses: got {len(self.poses)}, expected {len(self.log_weights)} with weights")
+        if self.ancestors is not None and len(self.ancestors.poses) != len(self.ancestors.weights):
+            raise ValueError(f"ancestors: got {len(self.ancestors.poses)} poses, expected each with a weight")
 
     @classmethod
     def even(cls, poses: BodyPoses, size: tuple[int, int], random: np.random.Generator) -> Self:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Annotated, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from ...models.body.keypoints import head_places, joints_of, largest
 from ...models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
 from ...models.body.skin import SkinColour, static_skin
 from ...models.body.upper_body import PROPORTIONS, UpperBody
+from ...models.core.checks import CountFrom0, Positive, Shape
 from ...models.core.frame import BoundingBox, Frame, GivenKeypoints
 from ...models.face.detectors import HaarFaces, PartDetector, default_faces
 
@@ -23,8 +24,8 @@ Image = NDArray[np.uint8]
 class MarkedFace:
     """A detector that returns a face marked by hand, in its own frame only."""
 
-    box: Array  # `(4,)` px: x, y, width, height
-    number: int  # of the frame
+    box: Annotated[Array, Shape(4)]  # px: x, y, width, height
+    number: CountFrom0  # of the frame
 
     def __call__(self, frame: Frame) -> Array:
         """Return boxes `(1, 4)` px in that frame, `(0, 4)` in all others."""
@@ -60,7 +61,7 @@ class SavedPerson:
     """A `BodyStart` that can be saved: face detectors are created from their settings again."""
 
     person: BodyStart  # without a detector
-    face_height: float | None  # px, size that the face detector searches for; `None` for any
+    face_height: Positive | None  # px, size that the face detector searches for; `None` for any
     marked: MarkedFace | None  # the face marked by hand in place of a detector
 
     @classmethod

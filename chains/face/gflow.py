@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ...inference.engine.protocols import Cavity, Incoming, Port
 from ...inference.smc import copied, log_sum, normalised
 from ...models.core.checks import (
+    LOG_WEIGHTS,
     Count,
     CountFrom0,
     NotNegative,
@@ -22,7 +23,7 @@ from ...models.core.checks import (
 )
 from ...models.core.frame import Frame
 from ...models.core.short_repr import PickledByFields, short_repr
-from ...models.face.morphable_model import MorphableModel, Poses, SurfacePoints
+from ...models.face.morphable_model import KNOWN, MorphableModel, Poses, SurfacePoints
 from ...models.face.surface import MeshEdges, SurfaceTexels
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
 from ...models.points.point_tracks import PointMessage, PointTracks
@@ -66,7 +67,7 @@ ONE_AT_MODE: Mapping[str, Any] = {"experts": 1, "covariance_scale": 0.0, "recove
 class Memory:
     """Pose and texture, one each, of a picture in which the object was seen without a doubt."""
 
-    pose: Poses
+    pose: Annotated[Poses, KNOWN]
     texture: Texture
 
 
@@ -75,20 +76,20 @@ class Memory:
 class GFlowState:
     """State of all experts: a pose, a weight and the texture that follows from the poses until now."""
 
-    poses: Poses  # one an expert
-    log_weights: Annotated[Array, Shape("n_experts", finite=False)]  # normalised
+    poses: Annotated[Poses, KNOWN]  # one an expert
+    log_weights: Annotated[Array, Shape("n_experts", finite=False), LOG_WEIGHTS]  # normalised
     texture: Texture  # one an expert
-    last_reliable: Poses  # poses in the last picture without a doubt
-    size: float  # px: of the object at the start
+    last_reliable: Annotated[Poses, KNOWN]  # poses in the last picture without a doubt
+    size: Positive  # px: of the object at the start
     elapsed: NotNegative  # s since the last picture
-    frames_seen: int  # number of pictures until now
+    frames_seen: CountFrom0  # number of pictures until now
     log_evidence: float  # nats: log p(y_t | y_1:t-1) of the last picture, of its effective pixels
     # share of the picture's variance under the object that the predicted texture explained, from -1 to 1:
     # -log(1 - fit) / 2 nats a pixel is the log likelihood ratio of the texture and a Gaussian with the
     # picture's own mean and variance there, both with their noise estimated
     fit: float
     trust: Trust  # whether the object is tracked, doubted, lost or on trial
-    since_resampling: float  # s since the last resampling frame
+    since_resampling: NotNegative  # s since the last resampling frame
     random: np.random.Generator  # source of all draws
     # Laplace's, of each expert's pose
     covariance: Annotated[Array, Shape("n_experts", "dimension", "dimension")]
@@ -102,7 +103,7 @@ class GFlowState:
     # of the best expert: the first, with which a lost object is searched for, was seen at least `MEMORY` s
     # before the object was doubted, so that it shows nothing of what covers it
     memories: tuple[Memory, ...] = ()
-    since_memory: float = 0.0  # s since the last of them
+    since_memory: NotNegative = 0.0  # s since the last of them
 
     def require_fit(self) -> None:
         """Raise a `ValueError` if poses or textures are not those of all experts."""

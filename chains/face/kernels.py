@@ -109,6 +109,7 @@ def place_row(texels, row, n, scale, corners, size, at, inside, rest_x, rest_y):
     ox, oy = texels.offsets[row, 0] * scale + shift, texels.offsets[row, 1] * scale + shift
     width = np.int32(size[1])
     right, bottom = _f4(size[1] - 1), _f4(size[0] - 1)
+    last = np.uint32((size[0] - 1) * size[1] - 2)  # whatever an overflow makes of positions
     for g in range(n):
         x = wa * ax[g] + wb * bx[g] + wc * cx[g] + ox
         y = wa * ay[g] + wb * by[g] + wc * cy[g] + oy
@@ -116,7 +117,7 @@ def place_row(texels, row, n, scale, corners, size, at, inside, rest_x, rest_y):
         x = min(max(x, _f4(0)), right - _f4(0.001))
         y = min(max(y, _f4(0)), bottom - _f4(0.001))
         column, line = np.int32(x), np.int32(y)
-        at[g] = np.uint32(line * width + column)
+        at[g] = min(np.uint32(line * width + column), last)
         rest_x[g], rest_y[g] = x - _f4(column), y - _f4(line)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
-from ...models.core.checks import between
+from ...models.core.checks import CountFrom0, NotNegative, between
 from ...models.core.frame import Frame
 from ...models.core.short_repr import PickledByFields, short_repr
 from ...models.face.detectors import FACE, PartDetector, for_height
@@ -241,11 +241,11 @@ class Trust:
     """Whether an object is tracked, doubted, lost, or on trial after a detection."""
 
     usual_fit: float = 1.0  # running mean of the fit without a doubt; 1 before the first picture
-    usual_area: float = 0.0  # the same of the area of the texture in view; 0 before the first picture
-    doubt: float = 0.0  # s for which the fit has been too low
-    trial: float = 0.0  # s for which a detected object must still be confirmed; 0 without a trial
-    relocations: int = 0  # number of times that the object was lost and found again
-    searches: int = 0  # pictures searched since it was lost
+    usual_area: NotNegative = 0.0  # the same of the area of the texture in view; 0 before the first picture
+    doubt: NotNegative = 0.0  # s for which the fit has been too low
+    trial: NotNegative = 0.0  # s for which a detected object must still be confirmed; 0 without a trial
+    relocations: CountFrom0 = 0  # number of times that the object was lost and found again
+    searches: CountFrom0 = 0  # pictures searched since it was lost
     # that the object is where it is tracked, see `probability_after`
     probability: Annotated[float, between(0, 1)] = 1.0
 

@@ -2,14 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.checks import Shape
 from ...models.core.frame import BoundingBox, Frame
 from ...models.face.detectors import FACE, PartDetector, confirmed_faces, for_height
-from ...models.face.morphable_model import MorphableModel, Poses, SurfacePoints
+from ...models.face.morphable_model import KNOWN, MorphableModel, Poses, SurfacePoints
 from .landmark_fit import LANDMARK_NOISE, MIN_LANDMARKS, fit_landmarks, own_points
 from .recovery import poses_in_boxes
 
@@ -35,9 +37,9 @@ class FaceStart:
     """A face in one frame."""
 
     model: MorphableModel  # of this person
-    pose: Poses  # one, of that model
+    pose: Annotated[Poses, KNOWN]  # one, of that model
     points: SurfacePoints  # at the present landmarks, which they meet exactly in this pose
-    present: NDArray[np.bool_]  # `(n_landmarks,)`: given landmarks that are not NaN
+    present: Annotated[NDArray[np.bool_], Shape("n_landmarks")]  # given landmarks that are not NaN
     fit_error: float | None  # px: root mean square distance of landmarks from the model's points, if any
 
     def require_fit(self) -> None:

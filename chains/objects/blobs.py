@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...models.camera.moving_camera import View
-from ...models.core.checks import NotNegative, Shape, SizesOf
+from ...models.core.checks import Bound, CountFrom0, NotNegative, Shape, SizesOf
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import FOOT_X, FOOT_Y, HEIGHT, WIDTH
@@ -181,7 +181,7 @@ class Blobs:
     words: Annotated[Words, Shape("n", WORDS)]  # records of type `RECORD`, bit by bit
     masks: Annotated[Map, Shape("n_pixels")]  # of all blobs one after the other
     colours: Annotated[Map, Shape("channels * n_pixels")]  # likewise, plane by plane of each blob
-    channels: int  # of the colours, 1 or 3
+    channels: Annotated[int, Bound(lambda count: count in (1, 3), "1 or 3")]  # of the colours
 
     def require_fit(self) -> None:
         """Raise a `ValueError` if a record means other pixels than there are, or places that are none."""
@@ -376,10 +376,10 @@ class BlobState:
     """State of all objects of a scene."""
 
     blobs: Blobs
-    born: int  # how many there have been
+    born: CountFrom0  # how many there have been
     size: Annotated[tuple[int, int], SizesOf("height", "width")]  # px of the picture
     elapsed: NotNegative  # s since the last frame with an image
-    confirmation_time: float  # s for which an object must have been seen before it is reported
+    confirmation_time: NotNegative  # s for which an object must have been seen before it is reported
     detecting: bool = False  # whether a detector has run, which decides what is reported
     # that a detector may have found: not reported, and without pixels
     candidates: Blobs = field(default_factory=lambda: Blobs.none(3))

@@ -91,12 +91,12 @@ class DetectorState:
     counts: Annotated[Array, Shape(4)]  # detected objects, false boxes, second boxes, newcomers
     exposures: Annotated[Array, Shape(4)]  # of objects in sight, frames, detected objects, seconds
     scores: ScoreMoments
-    undetected: float  # people in the picture who were not detected yet
+    undetected: NotNegative  # people in the picture who were not detected yet
     places: Annotated[Array, Shape("n", 4)]  # px: boxes where the detector has erred
     # of each: errors that are over; boxes of a present candidate, and the probability that it is one
     errors: Annotated[Array, Shape("n", 3)]
     candidates: Annotated[NDArray[np.int64], Shape("n")]  # identities of those; 0: none
-    area: float  # px of the picture
+    area: Positive  # px of the picture
     elapsed: NotNegative  # s since the detector has run
 
 

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...inference.engine.protocols import Incoming, Port
 from ...inference.kalman import kinematic
 from ...models.camera.moving_camera import View
-from ...models.core.checks import Positive, Shape, Share, SizesOf, checked
+from ...models.core.checks import NotNegative, Positive, Shape, Share, SizesOf, checked
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.identities import Turnover, find, places_of
@@ -77,7 +77,7 @@ class GroundState:
 
     # px of the picture; `middle` is its middle row
     size: Annotated[tuple[int, int], SizesOf("height", "width")]
-    variation: float  # standard deviation of heights over what the plane predicts, a share of that
+    variation: NotNegative  # standard deviation of heights over what the plane predicts, a share of that
     # (2 + n,): px height in the middle row, px it grows with each row, and each object's share
     scene: Annotated[Array, Shape("terms")]
     scene_covariance: Annotated[Array, Shape("terms", "terms")]

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from ...inference.engine.protocols import Cavity, Incoming, Port
 from ...models.camera.moving_camera import AffineMap
 from ...models.core.checks import (
+    CountFrom0,
     NotNegative,
     Positive,
     PositiveOrInfinite,
@@ -91,7 +92,7 @@ class BackgroundState:
     seen: OfPixels  # how much of the settling time they have lasted; see `SecondColours`
     elapsed: NotNegative  # s since the last frame with an image
     age: NotNegative  # s for which the scene has been seen
-    frames: int  # with an image, since the first
+    frames: CountFrom0  # with an image, since the first
 
     def require_fit(self) -> None:
         """Raise a `ValueError` if there are other blocks than loops expect, or darkness."""

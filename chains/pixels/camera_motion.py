@@ -62,7 +62,7 @@ class CameraState:
 
     where: LinearGaussianState  # of one thing: c, v and s of the map from scene to frame, (18,)
     # (height, width[, 3]): the scene under today's light, in the places of the frame with which it began
-    picture: NDArray[np.float32]
+    picture: Annotated[NDArray[np.float32], Shape(...)]
     # where objects have hidden the scene since it began
     unknown: Annotated[NDArray[np.bool_], Shape("height", "width")]
     elapsed: NotNegative  # s since the last frame with an image
@@ -70,6 +70,16 @@ class CameraState:
     best_fit: float  # its highest value since the scene began
     first: Annotated[NDArray[np.float64], Shape(6)]  # px: map from the first frame to the scene
     first_covariance: Annotated[NDArray[np.float64], Shape(6, 6)]  # px^2, of these
+
+    def require_fit(self) -> None:
+        """Raise a `ValueError` if the picture or the map is of another shape."""
+        shape, states = self.picture.shape, self.where.mean.shape
+        if shape[:2] != self.unknown.shape or shape[2:] not in ((), (3,)):
+            raise ValueError(
+                f"picture: got shape {shape}, expected (height, width[, 3]) of {self.unknown.shape}"
+            )
+        if states != (1, MAP.shape[1]):
+            raise ValueError(f"where: got shape {states}, expected {(1, MAP.shape[1])}")
 
     @property
     def mean(self) -> NDArray[np.float64]:

@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from ...inference import kalman
 from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ...inference.kalman import STATE, PointStates
-from ...models.core.checks import Count, Positive, Shape, checked
+from ...models.core.checks import NO_NAN, Count, CountFrom0, NotNegative, Positive, Shape, checked
 from ...models.core.frame import Frame, GivenPoints
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.identities import places_of
@@ -57,7 +57,7 @@ class PointTable(Rows):
     mean: Annotated[Array, Shape("n", STATE)]  # of their states; undefined unless alive
     covariance: Annotated[Array, Shape("n", STATE, STATE)]
     alive: Annotated[Mask, Shape("n")]  # tracked
-    unseen: Annotated[Array, Shape("n", finite=False)]  # s since a frame showed the point
+    unseen: Annotated[Array, Shape("n", finite=False), NO_NAN]  # s since a frame showed the point
     first: OfSides  # first patch; 0 where points come without pictures
     patches: OfSides  # current patch
     cut: Annotated[Array, Shape("n")]  # s: time of the picture from which it was first cut
@@ -147,11 +147,21 @@ class TrackerState:
     """Points, and the last picture."""
 
     known: PointTable  # tracked and lately lost points
-    next_identity: int  # of the next new point: none is used twice
-    acceleration: float  # px^2/s^3, spectral density of the white acceleration of each coordinate
-    max_position_std: float  # px, standard deviation of a position from which a point is lost
-    since_corner_search: float  # s since corners were sought
+    next_identity: CountFrom0  # of the next new point: none is used twice
+    acceleration: Positive  # px^2/s^3, spectral density of the white acceleration of each coordinate
+    max_position_std: Positive  # px, standard deviation of a position from which a point is lost
+    since_corner_search: NotNegative  # s since corners were sought
     view: View | None  # the last picture, or points given for it, and what was found there
+
+    def require_fit(self) -> None:
+        """Raise a `ValueError` if an identity would be used again, or patches are of another size."""
+        identities, side = self.known.identities, self.known.patches.shape[1]
+        if (np.diff(identities) <= 0).any() or self.next_identity <= identities.max(initial=-1):
+            raise ValueError(
+                f"identities: got {len(identities)}, expected them below {self.next_identity}, in order"
+            )
+        if self.view is not None and len(identities) and self.view.patch_size != side:
+            raise ValueError(f"view: got patches of {self.view.patch_size} px, expected {side} px")
 
 
 def predict_message(state: TrackerState) -> PointMessage:

@@ -17,7 +17,7 @@ from ...inference.engine.protocols import Cavity, Incoming, Port
 from ...inference.kalman import kinematic
 from ...inference.sfm.factor_analysis.em import CameraPrior, estimate_cameras, homogeneous
 from ...inference.sfm.factor_analysis.factorisation import factorise_robustly, projected
-from ...models.core.checks import Positive, Shape, at_least, checked
+from ...models.core.checks import Count, CountFrom0, NotNegative, Positive, Shape, at_least, checked
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.identities import Turnover, common, find, union
@@ -193,11 +193,11 @@ class Structure:
     unseen: Annotated[Array, Shape("n")]
     motion: CameraMotion
     evidence: CameraEvidence
-    extent: float
-    noise_scale: float
+    extent: Positive
+    noise_scale: Positive
     innovations: Annotated[Array, Shape("n", 2)]
     autocorrelation: float
-    wander: float
+    wander: NotNegative
 
     @property
     def offsets(self) -> Array:
@@ -468,8 +468,8 @@ class Window:
     positions: Annotated[Array, Shape("n_frames", "n", 2)]
     variances: Annotated[Array, Shape("n_frames", "n")]
     times: Annotated[Array, Shape("n_frames")]
-    stride: int = 1
-    skipped: int = 0
+    stride: Count = 1
+    skipped: CountFrom0 = 0
 
     @classmethod
     def empty(cls) -> "Window":

@@ -8,9 +8,9 @@ of one of these. A field of a dataclass whose metadata say `{"saved": False}` is
 of names to kinds stands for a record without a class of its own, or `None` where it is not there yet.
 
 Whoever changes a file can give it a new digest, and compiled loops trust what they index with. Therefore,
-when a file is read, fields have to be as their annotations declare (`models.core.checks`); names of sizes
-hold within a dataclass, those of a nested mapping in all that lies below it. Where parts must fit each
-other, the dataclass has a method `require_fit`.
+when a file is read, fields have to be as their annotations declare (`models.core.checks`), and arrays of
+the declared type; names of sizes hold within a dataclass, those of a nested mapping in all that lies
+below it. Where parts must fit each other, the dataclass has a method `require_fit`.
 """
 
 import hashlib
@@ -188,14 +188,22 @@ def _decode(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Sizes | Non
         (present,) = (part for part in inner if part is not NoneType)
         return None if data is None else _decode(data, present, arrays, place, sizes)
     if origin is np.ndarray and is_array:
-        return arrays.pop(data["array"])
+        return _of_type(arrays.pop(data["array"]), inner, place)
     if origin in SCALARS and is_array and arrays[data["array"]].ndim == 0:
         return arrays.pop(data["array"])[()]
     if origin in SCALARS and (type(data) is origin or (origin is float and type(data) is int)):
         return data
-    if origin is np.random.Generator and isinstance(data, dict) and data.get("bit_generator") in GENERATORS:
-        bits = GENERATORS[data["bit_generator"]](0)
-        bits.state = _decode(data, _kind_of(bits.state), arrays, place, sizes)
+    if (
+        origin is np.random.Generator
+        and isinstance(data, dict)
+        and str(data.get("bit_generator")) in GENERATORS
+    ):
+        bits = GENERATORS[str(data["bit_generator"])](0)
+        state = _decode(data, _kind_of(bits.state), arrays, place, sizes)
+        try:
+            bits.state = state
+        except OverflowError as error:
+            raise ValueError(f"{place}: {error}") from None
         return np.random.Generator(bits)
     if origin is dict and inner[0] in (str, int) and isinstance(data, dict):
         key_kind, item_kind = inner
@@ -239,7 +247,7 @@ def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Size
     for name, part in record.items():
         below = _below(place, name)
         values[name] = value = _decode(content[name], part, arrays, below, sizes)
-        if not isinstance(part, Mapping) and part is not float:  # which may be infinite
+        if not isinstance(part, Mapping):
             _check(check_of(part), value, below, inside)
     made = build(**values)
     if sizes is not None and hasattr(made, "require_fit"):
@@ -248,6 +256,16 @@ def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Size
         except ValueError as error:
             raise ValueError(f"{place}: {error}") from None
     return made
+
+
+def _of_type(array: NDArray[Any], inner: tuple[Any, ...], place: str) -> NDArray[Any]:
+    """The array, if it is of the type that `NDArray[type]` declares: loops are compiled for that."""
+    (declared,) = get_args(inner[1]) or (Any,)
+    if not isinstance(declared, type) or issubclass(array.dtype.type, declared):
+        return array
+    if declared is np.float64 and array.dtype == np.float32:  # as users may give points
+        return array
+    raise ValueError(f"{place}: got an array of {array.dtype}, expected {declared.__name__}")
 
 
 def _check(check: Check, value: Any, place: str, sizes: Sizes | None) -> None:

@@ -2,11 +2,12 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.checks import Positive, Shape
 from ..core.frame import KEYPOINTS, GivenKeypoints
 from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.short_repr import short_repr
@@ -54,9 +55,11 @@ class SeenKeypoints:
     another person's. A point of score s is right with probability s `SURE`.
     """
 
-    positions: Array  # `(10, 2)` px in the order of `KEYPOINTS`, NaN where a point was not detected
-    probabilities: Array  # `(10,)`: that a point is right; 0 where it was not detected
-    head_height: float  # px
+    # px in the order of `KEYPOINTS`, NaN where a point was not detected
+    positions: Annotated[Array, Shape(len(KEYPOINTS), 2, finite=False)]
+    # that a point is right; 0 where it was not detected
+    probabilities: Annotated[Array, Shape(len(KEYPOINTS))]
+    head_height: Positive  # px
 
     @classmethod
     def of(cls, given: GivenKeypoints, heads: Array, head_height: float) -> Self | None:

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Annotated, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from ..core.checks import Count, Positive, Shape
 from ..core.short_repr import short_repr
 from .kernels import blended
 from .skin import N_BINS, SkinColour, count_colours, has_colour, log_count_ratio, look_up
@@ -27,9 +28,10 @@ SWAY = 0.5  # face heights: standard deviation of others' faces about the positi
 class OtherFaces:
     """Faces of other people: clutter that stays."""
 
-    places: Array  # `(m, 2)` px: middles of all others' faces in some images
-    pictures: int  # how many images
-    std: float  # px: standard deviation about these
+    # px: middles of all others' faces in some images
+    places: Annotated[Array, Shape("m", 2)]
+    pictures: Count  # how many images
+    std: Positive  # px: standard deviation about these
 
     @classmethod
     def learned(cls, faces: Sequence[Array], own: Sequence[int | None]) -> Self:
@@ -121,7 +123,7 @@ BLUR = 0.06  # head heights: of the map; a sleeve is three times as broad
 class ClothesColour:
     """Log ratio of colours on the trunk against elsewhere in the image."""
 
-    table: NDArray[np.float32]  # as that of `SkinColour`
+    table: Annotated[NDArray[np.float32], Shape(8, 64, 64)]  # as that of `SkinColour`
 
     @classmethod
     def learned(

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Annotated, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from ..core.checks import Shape
 from ..core.short_repr import short_repr
 from .kernels import look_up_colours
 
@@ -37,8 +38,8 @@ BLUR = 0.8  # px: against noise of single pixels
 class SkinColour:
     """Log ratio of colours in the face against elsewhere."""
 
-    # `(8, 64, 64)` float32 nats, from -4 to 4, by Y, Cr, Cb: log of a colour's density in faces over others
-    table: NDArray[np.float32]
+    # nats, from -4 to 4, by Y, Cr, Cb: log of a colour's density in faces over others
+    table: Annotated[NDArray[np.float32], Shape(8, 64, 64)]
 
     @classmethod
     def learned(cls, images: Sequence[Image], boxes: Array) -> Self | None:

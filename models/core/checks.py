@@ -53,6 +53,11 @@ def between(low: float, high: float) -> Bound:
 
 POSITIVE = Bound(lambda value: value > 0, "more than 0")
 NOT_EMPTY = Bound(lambda value: len(value) > 0, "one or more")
+NO_NAN = Bound(lambda numbers: not np.isnan(numbers).any(), "numbers without NaN")
+LOG_WEIGHTS = Bound(
+    lambda logs: bool((logs < 1).all() and abs(np.exp(logs).sum() - 1) < 1e-3),
+    "logarithms of weights with sum 1",
+)
 UNBOUNDED = Bound(lambda value: True, "a number")
 
 Positive = Annotated[float, POSITIVE]

@@ -231,8 +231,8 @@ class GivenPoints(Rows):
         if the shapes do not fit, a position is not finite or missing, or the identities do not increase.
     """
 
-    positions: NDArray[np.float64]
-    identities: NDArray[np.int64]
+    positions: Annotated[NDArray[np.float64], Shape("n", 2, finite=False)]
+    identities: Annotated[NDArray[np.int64], Shape("n")]
 
     def __post_init__(self) -> None:
         if self.positions.shape != (len(self.identities), 2):

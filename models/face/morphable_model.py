@@ -208,6 +208,10 @@ def _nearest_weights(places: Array, corners: Array) -> Array:
     return chosen
 
 
+KNOWN = Bound(lambda poses: all(np.isfinite(each).all() for each in poses.arrays), "poses without NaN")
+"""Of poses of which everything is known."""
+
+
 @checked
 @short_repr
 @dataclass(frozen=True, eq=False)

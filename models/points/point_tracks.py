@@ -11,7 +11,7 @@ from typing import Annotated, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.checks import Positive, Shape, Share, at_least, checked
+from ..core.checks import Count, NotNegative, Positive, Shape, Share, at_least, checked
 from ..core.frame import Frame, GivenPoints
 from ..core.gaussian_message import GaussianMessage
 from ..core.identities import find, places_of
@@ -58,9 +58,10 @@ class View:
 
     time: float  # s, of the frame
     points: GivenPoints  # that were found, or were given with the frame
-    grey: NDArray[np.uint8] | None  # (height, width); None where points were given instead of a picture
-    noise: float  # px, standard deviation of each coordinate of points that were given
-    patch_size: int  # px, side of the patches that are cut from it
+    # None where points were given instead of a picture
+    grey: Annotated[NDArray[np.uint8], Shape("height", "width")] | None
+    noise: NotNegative  # px, standard deviation of each coordinate of points that were given
+    patch_size: Count  # px, side of the patches that are cut from it
 
     def patches_at(self, positions: Array) -> NDArray[np.float32]:
         """Return grey values `(n, patch_size, patch_size)` about `positions` `(n, 2)` px of the picture."""

@@ -27,7 +27,7 @@ def main() -> int:
     parser.add_argument("--readers", nargs="+", choices=sorted(READERS), default=list(READERS))
     parser.add_argument("--out", type=Path, default=Path("results/fuzz"), help="for what is found")
     chosen = parser.parse_args()
-    seeds = made()
+    seeds = made(chosen.readers)
     shares = {reader: 1 / SLOW.get(reader, 1) for reader in chosen.readers}
     each = chosen.inputs / sum(shares.values())
     tasks: list[Task] = [

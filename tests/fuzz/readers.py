@@ -22,12 +22,12 @@ from rsmcm.apps.runs.region import read_region
 from rsmcm.apps.structure.application import read_film
 from rsmcm.apps.structure.job import StructureJob
 from rsmcm.inference import RecursiveBP
-from rsmcm.inference.engine import checkpoint
-from rsmcm.models.array_files import read_arrays
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.detectors import default_faces
 from rsmcm.models.face.model_files import read_correspondences, read_model
 from rsmcm.models.face.morphable_model import Poses
+
+from .runs import finished, learned, resumed, rounds, trackers
 
 SIZE = (64, 48)
 MOST_FRAMES = 10_000  # of a film that has eight: more are made up
@@ -158,19 +158,6 @@ def states(folder: Path) -> None:
     engine.step(state, Frame(IMAGE, state.time + 0.04, state.number + 1))
 
 
-def forged_states(folder: Path) -> None:
-    """A saved state that was changed and has the digest of what it holds now, and one more step from it."""
-    path = _file(folder)
-    arrays = read_arrays(path, checkpoint.EXPECTED, most=path.stat().st_size)
-    arrays.pop(checkpoint.DIGEST, None)
-    digest = np.array(checkpoint._digest(arrays))
-    np.savez(path, allow_pickle=False, **arrays, **{checkpoint.DIGEST: digest})
-    try:
-        states(folder)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error  # of the step, which knows of no file
-
-
 def predictions(folder: Path) -> None:
     """What chains predicted, and what it says of them."""
     report_validity(folder)
@@ -187,13 +174,17 @@ def detectors(folder: Path) -> None:
     default_faces(_file(folder))(Frame(IMAGE, 0.0, 1))
 
 
-SLOW = {"detectors": 20}
-"""How many times fewer inputs: each starts a process of its own."""
+FORGED = {"resumed", "learned", "rounds", "finished", "trackers"}
+"""Those whose inputs are states with other values, not damaged files."""
+
+SLOW = {"detectors": 20, **dict.fromkeys(FORGED, 2)}
+"""How many times fewer inputs: each starts a process of its own, or is a run."""
 
 READERS: dict[str, Callable[[Path], None]] = {
     reader.__name__: reader
     for reader in (
         films, pictures, masks, regions, boxes, archives, results, detections, keypoints, parameters, zones,
-        tracks, landmarks, models, correspondences, states, forged_states, predictions, exports, detectors,
+        tracks, landmarks, models, correspondences, states, predictions, exports, detectors,
+        resumed, learned, rounds, finished, trackers,
     )
 }  # fmt: skip

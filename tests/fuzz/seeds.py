@@ -4,7 +4,7 @@ import io
 import json
 import tempfile
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from rsmcm.models.face.morphable_model import MorphableModel, rms_radius
 
 from .mutations import Files
 from .networks import tiny_network
+from .runs import finished_runs, first_round, runs_to_learn_from, saved_trackers, stopped_runs
 
 WIDTH, HEIGHT = 64, 48
 FILMS = {
@@ -35,11 +36,6 @@ FILMS = {
     "foreground.mkv": ("ffv1", "gray"),
 }
 PICTURES = ("png", "jpg", "bmp", "tif", "webp", "ppm", "jp2")
-
-
-def seeds(folder: Path) -> dict[str, list[Files]]:
-    """Inputs by reader; `folder` is for what has to be written to be made."""
-    return {name: make(folder) for name, make in MAKERS.items()}
 
 
 def _picture(number: int = 0) -> NDArray[np.uint8]:
@@ -304,14 +300,23 @@ MAKERS: dict[str, Callable[[Path], list[Files]]] = {
     "models": _models,
     "correspondences": _correspondences,
     "states": _states,
-    "forged_states": _states,
     "predictions": _predictions,
     "exports": _exports,
     "detectors": _detectors,
+    "resumed": stopped_runs,
+    "learned": runs_to_learn_from,
+    "rounds": first_round,
+    "finished": finished_runs,
+    "trackers": saved_trackers,
 }
 
 
-def made() -> dict[str, list[Files]]:
-    """The inputs of all readers."""
-    with tempfile.TemporaryDirectory() as folder:
-        return seeds(Path(folder))
+def made(readers: Iterable[str]) -> dict[str, list[Files]]:
+    """The inputs of some readers."""
+    with tempfile.TemporaryDirectory() as top:
+        found = {}
+        for name in readers:
+            folder = Path(top) / name
+            folder.mkdir()
+            found[name] = MAKERS[name](folder)
+        return found

@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from .forging import forged
 from .mutations import Files, mutated
-from .readers import READERS
+from .readers import FORGED, READERS
 
 try:
     import resource
@@ -42,7 +43,7 @@ def input_of(seeds: Seeds, task: Task, seed: int) -> Files:
     reader, number = task
     random = np.random.default_rng([seed, number, *reader.encode()])
     chosen = seeds[reader][number % len(seeds[reader])]
-    return mutated(chosen, seeds[reader], random)
+    return forged(chosen, random) if reader in FORGED else mutated(chosen, seeds[reader], random)
 
 
 def write(files: Files, folder: Path) -> None:
