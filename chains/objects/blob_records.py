@@ -66,6 +66,9 @@ _f4 = np.float32
 
 LIKELY = 0.45  # probability of cover from which on a pixel counts as part of an object's box
 FAINT = 0.25  # probability of cover from which on a mask's patch must leave room around a pixel
+THINNEST = 0.08
+"""Area over squared length below which a spot is a line (a rope, an edge that shakes) and no object."""
+
 UNKNOWN_COLOUR = -1e4  # in an appearance: no colour is known of this pixel
 
 

@@ -34,6 +34,7 @@ from ...models.pixels.pixel_labels import PixelMessage
 from .blob_records import (
     FRESH,
     MARGIN,
+    THINNEST,
     UNKNOWN_COLOUR,
     Patch,
     box_of,
@@ -66,9 +67,6 @@ GROWTH = 1.3  # how far beyond its usual size a mask may reach
 
 BENEFIT_OF_DOUBT = 0.6
 """What the mask of a still blob keeps of pixels that fit its colours as well as the background's."""
-
-THINNEST = 0.08
-"""Area over squared length below which a spot is a line (a rope, an edge that shakes) and no object."""
 
 LEAST_MASK = 0.1  # of a mask's mass, which must be in the picture
 TRAVELLED = -5.0  # nats, log ratio of ghost and real for each own length that something travels

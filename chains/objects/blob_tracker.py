@@ -19,6 +19,7 @@ from itertools import count
 from typing import overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Cavity, Incoming, Port
 from ...models.core.checks import Positive, Share, checked
@@ -26,12 +27,13 @@ from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import BoxMessage
 from ...models.objects.object_boxes import ObjectBoxes
-from ...models.pixels.layers import NO_LAYERS, LayerStack, log_uniform
+from ...models.pixels.layers import LayerStack, log_uniform
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
 from . import detections
 from .blob_scene import VIEW_TIME, BlobScene, Learning, find_spots, inherited_evidence
 from .blobs import Blob, Blobs, BlobState, front_to_back, layers_of, likely_size
 from .groups import fragment_times, group_parts, merge_pieces, select_whole, split_columns, split_mask
+from .left_behind import LeftBehind
 from .registration import register_blobs
 
 SWEEP = 0.8  # s after which a mask is freed of crumbs again
@@ -106,8 +108,8 @@ class BlobTracker:
         """Return a state without objects: objects in the first frame are background until they move."""
         image = frame.required_image()
         channels = 1 if image.ndim == 2 else image.shape[2]
-        none = Blobs.none(channels)
-        return BlobState(none, 0, image.shape[:2], 0.0, self.confirmation_time, candidates=none)
+        none, left = Blobs.none(channels), LeftBehind.nothing(image)
+        return BlobState(none, 0, image.shape[:2], 0.0, self.confirmation_time, left, candidates=none)
 
     def predict(self, state: BlobState, dt: float) -> BlobState:
         """Predict all blobs `dt` seconds ahead: constant velocity with white acceleration."""
@@ -143,7 +145,12 @@ class BlobTracker:
         state, view = self._updated(state, incoming), incoming[PixelLabels].view
         if view is None or view.begins is None:
             return state
-        return replace(state, blobs=state.blobs.seen_by(view), candidates=state.candidates.seen_by(view))
+        return replace(
+            state,
+            blobs=state.blobs.seen_by(view),
+            candidates=state.candidates.seen_by(view),
+            left_behind=LeftBehind.nothing(view.begins),
+        )
 
     def _updated(self, state: BlobState, incoming: Incoming) -> BlobState:
         pixels, boxes = incoming[PixelLabels], incoming.get(ObjectBoxes)
@@ -170,6 +177,14 @@ class BlobTracker:
             kept = group_parts(merge_pieces(self._split(kept, numbers, scene, least_area)), scene)
             kept = self._swept(kept, numbers, scene, least_area)
             kept.table["fragment_time"] = fragment_times(kept, scene)
+        left = state.left_behind.after(
+            scene.picture.image,
+            kept,
+            self._may_leave(kept),
+            blobs.select(blobs.ghost_evidence >= self.ghost_threshold),
+            least_area,
+            scene.elapsed,
+        )
         for spot in find_spots(scene.picture.log_odds, kept, least_area):
             corner, mask, planes = scene.cut_out(spot, kept)
             if float(mask.sum()) >= least_area:
@@ -177,7 +192,7 @@ class BlobTracker:
                     next(numbers), corner, mask, planes, self.initial_velocity_std, self.colour_variance
                 )
                 kept = kept.concatenate([new.changed(past_views=inherited_evidence(new, kept))])
-        return replace(state, blobs=kept, born=next(numbers) - 1, elapsed=0.0)
+        return replace(state, blobs=kept, born=next(numbers) - 1, elapsed=0.0, left_behind=left)
 
     def _placed(self, state: BlobState, incoming: Incoming) -> tuple[Blobs, list[Blob], Blobs, LayerStack]:
         """Registered and corrected blobs, front to back; new ones; candidates; and the layers of both."""
@@ -201,19 +216,26 @@ class BlobTracker:
         new = [detections.newborn(each, boxes, channels, self.colour_variance) for each in likely]
         parts = detections.are_parts(corrected, Blobs.of(new, corrected.channels))
         blobs = front_to_back(corrected.select(~parts))
-        return blobs, new, candidates, self._layers(front_to_back(blobs.concatenate(new)))
+        return blobs, new, candidates, self._layers(front_to_back(blobs.concatenate(new)), state)
 
     def _registered(self, state: BlobState, pixels: PixelMessage) -> tuple[Blobs, LayerStack]:
         """Registered blobs, front to back, and their layers."""
         if not len(state.blobs):
-            return state.blobs, NO_LAYERS
+            return state.blobs, state.left_behind.layers()
         blobs = front_to_back(state.blobs)
         if pixels.subtraction is not None:
             blobs = register_blobs(blobs, pixels, self.outliers, self.likelihood_power, state.elapsed)
-        return blobs, self._layers(blobs)
+        return blobs, self._layers(blobs, state)
 
-    def _layers(self, blobs: Blobs) -> LayerStack:
-        return LayerStack(layers_of(blobs, self.outliers, self.strength, self.ghost_threshold))
+    def _layers(self, blobs: Blobs, state: BlobState) -> LayerStack:
+        layers = LayerStack(layers_of(blobs, self.outliers, self.strength, self.ghost_threshold))
+        return layers * state.left_behind.layers()
+
+    def _may_leave(self, blobs: Blobs) -> NDArray[np.bool_]:
+        """`(n,)`: which blobs are sure enough to leave something behind."""
+        table = blobs.table
+        seen = (table["unseen"] == 0) & (table["seen"] >= self.confirmation_time)
+        return np.asarray(seen & (blobs.ghost_evidence < self.ghost_threshold))
 
     def _rule(self, channels: int, scene: BlobScene, least_area: float) -> Learning:
         """Parameters by which blobs learn from this frame."""

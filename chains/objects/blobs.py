@@ -17,6 +17,7 @@ from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import FOOT_X, FOOT_Y, HEIGHT, WIDTH
 from ...models.pixels.layers import LAYER, LayerSheet, Pools, log_density_ratio
 from .blob_records import MARGIN, RECORD, UNKNOWN_COLOUR, fill_boxes, measure_all, measured, overlap
+from .left_behind import LeftBehind
 
 Map = NDArray[np.float32]
 Numbers = NDArray[np.float64]
@@ -380,9 +381,16 @@ class BlobState:
     size: Annotated[tuple[int, int], SizesOf("height", "width")]  # px of the picture
     elapsed: NotNegative  # s since the last frame with an image
     confirmation_time: NotNegative  # s for which an object must have been seen before it is reported
+    left_behind: LeftBehind  # by objects that have moved on
     detecting: bool = False  # whether a detector has run, which decides what is reported
     # that a detector may have found: not reported, and without pixels
     candidates: Blobs = field(default_factory=lambda: Blobs.none(3))
+
+    def require_fit(self) -> None:
+        """Raise a `ValueError` if what objects have left behind is of another picture."""
+        expected, got = (*self.size, self.blobs.channels), self.left_behind.shown.shape
+        if got != expected:
+            raise ValueError(f"left_behind: got {got} px and channels, expected {expected}")
 
     def tracks(self) -> list[Track]:
         """Return the objects that are sure enough to be reported, by identity."""

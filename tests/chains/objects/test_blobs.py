@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 from rsmcm.chains.objects.blobs import Blob, Blobs, BlobState, Track
+from rsmcm.chains.objects.left_behind import LeftBehind
 from rsmcm.models.camera.moving_camera import View
+
+NOTHING_LEFT = LeftBehind.nothing(np.zeros((120, 160), np.uint8))
 
 
 def test_a_track_is_seen_by_a_camera_that_has_moved_as_its_middle_is() -> None:
@@ -57,7 +60,7 @@ def test_who_is_seen_and_who_is_only_predicted(
     blob = known(unseen=unseen)
     if unfound is not None:
         blob = blob.changed(detected=1, box_mean=(10, 30, 20, 30), box_variance=(1, 2, 3, 8), unfound=unfound)
-    state = BlobState(Blobs.of((blob,), 1), 1, (120, 160), elapsed, 0.35, unfound is not None)
+    state = BlobState(Blobs.of((blob,), 1), 1, (120, 160), elapsed, 0.35, NOTHING_LEFT, unfound is not None)
     (track,) = state.tracks()
     assert track.seen == seen
     assert track.position_covariance == (
@@ -72,7 +75,7 @@ def test_in_the_next_scene_tracks_are_where_the_camera_saw_them() -> None:
     blobs = Blobs.of([known(velocity=(3.0, -8.0), **box), known(identity=2, whole=2)], 1)
 
     def tracks(those: Blobs) -> list[Track]:
-        return BlobState(those, 2, (120, 160), 0.0, 0.3, detecting=False).tracks()
+        return BlobState(those, 2, (120, 160), 0.0, 0.3, NOTHING_LEFT, detecting=False).tracks()
 
     seen = [track.seen_by(view) for track in tracks(blobs)]
     moved = blobs.seen_by(view)

@@ -23,11 +23,13 @@ from rsmcm.chains.objects.groups import (
     split_mask,
     thinnest_column,
 )
+from rsmcm.chains.objects.left_behind import LeftBehind
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.objects.box_message import Newcomers
 from scipy.stats import norm
 
 F4 = np.float32
+NOTHING_LEFT = LeftBehind.nothing(np.zeros((120, 160, 3), np.uint8))
 
 
 def people(deviation=2.0, aspect=0.4):
@@ -106,7 +108,10 @@ def test_what_is_much_smaller_than_anybody_is_not_reported_until_it_has_long_mov
 
     def reported(time, still):
         known = (legs.changed(fragment_time=time, still=still), somebody)
-        return [track.identity for track in BlobState(Blobs.of(known, 3), 2, (120, 160), 0.0, 0.35).tracks()]
+        return [
+            track.identity
+            for track in BlobState(Blobs.of(known, 3), 2, (120, 160), 0.0, 0.35, NOTHING_LEFT).tracks()
+        ]
 
     assert reported(0.0, 0.0) == [1, 2]
     assert reported(0.1, 0.0) == reported(3.5, 2.0) == [2]
@@ -161,7 +166,9 @@ def test_the_evidence_is_the_ratio_of_the_densities_of_one_object_and_two(speed)
 
 def test_what_moves_together_is_one_if_that_has_a_usual_size():
     assert wholes(JACKET, LEGS) == wholes(JACKET, LEGS, newcomers=anything()) == [1, 1]
-    (track,) = BlobState(together(JACKET, LEGS, newcomers=people()), 2, (120, 160), 0.0, 0.35).tracks()
+    (track,) = BlobState(
+        together(JACKET, LEGS, newcomers=people()), 2, (120, 160), 0.0, 0.35, NOTHING_LEFT
+    ).tracks()
     assert track.box == pytest.approx((30, 20, 16, 40))
     assert track.velocity == (25, 0)
 
