@@ -68,8 +68,9 @@ class SavedRun:
         """Of its frames' images; `None` where there was none."""
         run = self._contents.plain("run")
         shape = run.get("shape") if isinstance(run, dict) else None
-        is_shape = isinstance(shape, list) and len(shape) in (2, 3)
-        return tuple(shape) if is_shape and all(isinstance(size, int) for size in shape) else None
+        if not isinstance(shape, list) or len(shape) not in (2, 3):
+            return None
+        return tuple(shape) if all(isinstance(size, int) for size in shape) else None
 
     def state(self, chains: Mapping[str, Any]) -> RunState:
         """That of the engine, of these chains by name; ValueError if it is of others."""
