@@ -53,7 +53,8 @@ class Job:
     Raises
     ------
     ValueError
-        if fields contradict each other, or results would be written into a folder that is the source.
+        if fields contradict each other, or results would be written into the source: its folder, or
+        the folder of the pictures that a glob names.
     """
 
     source: str
@@ -110,17 +111,13 @@ class Job:
         }
 
 
-def _folders_of(source: str) -> list[Path]:
+def _folders_of(source: str) -> set[Path]:
     """Folders of images that a source consists of; none for a video."""
     if os.path.isdir(source):
-        return [Path(source)]
+        return {Path(source)}
     if os.path.exists(source) or "://" in source or not glob.has_magic(source):
-        return []
-    return [
-        Path(each)
-        for each in glob.glob(os.path.dirname(source) or ".", recursive=True)
-        if os.path.isdir(each)
-    ]
+        return set()
+    return {Path(each).parent for each in glob.glob(source, recursive=True)}
 
 
 @dataclass(frozen=True, kw_only=True)

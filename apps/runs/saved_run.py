@@ -70,7 +70,7 @@ class SavedRun:
         shape = run.get("shape") if isinstance(run, dict) else None
         if not isinstance(shape, list) or len(shape) not in (2, 3):
             return None
-        return tuple(shape) if all(isinstance(size, int) for size in shape) else None
+        return tuple(shape) if all(type(size) is int for size in shape) else None
 
     def state(self, chains: Mapping[str, Any]) -> RunState:
         """That of the engine, of these chains by name; ValueError if it is of others."""

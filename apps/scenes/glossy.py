@@ -84,7 +84,7 @@ class GlossyRoom(Scene):
         picture, edge, layer = self._ground.copy(), self._edge, self._posed(index)
         below = self.size[1] - edge
         mirrored = picture.copy()
-        mirrored[edge:] = np.resize(picture[:edge][::-1], (below, *picture.shape[1:]))
+        mirrored[edge:] = picture[:edge][::-1][:below]
         self._mirrored(layer).paint(mirrored)
         seen = mirrored[edge:]
         if self.blur > 0:

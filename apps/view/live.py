@@ -299,6 +299,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Keep little of what is on its way to somebody slow, and wait no longer for all that he asks."""
         self.request.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         super().setup()
+        self._is_late = False
         self._asking = threading.Timer(self.timeout, self._stop_listening)
         self._asking.daemon = True
         self._asking.start()
@@ -307,7 +308,8 @@ class _Handler(BaseHTTPRequestHandler):
         """Read the rest of what is asked, and whether it can be answered."""
         is_right = super().parse_request()
         self._asking.cancel()
-        return is_right
+        self.close_connection |= self._is_late
+        return is_right and not self._is_late
 
     def finish(self) -> None:
         """End the connection."""
@@ -315,6 +317,7 @@ class _Handler(BaseHTTPRequestHandler):
         super().finish()
 
     def _stop_listening(self) -> None:
+        self._is_late = True
         with suppress(OSError):  # he has gone away
             self.connection.shutdown(socket.SHUT_RD)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import UpperBody
-from ...models.core.checks import LOG_WEIGHTS, NO_NAN, NotNegative, Positive, Shape, SizesOf
+from ...models.core.checks import LOG_WEIGHTS, NO_NAN, NotNegative, PositiveOrInfinite, Shape, SizesOf
 from ...models.core.gaussian_mixtures import log_sums
 from ...models.core.short_repr import Rows, short_repr
 from .flesh_assignment import MovingParts
@@ -148,7 +148,7 @@ class FleshTracks:
     """Weighted hypotheses of head, left hand and right hand, in each of which parts are Gaussians."""
 
     size: Annotated[tuple[int, int], SizesOf("height", "width")]  # px of the image
-    max_coast_time: Positive  # s without a detection after which a part is lost
+    max_coast_time: PositiveOrInfinite  # s without a detection after which a part is lost
     # of weights that sum to 1; the best one first
     log_weights: Annotated[Array, Shape("n", finite=False), LOG_WEIGHTS]
     means: Annotated[Array, Shape("n", 3, 4)]  # x, y px and their velocities px/s

@@ -270,8 +270,9 @@ def _at(picture, x, y):
     y = min(max(y, _f4(0.0)), _f4(height - 1))
     column, row = max(min(np.int64(x), width - 2), 0), max(min(np.int64(y), height - 2), 0)
     right, down = x - _f4(column), y - _f4(row)
-    above = picture[row, column] + right * (picture[row, column + 1] - picture[row, column])
-    below = picture[row + 1, column] + right * (picture[row + 1, column + 1] - picture[row + 1, column])
+    after, next_row = min(column + 1, width - 1), min(row + 1, height - 1)
+    above = picture[row, column] + right * (picture[row, after] - picture[row, column])
+    below = picture[next_row, column] + right * (picture[next_row, after] - picture[next_row, column])
     return above + down * (below - above)
 
 

@@ -109,7 +109,7 @@ def place_row(texels, row, n, scale, corners, size, at, inside, rest_x, rest_y):
     ox, oy = texels.offsets[row, 0] * scale + shift, texels.offsets[row, 1] * scale + shift
     width = np.int32(size[1])
     right, bottom = _f4(size[1] - 1), _f4(size[0] - 1)
-    last = np.uint32((size[0] - 1) * size[1] - 2)  # whatever an overflow makes of positions
+    last = np.uint32(max((size[0] - 1) * size[1] - 2, 0))  # whatever an overflow makes of positions
     for g in range(n):
         x = wa * ax[g] + wb * bx[g] + wc * cx[g] + ox
         y = wa * ay[g] + wb * by[g] + wc * cy[g] + oy

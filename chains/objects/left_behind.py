@@ -8,8 +8,8 @@ E, which it showed before any object came:
 
 As A is known, a difference from E is seen that is too small to tell any colour from the ground. Parts that
 stay for longer than a foot stands in a step, and that no mask holds any more, are layers of their own until
-they show another colour. E follows the image where no object is, and A where it stays; E is known once it has
-been shown for as long, and longer than other colours since, so that it is no earlier object's.
+they show another colour. Where no object is, E follows the image; where A stays, A does. E is known once
+it has been shown for as long, and longer than other colours since, so that it is no earlier object's.
 """
 
 from dataclasses import dataclass
@@ -34,13 +34,14 @@ _f4 = np.float32
 
 NOISE = 30.0  # squared grey levels, of a colour about the one that it stays
 SURPRISE = 9.2  # squared distance over the noise that one in a hundred exceeds
+LEAST_RATIO = 0.5  # nats of a pixel, from which on it stays rather than that the object has left
 STAYS = 1.0  # s; a foot stands for .6 s in a step
 SURE = 2 * STAYS  # s for which E has been shown at most: another colour is the scene after as long
-SAME = 9  # grey levels, in each channel, that are no surprise
+SAME = 7  # grey levels: no difference of as much in each channel is a surprise
 BEGUN = 1e-3  # s, of what an object has just brought
 PATIENCE = 0.2  # s for which what stays may look otherwise
 BARE = 0.9  # probability that no mask holds a pixel, from which on it shows the scene
-SCENE_TIME, OWN_TIME = 1.0, 0.2  # s, time constants with which E and A follow the image
+SCENE_TIME, OWN_TIME = 1.0, 0.2  # s, time constants of E and A, which move by a grey level a frame at least
 COVER, COLOUR_VARIANCE, OUTLIERS = 0.9, 60.0, 0.1  # of the layers
 
 
@@ -59,7 +60,7 @@ class LeftBehind:
     @classmethod
     def nothing(cls, image: NDArray[np.uint8]) -> Self:
         """Return what is known when a scene begins with an image `(height, width[, channels])`."""
-        first = np.ascontiguousarray(image).reshape(*image.shape[:2], -1)
+        first = image.copy().reshape(*image.shape[:2], -1)
         return cls(first, first, np.zeros(first.shape[:2], np.float32), np.zeros(first.shape[:2], np.bool_))
 
     def after(
@@ -127,8 +128,8 @@ def follow(image, all_free, free, elapsed, shown, before, time):
     """
     channels = image.shape[2]
     pixels, own, empty, times = image.reshape(-1), shown.reshape(-1), before.reshape(-1), time.reshape(-1)
-    scene_share = np.int32(256 * (1 - np.exp(-elapsed / SCENE_TIME)))
-    own_share = np.int32(256 * (1 - np.exp(-elapsed / OWN_TIME)))
+    scene_share = np.int32(max(256 * (1 - np.exp(-elapsed / SCENE_TIME)), 1))
+    own_share = np.int32(max(256 * (1 - np.exp(-elapsed / OWN_TIME)), 1))
     open_, outside = all_free.reshape(-1), free.reshape(-1)
     for first in range(0, times.size, SPAN):
         end = min(first + SPAN, times.size)
@@ -144,7 +145,7 @@ def follow(image, all_free, free, elapsed, shown, before, time):
             left = _gap(pixels, empty, i, channels)
             if touched:
                 stay = _gap(pixels, own, i, channels)
-                if stay < _f4(SURPRISE * NOISE) and stay < left:
+                if stay < _f4(SURPRISE * NOISE) and left - stay > _f4(2 * NOISE * LEAST_RATIO):
                     times[i] = min(times[i] + _f4(elapsed), _f4(STAYS + PATIENCE))
                     _approach(own[here], pixels[here], own_share)
                 elif inside and times[i] < _f4(STAYS):

@@ -83,10 +83,12 @@ class BackgroundState:
     variance: OfPixels  # of the mean; see `Gaussians` for its steps
     noise: OfPixels  # of a single observation
     light: OfBlocks  # today's light relative to that of `mean`
-    covered: OfBlocks  # share of each block behind known objects
+    covered: OfBlocks  # share of each block behind known objects, or that mirrors them
     sway: OfBlocks  # how often its pixels show what is beside them, as leaves do
     shade: Annotated[Planes, Shape(3, "block_rows", "block_columns")]  # shares of blocks; see `shade_in`
-    mirror: Annotated[Planes, Shape(2, "block_columns")]  # shares of time; see `mirroring`
+    mirror: Annotated[
+        Planes, Shape(2, "block_columns")
+    ]  # shares of time with foreground, and an axis; see `mirroring`
     # colours that are neither background nor an object
     candidate: Annotated[NDArray[np.uint8], Shape("height * width * channels")]
     seen: OfPixels  # how much of the settling time they have lasted; see `SecondColours`
@@ -244,8 +246,10 @@ class AdaptiveBackground:
                 prediction.model, prediction.rounding, colour.to_pixels(channels), after, second, covered,
             )  # fmt: skip
         mirrored = prediction.mirrored(image)
-        if mirrored is not None:
-            covered |= mirrored  # it tells nothing of the light
+        if mirrored is not None:  # it tells nothing of the scene, and of its light
+            covered |= mirrored
+            for now, before in zip(after, prediction.pixels, strict=True):
+                now[..., mirrored > 0] = before[..., mirrored > 0]
         sway = update_rates(
             prediction.sway, flat, prediction.pixels, light, subtraction.log_odds, covered, state.age,
             state.elapsed,

@@ -1,4 +1,4 @@
-"""Loops over pixels of a surface that mirrors what is above: floors, tables, water.
+"""Loops over specular reflections on horizontal surfaces: floors, tables, water.
 
 Where an object stands on or behind such a surface, a pixel shows the scene and a share of the object in place
 of what it mirrors otherwise: the difference from the scene is that of the pixel as far above an axis as this

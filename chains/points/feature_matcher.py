@@ -550,5 +550,5 @@ class FeatureMatcher:
             else sample_patches(grey, each.positions, side)
             for grey, each in zip(greys, pictures, strict=True)
         ]
-        areas = np.array([1.0 if grey is None else grey.size for grey in greys])
+        areas = np.array([1 if grey is None else grey.size for grey in greys], np.float64)
         return FeatureTracks.of(pictures, patches, areas, self.n_points)

@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from ...inference import kalman
 from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ...inference.kalman import STATE, PointStates
-from ...models.core.checks import NO_NAN, Count, CountFrom0, NotNegative, Positive, Shape, checked
+from ...models.core.checks import NO_NAN, Count, CountFrom0, NotNegativeOrInfinite, Positive, Shape, checked
 from ...models.core.frame import Frame, GivenPoints
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.identities import places_of
@@ -150,7 +150,7 @@ class TrackerState:
     next_identity: CountFrom0  # of the next new point: none is used twice
     acceleration: Positive  # px^2/s^3, spectral density of the white acceleration of each coordinate
     max_position_std: Positive  # px, standard deviation of a position from which a point is lost
-    since_corner_search: NotNegative  # s since corners were sought
+    since_corner_search: NotNegativeOrInfinite  # s since corners were sought
     view: View | None  # the last picture, or points given for it, and what was found there
 
     def require_fit(self) -> None:

@@ -247,7 +247,7 @@ def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Size
     for name, part in record.items():
         below = _below(place, name)
         values[name] = value = _decode(content[name], part, arrays, below, sizes)
-        if not isinstance(part, Mapping):
+        if not isinstance(part, Mapping) and part is not float:  # which may be infinite
             _check(check_of(part), value, below, inside)
     made = build(**values)
     if sizes is not None and hasattr(made, "require_fit"):
@@ -259,11 +259,14 @@ def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Size
 
 
 def _of_type(array: NDArray[Any], inner: tuple[Any, ...], place: str) -> NDArray[Any]:
-    """The array, if it is of the type that `NDArray[type]` declares: loops are compiled for that."""
-    (declared,) = get_args(inner[1]) or (Any,)
-    if not isinstance(declared, type) or issubclass(array.dtype.type, declared):
+    """The array as loops are compiled for, if it is of the type that `NDArray[type]` declares."""
+    declared = (*(get_args(inner[-1]) if inner else ()), Any)[0]
+    if declared is Any or not isinstance(declared, type):
         return array
-    if declared is np.float64 and array.dtype == np.float32:  # as users may give points
+    array = array.astype(array.dtype.newbyteorder("="), order="C", copy=False)
+    if issubclass(array.dtype.type, declared):
+        return array
+    if declared is np.float64 and array.dtype.kind in "iuf":  # as users may give points
         return array
     raise ValueError(f"{place}: got an array of {array.dtype}, expected {declared.__name__}")
 

@@ -65,6 +65,7 @@ NotNegative = Annotated[float, at_least(0)]
 Probability = Annotated[float, Bound(lambda value: 0 < value < 1, "a probability between 0 and 1")]
 Share = Annotated[float, Bound(lambda value: 0 < value < 1, "a share between 0 and 1")]
 PositiveOrInfinite = Annotated[float, UNBOUNDED, POSITIVE]
+NotNegativeOrInfinite = Annotated[float, UNBOUNDED, at_least(0)]
 Count = Annotated[int, at_least(1)]
 CountFrom0 = Annotated[int, at_least(0)]
 

@@ -206,7 +206,7 @@ def test_results_are_not_written_into_the_source(
         words = "which is the source or lies in it"
         assert words in complaint(capfd, "background", folder, "--out", out, "--overwrite")
         assert words in complaint(capfd, "body", folder, "--out", out, "--overwrite")
-        for pattern in (folder / "*.jpg", tmp_path / "in*" / "*", tmp_path / "**" / "*.png"):
+        for pattern in (folder / "*.p*", tmp_path / "in*" / "*", tmp_path / "**" / "*.png"):
             assert words in complaint(capfd, "background", pattern, "--out", out, "--overwrite")
     assert names(folder) == before
 

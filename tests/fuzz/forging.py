@@ -31,7 +31,7 @@ PLAIN = (
 )
 FLOATS = (0.0, -1.0, 1.0, 0.5, 1e-320, 1e-30, -1e7, 1e15, 1e30, -1e300, np.nan, np.inf, -np.inf)
 WHOLE = (0, -1, 1, 2, 3, 127, 255, 256, 32767, 65535, 2**31 - 1, -(2**31), 2**32, 2**62, 2**63 - 1, -(2**63))
-TYPES = ("f8", "f4", "i8", "i4", "u1", "i1", "u8", "?", "c16", "U3", "S5")
+TYPES = (">f8", ">i4", "f8", "f4", "i8", "i4", "u1", "i1", "u8", "?", "c16", "U3", "S5")
 LARGEST = 1 << 16  # numbers of an array that grew
 
 
@@ -83,14 +83,10 @@ def _change_json(values: dict[str, Any], random: Random) -> None:
         holder[_one(("", "x", "0", "-1", "9" * 30), random)] = holder[key]
     elif kind < 0.5:
         other, where = _one(places, random)
-        if other is holder or not isinstance(other[where] if where in _keys(other) else None, dict | list):
-            holder[key] = other[where] if where in _keys(other) else None
+        if other is holder or not isinstance(other[where], dict | list):
+            holder[key] = other[where]
     else:
         holder[key] = _one(PLAIN, random)
-
-
-def _keys(holder: Any) -> Any:
-    return holder.keys() if isinstance(holder, dict) else range(len(holder))
 
 
 def _changed(array: NDArray[Any], others: list[NDArray[Any]], random: Random) -> NDArray[Any]:

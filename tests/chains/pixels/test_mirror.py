@@ -115,3 +115,20 @@ def test_a_reflection_belongs_to_nobody(seed: int, table: bool) -> None:
     person, reflection = np.mean(shares, axis=0)
     assert person > 0.97
     assert reflection < 0.3
+
+
+def test_the_background_learns_no_reflection() -> None:
+    """Somebody stands on a floor that mirrors half of him, and has left at the end; over four seeds."""
+    errors = []
+    for seed in range(4):
+        room = glossy(120, seed, (160, 120), enter=15, stand=40, share=0.5, noise=3.0, light_drift=0.0)
+        model = Model("room", "recursive-bp", room.size)
+        reflected, empty = np.zeros(room.size[::-1], bool), None
+        for index, frame in enumerate(room):
+            model.step(frame)
+            reflected |= room.reflection(index)
+            if index == 10:
+                empty = model.background().astype(float)
+        assert empty is not None
+        errors.append(np.abs(model.background() - empty)[reflected].mean())
+    assert np.mean(errors) < 3, errors
