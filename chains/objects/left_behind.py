@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from ...models.core.checks import Shape
 from ...models.core.short_repr import short_repr
-from ...models.numerics.compiled import compiled, inlined
+from ...models.numerics.compiled import compiled
 from ...models.pixels.background import SPAN
-from ...models.pixels.colour import planes_of, to_planes
+from ...models.pixels.colour import colour_gap, to_planes
 from ...models.pixels.layers import NO_LAYERS, Layer, LayerStack
 from .blob_records import THINNEST, corner_of, cover_by
 
@@ -99,18 +99,6 @@ class LeftBehind:
         return LayerStack([Layer(top, left, mask, planes, COLOUR_VARIANCE, OUTLIERS)])
 
 
-@inlined
-def _gap(pixels, others, i, channels):
-    """Squared distance of pixel `i` of two pictures, in the planes of colours."""
-    k = channels * i
-    if channels == 1:
-        d0 = _f4(pixels[k]) - _f4(others[k])
-        return d0 * d0
-    blue, green = _f4(pixels[k]) - _f4(others[k]), _f4(pixels[k + 1]) - _f4(others[k + 1])
-    d0, d1, d2 = planes_of(blue, green, _f4(pixels[k + 2]) - _f4(others[k + 2]))
-    return d0 * d0 + d1 * d1 + d2 * d2
-
-
 @compiled
 def _approach(known, seen, share):
     """Let numbers come nearer to what is seen: by `share` 256ths of the difference, a grey level or more."""
@@ -142,9 +130,9 @@ def follow(image, all_free, free, elapsed, shown, before, time):
         for i in range(first, end):
             here = slice(channels * i, channels * (i + 1))
             inside, touched = outside[i] < _f4(0.5), times[i] > _f4(0)
-            left = _gap(pixels, empty, i, channels)
+            left = colour_gap(pixels, empty, i, channels)
             if touched:
-                stay = _gap(pixels, own, i, channels)
+                stay = colour_gap(pixels, own, i, channels)
                 if stay < _f4(SURPRISE * NOISE) and left - stay > _f4(2 * NOISE * LEAST_RATIO):
                     times[i] = min(times[i] + _f4(elapsed), _f4(STAYS + PATIENCE))
                     _approach(own[here], pixels[here], own_share)

@@ -111,7 +111,7 @@ def find_axes(pixels, before, light_field, model, log_odds, axes, shares, seen):
             for row in range(twice // 2 + 1, rows):
                 below += foreground[column, row]
         shares[block] = _f4(best + 1) / _f4(SHARES)
-        if top > max(_f4(LEAST) * below, _f4(0)) and shares[block] < _f4(MOST_SHARE):
+        if top > _f4(LEAST) * below and shares[block] < _f4(MOST_SHARE):
             axes[block], seen[1, block] = twice * step + 2 * (step // 2), 1
 
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.numerics.compiled import compiled, exponential, inlined, logarithm
+from ...models.numerics.compiled import compiled, exponential, logarithm
 from ...models.pixels.background import ODDS_STEPS, SPAN, foreground_spans
-from ...models.pixels.colour import planes_of
+from ...models.pixels.colour import colour_gap, planes_of
 from .gaussians import (
     HIGHEST_NOISE,
     HIGHEST_VARIANCE,
@@ -54,20 +54,6 @@ class Settling(NamedTuple):
     least: int  # the least time
     variance: np.float32  # that it has then
     unsure_variance: np.float32  # a mean of more gives way earlier
-
-
-@inlined
-def colour_gap(pixels, candidate, i, channels):
-    """Return the squared distance in the planes of pixel `i` of a picture and of the candidates."""
-    k = channels * i
-    if channels == 1:
-        d0 = _f4(pixels[k]) - _f4(candidate[k])
-        return d0 * d0
-    b = _f4(pixels[k]) - _f4(candidate[k])
-    g = _f4(pixels[k + 1]) - _f4(candidate[k + 1])
-    r = _f4(pixels[k + 2]) - _f4(candidate[k + 2])
-    d0, d1, d2 = planes_of(b, g, r)
-    return d0 * d0 + d1 * d1 + d2 * d2
 
 
 @compiled

@@ -31,6 +31,20 @@ def planes_of(blue, green, red):
     return luma, _f4(1.426) * (r - luma), _f4(1.128) * (b - luma)
 
 
+@inlined
+def colour_gap(pixels, others, i, channels):
+    """Return the squared distance in the planes of pixel `i` of two pictures, whose channels are in a row."""
+    k = channels * i
+    if channels == 1:
+        d0 = _f4(pixels[k]) - _f4(others[k])
+        return d0 * d0
+    b = _f4(pixels[k]) - _f4(others[k])
+    g = _f4(pixels[k + 1]) - _f4(others[k + 1])
+    r = _f4(pixels[k + 2]) - _f4(others[k + 2])
+    d0, d1, d2 = planes_of(b, g, r)
+    return d0 * d0 + d1 * d1 + d2 * d2
+
+
 @compiled
 def _planes_of_colour(pixels, out):
     for i in range(out.shape[1]):
