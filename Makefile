@@ -32,7 +32,7 @@ help:
 	@echo "make constraints            choose the newest versions to be the tested ones"
 	@echo "make bench                  speed beside peers, and cost as curves: ten minutes on a quiet machine"
 	@echo "make reproduce              all experiments: hours"
-	@echo "make results                docs/results.md, pictures, and figures of README, from what was recorded"
+	@echo "make results                docs/results.md, pictures, and figures of README, from what was recorded; needs Chromium"
 	@echo "make fuzz                   damaged inputs for every reader: 100,000 in about twenty minutes, 12,000 of them states"
 	@echo "make dist                   source distribution and wheel of what is committed, in dist/"
 	@echo "make clean                  remove everything that make made, .venv too"
@@ -88,11 +88,12 @@ reproduce: $(INSTALLED)
 	for name in $$($(BIN)/python -c 'from rsmcm.apps.experiments import EXPERIMENTS; print(*EXPERIMENTS)'); \
 		do $(BIN)/rsmcm reproduce $$name || exit 1; done
 
-results: $(INSTALLED)
+results: $(TEST)
 	$(BIN)/python -m rsmcm.apps.experiments.results
 	$(BIN)/python docs/pictures/figures.py
 	$(BIN)/python docs/pictures/street.py
 	$(BIN)/python docs/pictures/tutorial.py
+	$(BIN)/python docs/pictures/pages.py
 
 fuzz: $(TEST)
 	$(BIN)/python -m tests.fuzz
