@@ -1,7 +1,7 @@
 """Draw what pages of the documentation show at their tops: python docs/pictures/pages.py.
 
-Pages of runs are drawn by Chromium, as they look after commands of the documentation. Others are what an example
-of the gallery draws.
+Most are pages of runs in Chromium, after commands of the documentation; the others are drawn by examples
+of the gallery.
 """
 
 import re
