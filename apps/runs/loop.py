@@ -395,7 +395,13 @@ class _FilmRun:
         saved = self._saved()
         after = 0 if saved is None else saved.number
         with open_source(
-            job.source, job.start, job.stop, job.step, after=after, reconnect=job.reconnect
+            job.source,
+            job.start,
+            job.stop,
+            job.step,
+            after=after,
+            reconnect=job.reconnect,
+            fits=lambda source: check_memory(source.name, source.size, *application.bytes_needed(source)),
         ) as source:
             session.fingerprint = source.fingerprint()
             if job.resume and source.live:
@@ -410,7 +416,6 @@ class _FilmRun:
                     return session.outcome(summary, words_of(saved.path, summary, application.in_words))
                 session.earlier_seconds = saved.about["seconds"]
                 session.notes.extend(saved.about["notes"])
-            check_memory(source.name, source.size, *application.bytes_needed(source))
             learned = None
             if saved is None and job.learned is not None:
                 learned = SavedRun(job.learned, application.name)

@@ -27,7 +27,7 @@ from ..exports.colmap import FILES as COLMAP_FILES
 from ..exports.colmap import write_colmap
 from ..io.files import write_json
 from ..io.point_files import frames_of_tracks, read_track_file
-from ..io.sources.open_source import DEFAULT_RATE, Selection, open_source
+from ..io.sources.open_source import DEFAULT_RATE, Selection, Source, open_source
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.loop import run_film
 from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, STRUCTURE_POINTS, check_memory
@@ -294,14 +294,16 @@ def _tracks(job: StructureJob) -> Film:
 
 
 def _images(job: StructureJob) -> Film:
-    with open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect) as source:
+    def fits(source: Source) -> None:
+        n_frames = source.n_frames or job.stop or 1
+        per_pixel = STRUCTURE + n_frames * STRUCTURE_FRAME
+        check_memory(source.name, source.size, per_pixel, n_frames * STRUCTURE_POINTS)
+
+    with open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect, fits=fits) as source:
         if source.live and job.resume:
             raise ValueError(f"--resume: {source.name} is live and cannot be read again")
         if source.live and job.stop is None:
             raise ValueError(f"{source.name}: has no end, expected one, or --stop")
-        n_frames = source.n_frames or job.stop or 1
-        per_pixel = STRUCTURE + n_frames * STRUCTURE_FRAME
-        check_memory(source.name, source.size, per_pixel, n_frames * STRUCTURE_POINTS)
         frames = []
         with Progress("reading", source.n_frames) as progress:
             for frame in source:

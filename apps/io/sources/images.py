@@ -92,6 +92,15 @@ def _is_small_enough(data: bytes, path: Path) -> bool:
     return True
 
 
+def _header_size(path: Path) -> tuple[int, int]:
+    """`(width, height)` px as stored, not yet turned upright; 0 if the header cannot be read."""
+    try:
+        with Image.open(path, formats=_FORMATS) as picture:
+            return picture.size
+    except Exception:  # Pillow's readers raise whatever a damaged header leads to
+        return (0, 0)
+
+
 def _has_its_end(data: bytes) -> bool:
     """Tell whether a JPEG has its end; other data pass.
 
@@ -143,6 +152,7 @@ class ImageReader(Reader):
         if not (math.isfinite(self.rate) and self.rate > 0):
             raise ValueError(f"{source}: got {self.rate} frames per second, expected more than 0")
         self.pictures = [path.name for path in files]
+        self.header_size = _header_size(files[0])
         self._files = files
 
     def frames(self, selection: Selection, _stopping: threading.Event) -> Iterator[Frame]:

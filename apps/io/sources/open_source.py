@@ -45,6 +45,8 @@ class Source:
         opens the reader of the frames.
     selection
         selected frames.
+    fits
+        is called with the source, once its size is known, and raises a ValueError if that is too large.
 
     Attributes
     ----------
@@ -73,7 +75,9 @@ class Source:
         why a camera or stream was lost permanently; otherwise `None`.
     """
 
-    def __init__(self, open_reader: Callable[[], Reader], selection: Selection) -> None:
+    def __init__(
+        self, open_reader: Callable[[], Reader], selection: Selection, fits: "Callable[[Source], None] | None"
+    ) -> None:
         self.skipped: list[int] = []
         self.truncated = False
         self.lost: str | None = None
@@ -81,6 +85,7 @@ class Source:
         self._stopping = threading.Event()
         self._queue = FrameQueue(DECODE_AHEAD)
         self._ended = False
+        self._fits = fits
         self._reader: Reader
         self._decoded: deque[Frame] = deque()
         self._thread = threading.Thread(
@@ -99,18 +104,12 @@ class Source:
         if isinstance(item, Exception):
             raise item
         reader = self._reader
-        self.name = reader.name
-        self.kind = reader.kind
-        self.live = reader.live
-        self.rate = reader.rate
-        self.size = reader.header_size
-        self.pictures = reader.pictures
-        self.counted = reader.counted
-        self.n_frames = None if reader.total is None else len(selection.numbers(reader.total))
         while isinstance(item, Frame):
             self._decoded.append(item)
             if item.image is not None:
                 self.size = (item.image.shape[1], item.image.shape[0])
+                if self._fits is not None and math.prod(self.size) > math.prod(reader.header_size):
+                    self._fits(self)
                 return
             item = self._queue.get()
         if item is not None:
@@ -215,12 +214,26 @@ class Source:
             )
         return frame
 
+    def _describe(self, reader: Reader, selection: Selection) -> None:
+        """Take over what is known before a picture is decoded, and refuse what would be too large."""
+        self.name = reader.name
+        self.kind = reader.kind
+        self.live = reader.live
+        self.rate = reader.rate
+        self.size = reader.header_size
+        self.pictures = reader.pictures
+        self.counted = reader.counted
+        self.n_frames = None if reader.total is None else len(selection.numbers(reader.total))
+        if self._fits is not None and all(self.size):
+            self._fits(self)
+
     def _decode(self, open_reader: Callable[[], Reader], selection: Selection) -> None:
         outcome: Exception | None = None
         try:
             self._reader = reader = open_reader()
             put = self._queue.put_newest if reader.live else self._queue.put
             try:
+                self._describe(reader, selection)
                 for frame in reader.frames(selection, self._stopping):
                     put(frame)
                     if self._stopping.is_set():
@@ -241,6 +254,7 @@ def open_source(
     *,
     after: int = 0,
     reconnect: float | None = None,
+    fits: Callable[[Source], None] | None = None,
 ) -> Source:
     """Open a source of frames.
 
@@ -258,6 +272,9 @@ def open_source(
     reconnect
         seconds for which a lost camera or address is reconnected; default: not at all. A gap in a live source
         consists of missing frames; a file at an address loses nothing.
+    fits
+        is called with the source before its first picture is decoded if a header states the size, or else
+        with that picture; what it raises is raised here. For checks of the memory that a run would need.
 
     Raises
     ------
@@ -272,7 +289,7 @@ def open_source(
     selection, name = Selection(start, stop, step, after), str(source)
     if reconnect is not None and not 0 < reconnect < math.inf:
         raise ValueError(f"--reconnect: got {reconnect:g}, expected seconds, more than 0")
-    return Source(lambda: _open_reader(name, reconnect), selection)
+    return Source(lambda: _open_reader(name, reconnect), selection, fits)
 
 
 def fingerprint(source: str) -> dict[str, Any]:

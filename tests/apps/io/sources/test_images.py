@@ -4,8 +4,10 @@ import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -13,8 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
+from rsmcm.apps.io.sources import video_reader
 from rsmcm.apps.io.sources.images import IMAGE_SUFFIXES, SCALED, read_grey, read_image, to_8_bits
 from rsmcm.apps.io.sources.open_source import open_source
+from rsmcm.apps.runs import memory
 
 from ....conftest import Command
 
@@ -115,6 +119,10 @@ def jpeg() -> bytes:
     return bytes(data)
 
 
+def decoded(*_: object) -> None:
+    raise AssertionError("decoded")
+
+
 LARGE: dict[str, Callable[[], bytes]] = {
     ".png": lambda: png(25_000, 25_000),
     ".jpg": jpeg,
@@ -128,11 +136,34 @@ def test_large_pictures_are_refused_before_they_are_decoded(
 ) -> None:
     path = tmp_path / f"large{suffix}"
     path.write_bytes(LARGE[suffix]())
-
-    def decoded(*_: object) -> None:
-        raise AssertionError("decoded")
-
     monkeypatch.setattr(cv2, "imdecode", decoded)
     words = Command("background").complaint(capfd, path, "--out", tmp_path / "out")
     assert words.startswith(f"rsmcm: {path}: has more than 134217728 pixels")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["background", "structure", "face", "body"])
+@pytest.mark.parametrize("is_film", [False, True])
+def test_pictures_that_a_run_has_no_memory_for_are_refused_before_they_are_decoded(
+    name: str,
+    is_film: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    path = tmp_path / "large"
+    if is_film:
+        with av.open(str(path), "w", format="avi") as film:
+            stream = film.add_stream("mjpeg", rate=25, width=1200, height=900, pix_fmt="yuvj420p")
+            film.mux(stream.encode(av.VideoFrame(1200, 900, "yuvj420p")))
+            film.mux(stream.encode(None))
+    else:
+        path.mkdir()
+        for number in range(3):
+            (path / f"{number}.png").write_bytes(png(1200, 900))
+    monkeypatch.setattr(memory.psutil, "virtual_memory", lambda: SimpleNamespace(available=1_000_000))
+    monkeypatch.setattr(cv2, "imdecode", decoded)
+    monkeypatch.setattr(video_reader, "to_bgr", decoded)
+    words = Command(name).complaint(capfd, path, "--out", tmp_path / "out")
+    assert words.startswith(f"rsmcm: {path}: a run on 1200x900 px with these settings needs about")
     assert not (tmp_path / "out").exists()
