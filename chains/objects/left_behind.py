@@ -13,7 +13,7 @@ it has been shown for as long, and longer than other colours since, so that it i
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import cv2
 import numpy as np
@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from ...models.core.checks import Shape
 from ...models.core.short_repr import short_repr
-from ...models.numerics.compiled import compiled
-from ...models.pixels.background import SPAN
+from ...models.numerics.compiled import compiled, inlined, put
+from ...models.pixels.background import SPAN, foreground_spans
 from ...models.pixels.colour import colour_gap, to_planes
 from ...models.pixels.layers import NO_LAYERS, Layer, LayerStack
 from .blob_records import THINNEST, corner_of, cover_by
@@ -37,9 +37,9 @@ SURPRISE = 9.2  # squared distance over the noise that one in a hundred exceeds
 LEAST_RATIO = 0.5  # nats of a pixel, from which on it stays rather than that the object has left
 STAYS = 1.0  # s; a foot stands for .6 s in a step
 SURE = 2 * STAYS  # s for which E has been shown at most: another colour is the scene after as long
-SAME = 7  # grey levels: no difference of as much in each channel is a surprise
 BEGUN = 1e-3  # s, of what an object has just brought
 PATIENCE = 0.2  # s for which what stays may look otherwise
+BAND = 8  # rows of a picture whose covers are in the cache
 BARE = 0.9  # probability that no mask holds a pixel, from which on it shows the scene
 SCENE_TIME, OWN_TIME = 1.0, 0.2  # s, time constants of E and A, which move by a grey level a frame at least
 COVER, COLOUR_VARIANCE, OUTLIERS = 0.9, 60.0, 0.1  # of the layers
@@ -77,112 +77,133 @@ class LeftBehind:
         Of the `blobs`, those that `are_sure` `(n,)` may leave something behind; where there are `ghosts`,
         nothing has been. Parts have `least_area` px or more, and are no lines.
         """
-        shown, before, time = self.shown.copy(), self.before.copy(), self.time.copy()
-        all_free, free = np.ones((2, *time.shape), np.float32)
-        cover_by(all_free, 0, 0, blobs.table, blobs.pools)
-        sure = blobs.select(are_sure)
-        cover_by(free, 0, 0, sure.table, sure.pools)
-        follow(image, all_free, free, elapsed, shown, before, time)
-        forget(ghosts.table, image, before, time)
-        stays = (time >= STAYS) & (free > 0.7)
-        return type(self)(shown, before, time, _large_parts(stays, least_area))
+        known, stays = (self.shown, self.before, self.time), np.zeros(self.time.shape, np.bool_)
+        after: Any = [np.empty_like(each) for each in known]
+        flat, new_flat = (tuple(each.reshape(-1) for each in arrays) for arrays in (known, after))
+        sure = blobs.table[are_sure]
+        channels, spent = tuple(range(image.shape[2])), np.float32(elapsed)
+        follow(image, channels, blobs.table, sure, blobs.pools, spent, flat, new_flat, stays.reshape(-1))
+        forget(ghosts.table, image, *after[1:], stays)
+        return type(self)(*after, _large_parts(stays, least_area))
 
     def layers(self) -> LayerStack:
         """Return the parts that have been left behind as a layer."""
-        left, top, width, height = cv2.boundingRect(self.parts.view(np.uint8))
-        if not width:
-            return NO_LAYERS
-        window = np.s_[top : top + height, left : left + width]
+        rows, columns = window = _window(self.parts)
         shown = np.ascontiguousarray(self.shown[window])
-        planes = to_planes(shown if shown.shape[2] == 3 else shown[:, :, 0]).reshape(-1, height, width)
+        if not shown.size:
+            return NO_LAYERS
+        planes = to_planes(shown if shown.shape[2] == 3 else shown[:, :, 0]).reshape(-1, *shown.shape[:2])
         mask = np.float32(COVER) * self.parts[window]
-        return LayerStack([Layer(top, left, mask, planes, COLOUR_VARIANCE, OUTLIERS)])
+        return LayerStack([Layer(rows.start, columns.start, mask, planes, COLOUR_VARIANCE, OUTLIERS)])
+
+
+@inlined
+def _approached(known, seen, share):
+    """Return a number nearer to what is seen: by `share` 256ths, a grey level or more unless it is 0."""
+    apart = np.int32(np.int32(seen) - np.int32(known))
+    upwards = np.int32(255) if (apart > 0) & (share > 0) else np.int32(0)
+    return np.uint8(np.int32(known) + np.int32(np.int32(np.int32(apart * share) + upwards) >> np.int32(8)))
 
 
 @compiled
-def _approach(known, seen, share):
-    """Let numbers come nearer to what is seen: by `share` 256ths of the difference, a grey level or more."""
-    for k in range(known.size):
-        apart = np.int32(seen[k]) - np.int32(known[k])
-        known[k] += np.uint8((apart * share + np.int32(255) * np.int32(apart > 0)) >> np.int32(8))
+def follow(image, channels, blobs, sure, pools, elapsed, known, after, stays):
+    """Follow the colours of a picture, `elapsed` s after the last frame.
 
-
-@compiled
-def follow(image, all_free, free, elapsed, shown, before, time):
-    """Follow the colours of a picture, in place, `elapsed` s after the last frame.
-
-    `all_free` and `free` `(height, width)` are what all blobs, and those that may leave something behind,
-    leave free; the other arrays are of `LeftBehind`.
+    `channels` are the numbers of its channels as a tuple: how many there are is known when this is compiled.
+    `blobs` and `sure` are the tables of all blobs, and of those that may leave something behind. `known` and
+    `after` are `shown`, `before` and `time` of `LeftBehind` before and after the frame, each in one row; of
+    `stays`, in one row, too, what stays becomes true.
     """
-    channels = image.shape[2]
-    pixels, own, empty, times = image.reshape(-1), shown.reshape(-1), before.reshape(-1), time.reshape(-1)
-    scene_share = np.int32(max(256 * (1 - np.exp(-elapsed / SCENE_TIME)), 1))
-    own_share = np.int32(max(256 * (1 - np.exp(-elapsed / OWN_TIME)), 1))
-    open_, outside = all_free.reshape(-1), free.reshape(-1)
-    for first in range(0, times.size, SPAN):
-        end = min(first + SPAN, times.size)
-        span = slice(channels * first, channels * end)
-        if _is_bare(open_[first:end], times[first:end]) and _is_same(pixels[span], empty[span]):
-            _approach(empty[span], pixels[span], scene_share)
-            for i in range(first, end):
-                times[i] = max(times[i] - _f4(elapsed), _f4(-SURE))
-            continue
-        for i in range(first, end):
-            here = slice(channels * i, channels * (i + 1))
-            inside, touched = outside[i] < _f4(0.5), times[i] > _f4(0)
-            left = colour_gap(pixels, empty, i, channels)
-            if touched:
-                stay = colour_gap(pixels, own, i, channels)
-                if stay < _f4(SURPRISE * NOISE) and left - stay > _f4(2 * NOISE * LEAST_RATIO):
-                    times[i] = min(times[i] + _f4(elapsed), _f4(STAYS + PATIENCE))
-                    _approach(own[here], pixels[here], own_share)
-                elif inside and times[i] < _f4(STAYS):
-                    times[i] = _f4(BEGUN)
-                    own[here] = pixels[here]
+    height, width, _ = image.shape
+    free, signs = np.empty((2, BAND * width), np.float32), np.empty(BAND * width, np.int8)
+    spans = np.empty(signs.size // SPAN + 1, np.int64)
+    for top in range(0, height, BAND):
+        here = slice(top * width, min(top + BAND, height) * width)
+        colours, size = slice(len(channels) * here.start, len(channels) * here.stop), here.stop - here.start
+        free[:] = _f4(1)
+        cover_by(free[0, :size].reshape(-1, width), top, 0, blobs, pools)
+        cover_by(free[1, :size].reshape(-1, width), top, 0, sure, pools)
+        pixels, own, new_own = image.reshape(-1)[colours], known[0][colours], after[0][colours]
+        empty, new_empty, times, new_times = (
+            known[1][colours],
+            after[1][colours],
+            known[2][here],
+            after[2][here],
+        )
+        put(own, new_own)
+        _follow_scene(pixels, empty, times, elapsed, new_empty, new_times)
+        _follow_others(
+            channels, pixels, own, empty, times, free, elapsed, signs[:size], spans, new_own, new_empty,
+            new_times, stays[here],
+        )  # fmt: skip
+
+
+@inlined
+def _share(elapsed, time):
+    """The share of a difference that is followed, 256ths."""
+    return np.int32(max(256 * (1 - np.exp(-elapsed / time)), 1))
+
+
+@compiled
+def _follow_scene(pixels, empty, times, elapsed, new_empty, new_times):
+    """Follow the colours of pixels that show the scene."""
+    share = _share(elapsed, SCENE_TIME)
+    for k in range(pixels.size):
+        new_empty[k] = _approached(empty[k], pixels[k], share)
+    for i in range(times.size):
+        new_times[i] = max(times[i] - elapsed, _f4(-SURE))
+
+
+@compiled
+def _follow_others(
+    channels, pixels, own, empty, times, free, elapsed, signs, spans, new_own, new_empty, new_times, stays
+):
+    """Follow the colours of pixels that do not show the scene, or have been covered: their sign is -1."""
+    surprise = _f4(SURPRISE * NOISE)
+    for i in range(times.size):
+        strange = colour_gap(pixels, empty, i, len(channels)) >= surprise
+        held = (free[0, i] <= _f4(BARE)) | (times[i] > _f4(0))
+        signs[i] = np.int8(-1) if strange | held else np.int8(0)
+    scene_share, own_share = _share(elapsed, SCENE_TIME), _share(elapsed, OWN_TIME)
+    for span in range(foreground_spans(signs, spans)):
+        for i in range(spans[span], min(spans[span] + SPAN, times.size)):
+            if signs[i] == 0:
+                continue
+            left, inside, time = colour_gap(pixels, empty, i, len(channels)), free[1, i] < _f4(0.5), times[i]
+            own_rate, scene_rate = np.int32(0), np.int32(0)
+            if time > _f4(0):
+                stay = colour_gap(pixels, own, i, len(channels))
+                if stay < surprise and left - stay > _f4(2 * NOISE * LEAST_RATIO):
+                    time, own_rate = min(time + elapsed, _f4(STAYS + PATIENCE)), own_share
+                elif inside and time < _f4(STAYS):
+                    time, own_rate = _f4(BEGUN), np.int32(256)
                 elif not inside:
-                    times[i] -= _f4(elapsed)
-                    if times[i] < _f4(STAYS):
-                        times[i] = _f4(0)
-            elif inside and times[i] <= _f4(-STAYS):
-                times[i] = _f4(BEGUN)
-                own[here] = pixels[here]
-            elif open_[i] > _f4(BARE):
-                if left < _f4(SURPRISE * NOISE):
-                    times[i] = max(times[i] - _f4(elapsed), _f4(-SURE))
-                    _approach(empty[here], pixels[here], scene_share)
+                    time -= elapsed
+                    time = time if time >= _f4(STAYS) else _f4(0)
+            elif inside and time <= _f4(-STAYS):
+                time, own_rate = _f4(BEGUN), np.int32(256)
+            elif free[0, i] > _f4(BARE):
+                if left < surprise:
+                    time, scene_rate = max(time - elapsed, _f4(-SURE)), scene_share
                 else:
-                    times[i] = min(times[i] + _f4(elapsed), _f4(0))
-                    if times[i] == _f4(0):
-                        empty[here] = pixels[here]
+                    time = min(time + elapsed, _f4(0))
+                    scene_rate = np.int32(256) if time == _f4(0) else np.int32(0)
+            new_times[i], stays[i] = time, (time >= _f4(STAYS)) & (free[1, i] > _f4(0.7))
+            for channel in range(len(channels)):
+                k = len(channels) * i + channel
+                new_own[k] = _approached(own[k], pixels[k], own_rate)
+                new_empty[k] = _approached(empty[k], pixels[k], scene_rate)
 
 
 @compiled
-def _is_bare(open_, times):
-    """Whether no pixel of a span is held by a mask, or has been."""
-    held = 0
-    for i in range(open_.size):
-        held += np.int32(open_[i] <= _f4(BARE)) + np.int32(times[i] > _f4(0))
-    return held == 0
-
-
-@compiled
-def _is_same(seen, known):
-    """Whether all numbers of a span are what is known, but for noise."""
-    others = 0
-    for k in range(seen.size):
-        others += np.int32(abs(np.int32(seen[k]) - np.int32(known[k])) > np.int32(SAME))
-    return others == 0
-
-
-@compiled
-def forget(ghosts, image, before, time):
-    """Take, in place, what the patches of ghosts show for the scene; the arrays are of `LeftBehind`."""
+def forget(ghosts, image, before, time, stays):
+    """Take, in place, what the patches of ghosts show for the scene; see `follow` for the arrays."""
     height, width = time.shape
     for k in range(ghosts.size):
         top, left = corner_of(ghosts[k])
         for y in range(max(top, 0), min(top + ghosts[k].rows, height)):
             for x in range(max(left, 0), min(left + ghosts[k].columns, width)):
-                time[y, x] = _f4(0)
+                time[y, x], stays[y, x] = _f4(0), False
                 for channel in range(image.shape[2]):
                     before[y, x, channel] = image[y, x, channel]
 
@@ -190,15 +211,23 @@ def forget(ghosts, image, before, time):
 def _large_parts(stays: NDArray[np.bool_], least_area: float) -> NDArray[np.bool_]:
     """Pixels `(height, width)` of connected parts that are large and thick enough for an object."""
     parts = np.zeros_like(stays)
-    left, top, width, height = cv2.boundingRect(stays.view(np.uint8))
-    if not width:
+    window = _window(stays)
+    rough = stays[window]
+    if not rough.size:
         return parts
-    window = np.s_[top : top + height, left : left + width]
-    rough = np.ascontiguousarray(stays[window]).view(np.uint8)
-    smooth = cv2.morphologyEx(rough, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    _, labels, boxes, _ = cv2.connectedComponentsWithStats(smooth, connectivity=8)
+    smooth = cv2.morphologyEx(rough.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    within = _window(smooth)
+    if not smooth[within].size:
+        return parts
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats(smooth[within], connectivity=8)
     lengths = boxes[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
     large = boxes[:, cv2.CC_STAT_AREA] >= np.maximum(least_area, THINNEST * lengths**2)
     large[0] = False
-    parts[window] = large[labels]
+    parts[window][within] = large[labels]
     return parts
+
+
+def _window(mask: NDArray[Any]) -> tuple[slice, slice]:
+    """Return the rows and columns of a mask of bytes in which it is not 0."""
+    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
+    return np.s_[top : top + height, left : left + width]
