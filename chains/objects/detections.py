@@ -8,7 +8,7 @@ Of an object j with its blob at x_j and its box d_j within that, which exists (e
     p(j found | e_j, n_j) = its visible share, times NOTICED or UNNOTICED
 
 Existence and association are those of joint integrated probabilistic data association (D. Musicki, R. Evans,
-2004), with marginals by belief propagation (see `models.objects.object_boxes`). We depart in what a box of
+2004), with marginals by belief propagation (see `models.objects.association`). We depart in what a box of
 uncertain origin does: the mean of the log likelihood over assignments updates place and size, which does not
 widen them, and keeps objects that are close to each other apart better than the mixture's mean does.
 """

@@ -10,8 +10,8 @@ from rsmcm.chains.objects.detector_rates import APART, ASSUMED, CHANCE, SINCE, T
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.inference.engine.recursive_bp import Belief
 from rsmcm.models import Frame, GivenBoxes, ObjectBoxes, PixelLabels
+from rsmcm.models.objects.association import associate
 from rsmcm.models.objects.box_message import Association, BoxMessage, LogOdds
-from rsmcm.models.objects.object_boxes import associate
 
 Numbers = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.objects.object_boxes import assignment_marginals
+from rsmcm.models.objects.association import assignment_marginals
 
 Numbers = NDArray[np.float64]
 

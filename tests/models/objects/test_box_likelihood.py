@@ -11,16 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models import Frame, GivenBoxes, ObjectBoxes
 from rsmcm.models.core.gaussian_message import GaussianMessage
-from rsmcm.models.objects.box_message import (
-    BoxDetector,
-    BoxMessage,
-    ErrorPlaces,
-    Errors,
-    LogOdds,
-    Newcomers,
-    Scores,
-)
-from rsmcm.models.objects.object_boxes import (
+from rsmcm.models.objects.association import (
     BEHIND,
     DOUBLE,
     DOUBLE_SIZE,
@@ -31,6 +22,15 @@ from rsmcm.models.objects.object_boxes import (
     associate,
     log_anywhere,
     visible_share,
+)
+from rsmcm.models.objects.box_message import (
+    BoxDetector,
+    BoxMessage,
+    ErrorPlaces,
+    Errors,
+    LogOdds,
+    Newcomers,
+    Scores,
 )
 from scipy.special import expit
 from scipy.stats import multivariate_normal, norm
