@@ -129,10 +129,12 @@ class FleshTracker:
         """Return the predicted positions under each hypothesis (mu_{X -> F}), which integrate to 1.
 
         Each part is a mixture of its prediction and the prior of lost parts. Weights are flattened: both
-        chains have seen the same images, and their product would count these again in every frame.
+        chains have seen the same images, and their product would count these again in every frame. Nothing is
+        said of the hands of bare arms, which the tracker does not tell from elbows.
         """
         state = within_reach(state, self._lost_parts(state)).with_exchanges(EXCHANGE_TIME)
         lost, trust = self._lost_parts(state), MOST_TRUST * state.trust
+        trust[:, HANDS] *= 1 - feature.bare
         shares = np.log(np.maximum(np.stack([trust, 1 - trust], axis=2), LEAST_PROBABILITY)).reshape(-1, 2)
         means, covariances = (
             np.stack(both, axis=2).reshape(*shares.shape, *both[0].shape[2:])

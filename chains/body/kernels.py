@@ -480,11 +480,11 @@ def arm_terms(joints, arms, scales, points, weights, torso, missing, out):
 
     Before the trunk, whose clothes are those of the arms, nothing is told.
 
-    `joints` `(n, 8, 2)` px; `arms`: map of the log odds of an arm's colour; `scales` `(2,)` are its entries a
-    px; `points`, `weights` `(2, k)` and `(2,)`: places on upper arm and forearm as shares of their length,
-    and what each counts; `torso` `(3,)`: share of the shoulders' distance that the trunk is broad, how far
-    above the shoulders it reaches in that distance, and px over which its border is blurred; `missing`:
-    chance that an arm does not look like that.
+    `joints` `(n, 8, 2)` px; `arms`: map of the log odds of a sleeve's colour; `scales` `(2,)` are its entries
+    a px; `points`, `weights` `(2, k)`: places on upper arm and forearm as shares of their length, and what
+    each counts; `torso` `(3,)`: share of the shoulders' distance that the trunk is broad, how far above the
+    shoulders it reaches in that distance, and px over which its border is blurred; `missing`: chance that an
+    arm does not look like that.
     """
     broad, above, blur = _f4(torso[0]), _f4(torso[1]), _f4(torso[2])
     across, down, hidden = _f4(scales[0]), _f4(scales[1]), _f4(missing)
@@ -510,7 +510,7 @@ def arm_terms(joints, arms, scales, points, weights, torso, missing, out):
                     row = (here_y + _f4(0.5)) * down - _f4(0.5)
                     odds = _at(arms, column, row) / (_f4(1.0) + exponential(-outside))
                     odds *= _in_picture(column, row, arms, blur * across)
-                    total += _f4(weights[part]) * _seen_or_not(odds, hidden)
+                    total += _f4(weights[part, j]) * _seen_or_not(odds, hidden)
         out[k] += total
 
 

@@ -158,6 +158,10 @@ ARM_POINTS = np.array([[0.25, 0.5, 0.75, 1.0], [0.2, 0.4, 0.6, 0.75]])
 ARM_WEIGHTS = np.array([0.25, 0.5])
 """Weight of the colour of each: neighbours are correlated, and upper arms are mostly known anyway."""
 
+BARE_POINTS = np.array([[0, 0, 1, 1], [1, 1, 1, 1]])
+"""Those below a short sleeve, which ends halfway to the elbow: their skin is told by the terms of skin, and
+would draw upper arms to hands if it counted here."""
+
 TRUNK, TRUNK_BLUR = (0.45, 0.12), 0.05
 """Shoulder widths: half the width of the trunk, and its height above the shoulders; head heights over which
 its border is blurred."""
@@ -252,8 +256,9 @@ class ImageLikelihood:
             terms[2] = image.keypoints.log_ratios(body, joints)
         if image.arms is not None:
             torso = np.array([*TRUNK, TRUNK_BLUR * body.head_height])
+            weights = ARM_WEIGHTS[:, None] * (1 - image.bare * BARE_POINTS)
             arm_terms(
-                joints, image.arms, _scales(image.arms, image), ARM_POINTS, ARM_WEIGHTS, torso, NO_SLEEVE,
+                joints, image.arms, _scales(image.arms, image), ARM_POINTS, weights, torso, NO_SLEEVE,
                 terms[3],
             )  # fmt: skip
         return terms

@@ -184,7 +184,7 @@ class BodyImage:
     mixtures: GaussianMixtures  # evidence phi(I, F) of head and hands by faces, blobs and key points
     keypoints: SeenKeypoints | None = None  # detected points of this body, if any
     bare: float = 0.0  # probability that forearms are bare
-    # nats: log odds of an arm's colour, half as large as the image; `None` without known clothes
+    # nats: log odds of a sleeve's colour, half as large as the image; `None` without known clothes
     arms: Annotated[NDArray[np.float32], Shape(None, None)] | None = None
     # px: ellipses of detected faces, centre x, y and half axes
     faces: Annotated[NDArray[np.float64], Shape(None, 4)] = field(default_factory=lambda: np.zeros((0, 4)))

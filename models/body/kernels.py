@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..numerics.compiled import compiled, exponential, helper, logarithm
+from ..numerics.compiled import compiled, exponential, helper
 
 _QUARTER = np.pi / 2
 
@@ -280,11 +280,3 @@ def look_up_colours(luma_red_blue, table, out):
     for i in range(out.size):
         luma, red, blue = luma_red_blue[i, 0], luma_red_blue[i, 1], luma_red_blue[i, 2]
         out[i] = table[(np.int32(luma >> 5) << 12) | (np.int32(red >> 2) << 6) | np.int32(blue >> 2)]
-
-
-@compiled
-def blended(odds, others, own, other):
-    """Replace log odds `odds` `(n,)` float32 by those of a mixture with `others` `(n,)`, by their shares."""
-    own, other = _f4(own), _f4(other)
-    for k in range(len(odds)):
-        odds[k] = logarithm(own * exponential(odds[k]) + other * exponential(others[k]))

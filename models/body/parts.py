@@ -268,7 +268,7 @@ class BodyParts:
             skin = self.skin.log_odds_of(colours)
             blobs = skin_blobs(self._moving(skin, ellipses[0]), radius, np.concatenate(ellipses))
             rate += min(float(expit(blobs.log_weights).sum()), 2.0) / 2
-            arms.append(self.clothes.arm_map(colours, height, skin, self.bare))
+            arms.append(self.clothes.arm_map(colours, height))
         missing = 1 - (rate + 0.5) / (len(images) + 1)  # Jeffreys' prior
         prior = np.log(HAND_DETECTED / FALSE_HANDS * missing / (1 - missing))
         arm = cv2.resize(np.mean(arms, axis=0), self.static_skin.shape[::-1])
@@ -324,7 +324,7 @@ class BodyParts:
         works: list[Callable[[], Any]] = [
             partial(self._faces, frame, known_head),
             partial(edge_distances, image, EDGE_REACH * height),
-            partial(self._arms, colours, skin),
+            partial(self._arms, colours),
         ]
         faces, (edges, directions), arms = side_by_side(works)
         centres = faces[:, :2] + faces[:, 2:] * (0.5, CENTRE_OF_BOX)
@@ -403,12 +403,10 @@ class BodyParts:
             cv2.ellipse(still, ((x, y), (2 * across, 2 * down), 0.0), 0.0, cv2.FILLED)
         return np.asarray(np.maximum(skin - still, np.float32(-HIGHEST)))
 
-    def _arms(
-        self, colours: NDArray[np.uint8] | None, skin: NDArray[np.float32] | None
-    ) -> NDArray[np.float32] | None:
-        if self.clothes is None or colours is None or skin is None:
+    def _arms(self, colours: NDArray[np.uint8] | None) -> NDArray[np.float32] | None:
+        if self.clothes is None or colours is None:
             return None
-        return self.clothes.arm_map(colours, self.head_height, skin, self.bare)
+        return self.clothes.arm_map(colours, self.head_height)
 
     def _known_head(self, prior: PartMessage, shape: tuple[int, ...]) -> Array:
         """`(k, 2)` px: the head's centre predicted by the chains; k is 0 where they are uncertain."""

@@ -11,7 +11,6 @@ from scipy.special import expit
 
 from ..core.checks import Count, Positive, Shape
 from ..core.short_repr import short_repr
-from .kernels import blended
 from .skin import N_BINS, SkinColour, count_colours, has_colour, log_count_ratio, look_up
 
 Array = NDArray[np.float64]
@@ -147,15 +146,12 @@ class ClothesColour:
             return None
         return cls(log_count_ratio(on, off))
 
-    def arm_map(self, colours: Image, head_height: float, skin: Map, bare: float) -> Map:
-        """Return the log odds of an arm against background, half as large as the image and smoothed.
+    def arm_map(self, colours: Image, head_height: float) -> Map:
+        """Return the log odds of a sleeve against background, half as large as the image and smoothed.
 
-        `colours` `(height, width, 3)` uint8: the `smoothed` image; `head_height`: px; `skin`
-        `(height, width)` nats: log odds of skin in it; `bare`: probability that arms are bare.
+        `colours` `(height, width, 3)` uint8: the `smoothed` image; `head_height`: px.
         """
         odds = look_up(self.table, colours)
-        if bare > 0:
-            blended(odds.reshape(-1), skin.reshape(-1), 1 - min(bare, 0.999), bare)
         half = cv2.resize(odds, None, fx=SHRINK, fy=SHRINK, interpolation=cv2.INTER_AREA)
         return np.asarray(cv2.GaussianBlur(half, (0, 0), BLUR * SHRINK * head_height), np.float32)
 

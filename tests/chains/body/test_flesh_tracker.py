@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from rsmcm.chains.body.flesh_assignment import MovingParts
-from rsmcm.chains.body.flesh_state import HEAD, LEFT, RIGHT, FleshTracks
+from rsmcm.chains.body.flesh_state import HANDS, HEAD, LEFT, RIGHT, FleshTracks
 from rsmcm.chains.body.flesh_tracker import FleshTracker
 from rsmcm.inference import Incoming
 from rsmcm.models.body.image_features import BodyImage
@@ -198,7 +198,7 @@ def test_hands_that_met_may_be_exchanged_until_somebody_knows() -> None:
     last = states[-1]
     upper_left = np.stack([CENTRE, *ways[-1]])
     assert 0.2 < exchanged(last, upper_left) < 0.8
-    message = TRACKER.message(last, None, Incoming({}))
+    message = TRACKER.message(last, BodyParts(HEIGHT), Incoming({}))
     both = message.log_values(np.stack([upper_left, upper_left[[HEAD, RIGHT, LEFT]]]))
     assert np.abs(both[0] - both[1]) < 2
     for upper, lower in ((LEFT, RIGHT), (RIGHT, LEFT)):
@@ -300,8 +300,25 @@ def test_covariances_stay_positive_definite_and_messages_integrate_to_one(seed: 
         assert ((state.visible >= 0) & (state.visible <= 1)).all()
         assert ((state.clutter.existence >= 0) & (state.clutter.existence < 1)).all()
         assert state.weights.sum() == pytest.approx(1, abs=1e-9)
-        message = TRACKER.message(state, None, Incoming({}))
+        message = TRACKER.message(state, BodyParts(HEIGHT), Incoming({}))
         assert message.log_mass == pytest.approx(0, abs=1e-5)
+
+
+def test_of_bare_arms_the_head_is_told_but_no_hand() -> None:
+    """Messages about hands are those of lost ones; with half a probability, they say half as much."""
+    state = TRACKER.predict(followed([seen(REST, faces=[0])] * 10, standing())[-1], DT)
+    peaks = [
+        np.exp(
+            TRACKER.message(state, BodyParts(HEIGHT, bare=bare), Incoming({})).predicted.log_values(
+                REST[None]
+            )
+        )[0]
+        for bare in (0.0, 0.5, 1.0)
+    ]
+    sleeves, either, bare = peaks
+    assert bare[HEAD] == pytest.approx(sleeves[HEAD], rel=1e-4)
+    assert (bare[HANDS] < 0.1 * sleeves[HANDS]).all()
+    np.testing.assert_allclose(either[HANDS], 0.5 * (sleeves + bare)[HANDS], rtol=1e-4)
 
 
 # --- in an engine ---

@@ -13,6 +13,7 @@ from rsmcm.chains.body.likelihood import (
     ARM_POINTS,
     ARM_WEIGHTS,
     BARE_HAND_SCORES,
+    BARE_POINTS,
     BARE_SCORES,
     EDGE_POINTS,
     EDGE_SHARPNESS,
@@ -327,7 +328,7 @@ def test_values_do_not_depend_on_threads() -> None:
 # --- what it says in pictures whose truth is known ----------------------------------------------------------
 
 
-def plain_arms(arms: NDArray[np.float32], joints: Array) -> Array:
+def plain_arms(arms: NDArray[np.float32], joints: Array, bare: float) -> Array:
     """`(n,)` nats of colours along the arms, one place after the other."""
     left, right, root = joints[:, 2], joints[:, 5], joints[:, 1]
     broad = np.linalg.norm(left - right, axis=1)
@@ -337,7 +338,7 @@ def plain_arms(arms: NDArray[np.float32], joints: Array) -> Array:
     for shoulder in (2, 5):
         for part in (0, 1):
             start, end = joints[:, shoulder + part], joints[:, shoulder + part + 1]
-            for share in ARM_POINTS[part]:
+            for share, below in zip(ARM_POINTS[part], BARE_POINTS[part], strict=True):
                 place = start + share * (end - start)
                 beside = np.abs(((place - root) * across).sum(1)) - TRUNK[0] * broad
                 above = ((place - root) * up).sum(1) - TRUNK[1] * broad
@@ -346,28 +347,30 @@ def plain_arms(arms: NDArray[np.float32], joints: Array) -> Array:
                 odds = map_coordinates(arms, rows_and_columns, order=1, mode="nearest")
                 odds *= within(place, TRUNK_BLUR * BODY.head_height)
                 odds /= 1 + np.exp(-np.clip(outside, -20, 20))
-                total += ARM_WEIGHTS[part] * np.log((1 - NO_SLEEVE) * np.exp(odds) + NO_SLEEVE)
+                weight = ARM_WEIGHTS[part] * (1 - bare if below else 1.0)
+                total += weight * np.log((1 - NO_SLEEVE) * np.exp(odds) + NO_SLEEVE)
     return total
 
 
-def sleeved(arms: NDArray[np.float32]) -> BodyImage:
-    """An image whose only news is the map of the arms' colour."""
-    return replace(seen(signing()), arms=arms)
+def sleeved(arms: NDArray[np.float32], bare: float = 0.0) -> BodyImage:
+    """An image whose only news is the map of the sleeves' colour."""
+    return replace(seen(signing()), arms=arms, bare=bare)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_arms_equal_plain_numpy(seed: int) -> None:
+@pytest.mark.parametrize(("seed", "bare"), [(0, 0.0), (1, 0.3), (2, 1.0)])
+def test_arms_equal_plain_numpy(seed: int, bare: float) -> None:
     """At torsos that lean and turn as well, and at places out of the picture."""
     random = np.random.default_rng(seed)
     poses = scattered(40, random)
     poses = replace(poses, torsos=0.4 * random.normal(size=(40, 3)))
     poses.roots[:10] += random.normal(0, 300, (10, 2))
     arms = cv2.GaussianBlur(random.normal(0, 8, (180, 320)).astype(np.float32), (0, 0), 3)
-    found = BodyLikelihood(BODY)(sleeved(arms)).inner_terms(poses)[CLOTHES]
-    np.testing.assert_allclose(found, plain_arms(arms, BODY.joints(poses)[:, :, :2]), rtol=1e-4, atol=1e-4)
+    found = BodyLikelihood(BODY)(sleeved(arms, bare)).inner_terms(poses)[CLOTHES]
     joints, out = BODY.joints(poses)[:, :, :2], np.full(40, 7.0)
+    np.testing.assert_allclose(found, plain_arms(arms, joints, bare), rtol=1e-4, atol=1e-4)
     torso = np.array([*TRUNK, TRUNK_BLUR * BODY.head_height])
-    arm_terms(joints, arms, np.array([0.5, 0.5]), ARM_POINTS, ARM_WEIGHTS, torso, NO_SLEEVE, out)
+    weights = ARM_WEIGHTS[:, None] * (1 - bare * BARE_POINTS)
+    arm_terms(joints, arms, np.array([0.5, 0.5]), ARM_POINTS, weights, torso, NO_SLEEVE, out)
     np.testing.assert_allclose(out, 7 + found, rtol=1e-5)
 
 

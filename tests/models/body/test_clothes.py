@@ -55,8 +55,8 @@ def at(arms: NDArray[np.float32], x: float, y: float) -> float:
     return float(arms[round(SHRINK * y), round(SHRINK * x)])
 
 
-def arm_map(image: Image, bare: float = 0.0) -> NDArray[np.float32]:
-    return learned(image).arm_map(smoothed(image), HEIGHT, skin_of(image).log_odds(image), bare)
+def arm_map(image: Image) -> NDArray[np.float32]:
+    return learned(image).arm_map(smoothed(image), HEIGHT)
 
 
 @pytest.mark.parametrize("shirt", [SHIRT, (40, 40, 40), (200, 200, 230), (150, 60, 160)])
@@ -71,19 +71,6 @@ def test_sleeves_have_the_colour_of_the_trunk(shirt: Colour) -> None:
         assert at(arms, x, y) < -2
     assert at(arms, *HEAD) < 0
     assert np.abs(arms).max() <= HIGHEST + 1e-5
-
-
-@pytest.mark.parametrize("bare", [0.0, 0.3, 1.0])
-def test_the_map_is_the_log_of_a_mixture(bare: float) -> None:
-    """Of the odds of cloth and of skin, where both are the same in the whole picture."""
-    image = np.full((80, 100, 3), SHIRT, np.uint8)
-    clothes = learned(picture())
-    cloth = float(clothes.arm_map(smoothed(image), HEIGHT, np.zeros((80, 100), np.float32), 0.0)[20, 20])
-    for skin in (-3.0, 2.0):
-        found = clothes.arm_map(smoothed(image), HEIGHT, np.full((80, 100), skin, np.float32), bare)
-        share = min(bare, 0.999)
-        expected = np.log((1 - share) * np.exp(cloth) + bare * np.exp(skin))
-        np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
 def test_of_grey_pictures_and_of_heads_without_a_trunk_nothing_is_learned() -> None:
@@ -103,11 +90,9 @@ def test_the_evidence_of_an_image_holds_the_map() -> None:
     node = BodyParts.learned([image], lambda frame: boxes)
     assert node.clothes is not None
     assert node.skin is not None
-    for bare in (0.0, 1.0):
-        seen = replace(node, bare=bare).evidence(Frame(image, 0.0, 1), node.uniform()).image
-        assert seen is not None
-        expected = node.clothes.arm_map(smoothed(image), node.head_height, node.skin.log_odds(image), bare)
-        np.testing.assert_array_equal(seen.arms, expected)
+    seen = node.evidence(Frame(image, 0.0, 1), node.uniform()).image
+    assert seen is not None
+    np.testing.assert_array_equal(seen.arms, node.clothes.arm_map(smoothed(image), node.head_height))
     for less in (replace(node, clothes=None), replace(node, skin=None)):
         seen = less.evidence(Frame(image, 0.0, 1), node.uniform()).image
         assert seen is not None
