@@ -19,6 +19,7 @@ from ...models.camera.moving_camera import UNKNOWNS
 from ...models.core.checks import checked
 from ...models.files import write_text
 from ..evaluation.predictions import FILE, write_predictions
+from ..evaluation.scoring import SAVED as SCORES
 from ..evaluation.scoring import Scoring, scoring_of
 from ..events.page import ZoneEvents
 from ..events.watch import EVENTS, EventLog, EventWriter, rounded, write_events
@@ -40,6 +41,7 @@ from .job import Engine as EngineName
 from .moving_camera import FIRST_FRAME, MOVES, CameraWatch, in_first_frame
 from .page import RunRecord, background_page, view_row_of
 from .parameters import SECTIONS, Parameters, build_chain, other_chains, read_parameters
+from .predictions import SAVED as PREDICTIONS
 from .predictions import Predictions
 from .whole_film import read_whole, warmed_up
 
@@ -144,9 +146,9 @@ class Background(Application[BackgroundJob]):
     name = "background"
     blank_is_missing = False
     schema: ClassVar[dict[str, Any]] = {
-        "scores": Any,
+        "scores": SCORES,
         "trajectories": ObjectsOverTime | None,
-        "predictions": Any,
+        "predictions": PREDICTIONS,
         "camera": tuple[float, float] | None,
     }
 

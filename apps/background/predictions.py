@@ -1,6 +1,6 @@
 """What the background application's chains predicted of pixels and boxes, for `rsmcm validity`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import inf
 from typing import Any
 
@@ -14,6 +14,7 @@ from ...models.objects.box_message import BoxMessage
 from ...models.objects.object_boxes import ObjectBoxes
 from ...models.pixels.layers import LayerStack
 from ...models.pixels.pixel_labels import PixelMessage
+from ..evaluation.predictions import SAVED as SAVED_PAIRS
 from ..evaluation.predictions import PairRecorder, Record, ScoreRecord
 
 EVERY = 0.4
@@ -30,6 +31,12 @@ SURE = 0.9
 
 MOST_FRAMES = 4000
 """Of which scores are held: when there are more, every other one is dropped."""
+
+SAVED = {
+    "pixels": {"rows": list[tuple[int, tuple[float, float, float]]], "every": float, "last": float | None},
+    "boxes": SAVED_PAIRS,
+}
+"""Kinds of what `Predictions.saved` returns."""
 
 
 class Predictions:
@@ -78,7 +85,7 @@ class PixelScores:
     def __init__(self, model: MultiChain) -> None:
         self._background, self._blobs = model.chains["background"], model.chains["blobs"]
         self._pixels = model.features["pixels"]
-        self._rows: list[tuple[int, list[float]]] = []
+        self._rows: list[tuple[int, Sequence[float]]] = []
         self._every, self._last = EVERY, -inf
 
     def on_frame(self, before: RunState, belief: Belief) -> None:
@@ -119,7 +126,7 @@ class PixelScores:
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Take up what `saved` kept."""
-        self._rows = [(int(number), list(scores)) for number, scores in saved["rows"]]
+        self._rows = list(saved["rows"])
         self._every = saved["every"]
         self._last = -inf if saved["last"] is None else saved["last"]
 

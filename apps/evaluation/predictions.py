@@ -30,6 +30,9 @@ MOST_ROWS = 50_000  # of a pair in a file: some 10 MB
 LARGEST, LEAST_VARIANCE = 1e14, 1e-14
 """Of what is recorded: squares of px that no picture has."""
 
+SAVED = {"every": int, "offered": int, "frames": list[tuple[int, str, str, str, str, str, str, str]]}
+"""Kinds of what `PairRecorder.saved` returns."""
+
 NAMES = ("first", "second", "feature", "unit")
 
 

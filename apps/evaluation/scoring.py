@@ -17,6 +17,14 @@ from .tracks import evaluate_tracks
 Mask = NDArray[np.uint8]
 
 
+SAVED = {
+    "frames": list[int],
+    "pixels": tuple[list[int], list[tuple[int, int, int, int]]],
+    "errors": ErrorClasses,
+}
+"""Kinds of what `Scoring.saved` returns."""
+
+
 class Scoring:
     """Comparison of masks with the ground truth, frame by frame.
 
@@ -95,19 +103,19 @@ class Scoring:
         return measures
 
     def saved(self) -> dict[str, Any]:
-        """Return all counts as plain JSON."""
+        """Return all counts, of the kinds of `SAVED`."""
         return {
             "frames": self.frames,
             "pixels": [self.pixels.numbers, self.pixels.counts],
-            "errors": asdict(self.errors),
+            "errors": self.errors,
         }
 
     def restore(self, data: Mapping[str, Any]) -> None:
         """Set the counts that `saved` returned."""
         self.frames = list(data["frames"])
         numbers, counts = data["pixels"]
-        self.pixels = PixelScore(list(numbers), [(tp, fp, fn, tn) for tp, fp, fn, tn in counts])
-        self.errors = ErrorClasses(**data["errors"])
+        self.pixels = PixelScore(list(numbers), list(counts))
+        self.errors = data["errors"]
 
 
 def scoring_of(

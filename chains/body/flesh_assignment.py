@@ -243,7 +243,7 @@ class JointAssignments:
         m = min(ASSIGNMENTS, len(total))
         top = np.argpartition(-total, m - 1)[:m]
         top = top[np.argsort(-total[top], kind="stable")]
-        top = top[total[top] > 0.5 * IMPOSSIBLE]
+        top = top[total[top] >= total[top[0]] + 0.5 * IMPOSSIBLE]
         hypotheses, *chosen = np.unravel_index(top, (n_hypotheses, *n_parts * [n]))
         picked = np.stack([options[hypotheses, part, chosen[part]] for part in range(n_parts)], axis=1)
         return cls(hypotheses, picked, total[top])

@@ -588,9 +588,11 @@ class BlobScene:
     def expected_sizes(self, blobs: Blobs) -> Numbers:
         """Return `(n, 2)` px, usual height and width, fused with other chains' predictions."""
         sizes: Numbers = np.ascontiguousarray(blobs.table["size"])
-        if self._objects is None or not len(self._objects.identities) or not len(blobs):
+        if self._objects is None or not len(blobs):
             return sizes
         identities, means, covariances = self._objects.moments
+        if not len(identities):
+            return sizes
         place, known = find(identities, blobs.table["identity"])
         sides = [HEIGHT, WIDTH]
         expected, variance = means[place][:, sides], covariances[place][:, sides, sides]

@@ -6,11 +6,13 @@ file. It is learned from the innovations of the Kalman filter.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.kalman import PointStates, cavity, filter_tracks, smooth
+from ...models.core.checks import Shape
 from ...models.core.gaussian_message import GaussianMessage, squared_distances
 from ...models.core.identities import find
 from ...models.core.short_repr import short_repr
@@ -152,10 +154,10 @@ class Appearances:
     First ones were `cut` from the pictures of these times, s.
     """
 
-    identities: Identities
-    first: NDArray[np.float32]
-    last: NDArray[np.float32]
-    cut: Array
+    identities: Annotated[Identities, Shape("n")]
+    first: Annotated[NDArray[np.float32], Shape("n", "side", "side")]
+    last: Annotated[NDArray[np.float32], Shape("n", "side", "side")]
+    cut: Annotated[Array, Shape("n")]
 
 
 @short_repr
@@ -167,15 +169,17 @@ class PointTrajectory:
     the terms that beliefs over the features contain already: together they are the tracks' log evidence.
     """
 
-    identities: Identities  # (n,), increasing
-    position: Array  # (n_frames, n, 2) px, given all evidence; undefined where a point is not alive
-    covariance: Array  # (n_frames, n, 2, 2) px^2
-    observed: Mask  # (n_frames, n): the frame itself shows the point
-    alive: Mask  # (n_frames, n): its position is certain enough, and inside the picture
-    information: Array  # (n_frames, n, 2, 2) 1/px^2: of the other frames' evidence alone; 0 if too little
-    vector: Array  # (n_frames, n, 2) 1/px: likewise
+    identities: Annotated[Identities, Shape("n")]  # increasing
+    # px, given all evidence; undefined where a point is not alive
+    position: Annotated[Array, Shape("n_frames", "n", 2, finite=False)]
+    covariance: Annotated[Array, Shape("n_frames", "n", 2, 2, finite=False)]  # px^2
+    observed: Annotated[Mask, Shape("n_frames", "n")]  # the frame itself shows the point
+    alive: Annotated[Mask, Shape("n_frames", "n")]  # its position is certain enough, and inside the picture
+    # 1/px^2 and 1/px: of the other frames' evidence alone; 0 if too little
+    information: Annotated[Array, Shape("n_frames", "n", 2, 2)]
+    vector: Annotated[Array, Shape("n_frames", "n", 2)]
     appearances: Appearances | None  # also of points that no frame shows; None without pictures
-    absorbed: NDArray[np.int64]  # (m, 2): identities of duplicates, and those of their points
+    absorbed: Annotated[NDArray[np.int64], Shape(None, 2)]  # identities of duplicates, and of their points
     log_prior: float
 
     def messages(self) -> Iterator[GaussianMessage]:

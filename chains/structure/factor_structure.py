@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import BatchIncoming, Cavity, Port, Smoothed
 from ...inference.sfm.factor_analysis.factorisation import Factorisation, factorise_robustly, predicted
-from ...models.core.checks import checked
+from ...models.core.checks import Shape, checked
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.identities import common, places_of
 from ...models.core.short_repr import short_repr
@@ -70,12 +71,20 @@ class StructureTrajectory:
         `(n_frames, n_tracks)` bool: whether a place that came in is taken to be right, and no outlier.
     """
 
-    identities: NDArray[np.int64]
-    point_of_track: NDArray[np.int64]
+    identities: Annotated[NDArray[np.int64], Shape("n_tracks")]
+    point_of_track: Annotated[NDArray[np.int64], Shape("n_tracks")]
     factorisation: Factorisation
     noise: float
     scatter: float
-    trusted: NDArray[np.bool_]
+    trusted: Annotated[NDArray[np.bool_], Shape("n_frames", "n_tracks")]
+
+    def require_fit(self) -> None:
+        """Raise a `ValueError` if the shape is not one of these tracks and frames."""
+        cameras, shape = self.factorisation.cameras, self.factorisation.shape
+        if len(cameras) != len(self.trusted):
+            raise ValueError(f"factorisation: got {len(cameras)} cameras, expected {len(self.trusted)}")
+        if not ((self.point_of_track >= -1) & (self.point_of_track < len(shape))).all():
+            raise ValueError(f"point_of_track: got other numbers, expected -1 to {len(shape) - 1}")
 
     @property
     def log_prior(self) -> float:

@@ -157,6 +157,11 @@ class CameraEvidence:
     vector: Annotated[Array, Shape("n", 2, 4)]
     times: Annotated[Array, Shape("n")]
 
+    def require_fit(self) -> None:
+        """Raise a `ValueError` if frames do not follow each other."""
+        if not (np.diff(self.times) > 0).all():
+            raise ValueError("times: got numbers that do not increase, expected those of frames")
+
 
 PER_POINT = ("identities", "shape", "shape_covariance", "unseen", "innovations")
 

@@ -8,12 +8,13 @@ Fitzgibbon, "Secrets of matrix factorization", 2015).
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
+from ....models.core.checks import Shape
 from ....models.core.short_repr import short_repr
 from ...optimisation import Anderson, Damping, levenberg_marquardt
 from .em import (
@@ -336,15 +337,15 @@ class Factorisation:
         bound of the log likelihood at each iteration of EM; empty for least squares.
     """
 
-    cameras: Array
-    camera_covariance: Array
-    shape: Array
-    shape_covariance: Array
+    cameras: Annotated[Array, Shape("n_frames", 2, 4)]
+    camera_covariance: Annotated[Array, Shape("n_frames", 4, 4)]
+    shape: Annotated[Array, Shape("n_points", 3)]
+    shape_covariance: Annotated[Array, Shape("n_points", 3, 3)]
     noise_variance: float
     rmse: float
     coherent: bool
-    motion_noise: Array
-    frame_determined: Mask
+    motion_noise: Annotated[Array, Shape(None, 2)]
+    frame_determined: Annotated[Mask, Shape("n_frames")]
     history: tuple[float, ...]
 
     def of_points(self, kept: Mask) -> "Factorisation":
