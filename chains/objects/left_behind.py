@@ -77,14 +77,15 @@ class LeftBehind:
         Of the `blobs`, those that `are_sure` `(n,)` may leave something behind; where there are `ghosts`,
         nothing has been. Parts have `least_area` px or more, and are no lines.
         """
-        known, stays = (self.shown, self.before, self.time), np.zeros(self.time.shape, np.bool_)
-        after: Any = [np.empty_like(each) for each in known]
+        known: Any = self.shown, self.before, self.time
+        stays = np.zeros(self.time.shape, np.bool_)
+        shown, before, time = after = [np.empty_like(each) for each in known]
         flat, new_flat = (tuple(each.reshape(-1) for each in arrays) for arrays in (known, after))
         sure = blobs.table[are_sure]
         channels, spent = tuple(range(image.shape[2])), np.float32(elapsed)
         follow(image, channels, blobs.table, sure, blobs.pools, spent, flat, new_flat, stays.reshape(-1))
-        forget(ghosts.table, image, *after[1:], stays)
-        return type(self)(*after, _large_parts(stays, least_area))
+        forget(ghosts.table, image, before, time, stays)
+        return type(self)(shown, before, time, _large_parts(stays, least_area))
 
     def layers(self) -> LayerStack:
         """Return the parts that have been left behind as a layer."""
