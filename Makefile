@@ -20,7 +20,7 @@ help:
 	@echo "make demo                   track the people in a built-in scene"
 	@echo "make docs                   the documentation, in docs/_build/html: every warning is an error"
 	@echo "make docs-links             whether the addresses in it are there, which needs a network"
-	@echo "make test                   quick tests: four minutes on two cores"
+	@echo "make test                   quick tests: five to fifteen minutes on two cores"
 	@echo "make test-slow              slow tests: kills, streams, threads, accuracy, fuzzing, experiments"
 	@echo "make test-all               quick and slow tests"
 	@echo "make test-seeds             quick tests with other seeds each time"

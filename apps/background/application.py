@@ -217,9 +217,9 @@ class Background(Application[BackgroundJob]):
         job = self.job
         if start.resumed:
             state, memory = start.state(model), start.memory(self.schema) or {}
-            self._trajectories = memory["trajectories"]
-            self._camera.restore(memory["camera"])
             with start.restoring():
+                self._trajectories = memory["trajectories"]
+                self._camera.restore(memory["camera"])
                 if self._scoring is not None:
                     self._scoring.restore(memory["scores"])
                 if self._predictions is not None:

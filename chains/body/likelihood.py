@@ -270,15 +270,13 @@ class ImageLikelihood:
     def hand_log_odds(self, poses: BodyPoses) -> Array:
         """`(n, 2)` nats: log odds that left and right hand are seen where poses have them.
 
-        Of skin, with as many hands and false ones as an image has of either, and of key points. The other end
-        of a bare forearm shows as much skin as the hand.
+        Of skin, with as many hands and false ones as an image has of either, and of key points.
         """
         joints = self.body.joints(poses)[:, :, :2]
         parts = joints[:, PART_JOINTS]
         log_odds = np.full((len(poses), 2), np.log(HAND_DETECTED / FALSE_HANDS))
         if self.skin is not None:
             log_odds += self._skin_terms(self.skin, parts, poses.roots, joints[:, [3, 6]])[1]
-            log_odds -= np.log1p(self.image.bare * np.exp(log_odds))
         if self.image.keypoints is not None:
             none = np.zeros((0, 2))
             log_odds += self.image.keypoints.mixtures(none, none).log_values(parts)[:, 1:]

@@ -202,7 +202,7 @@ def _decode(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Sizes | Non
         state = _decode(data, _kind_of(bits.state), arrays, place, sizes)
         try:
             bits.state = state
-        except OverflowError as error:
+        except (OverflowError, TypeError, ValueError, LookupError) as error:
             raise ValueError(f"{place}: {error}") from None
         return np.random.Generator(bits)
     if origin is dict and inner[0] in (str, int) and isinstance(data, dict):

@@ -246,6 +246,20 @@ def test_other_files_are_named(tmp_path: Path) -> None:
         walking().load(path)
 
 
+def test_a_random_generator_without_its_state_is_refused(tmp_path: Path) -> None:
+    path, kinds = tmp_path / "x.npz", {"x": np.random.Generator}
+    checkpoint.save(path, {"x": np.random.default_rng(0)}, kinds)
+    with np.load(path) as file:
+        arrays = dict(file)
+    arrays.pop(checkpoint.DIGEST)
+    skeleton = json.loads(str(arrays["skeleton"]))
+    skeleton["values"]["x"]["state"] = None
+    arrays["skeleton"] = np.array(json.dumps(skeleton))
+    np.savez(path, allow_pickle=False, **arrays, **{checkpoint.DIGEST: np.array(checkpoint._digest(arrays))})
+    with pytest.raises(ValueError, match="x: .*None"):
+        checkpoint.load(path, kinds)
+
+
 @pytest.fixture(scope="module")
 def walker(tmp_path_factory: pytest.TempPathFactory) -> tuple[RecursiveBP, Path]:
     """An engine, and its saved state with an object."""
