@@ -256,7 +256,7 @@ def test_a_random_generator_without_its_state_is_refused(tmp_path: Path) -> None
     skeleton["values"]["x"]["state"] = None
     arrays["skeleton"] = np.array(json.dumps(skeleton))
     np.savez(path, allow_pickle=False, **arrays, **{checkpoint.DIGEST: np.array(checkpoint._digest(arrays))})
-    with pytest.raises(ValueError, match="x: .*None"):
+    with pytest.raises(ValueError, match=r"x: .*None"):
         checkpoint.load(path, kinds)
 
 
