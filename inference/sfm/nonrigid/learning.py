@@ -370,6 +370,7 @@ def _best_first(tracks: Tracks, states: Sequence[State]) -> list[tuple[float, St
 ROUNDING = 1e-8  # of the largest coordinate: what differs by less does not differ
 LEAST_FRAMES = 3  # that a point is seen in, and that there are; two views leave depth open
 LEAST_POINTS = 4  # of a frame, for its pose to be known
+LEAST_WIDTH = 1e-3  # of the points of a frame, over their length: points of any film err by more
 
 
 def learn_shape(
@@ -450,7 +451,12 @@ def _check(positions: Array, bases: int) -> NDArray[np.bool_]:
         raise ValueError(
             f"tracks: got point {views.argmin()} in {views.min()} frames, expected {LEAST_FRAMES} at least"
         )
-    most = most_bases(positions[determined])
+    shown = positions[determined]
+    off = np.nan_to_num(shown - np.nanmean(shown, axis=1, keepdims=True))
+    squares = np.linalg.eigvalsh(np.einsum("tnc,tnd->tcd", off, off))
+    if (squares[:, 0] <= LEAST_WIDTH**2 * squares[:, 1]).all() and (squares[:, 1] > 0).any():
+        raise ValueError("tracks: got points on a line in every frame, expected some that span a plane")
+    most = most_bases(shown)
     if most < 2:
         raise ValueError(f"tracks: got {n_points} points, expected 7 at least")
     if not 2 <= bases <= most:

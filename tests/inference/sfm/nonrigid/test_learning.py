@@ -126,6 +126,14 @@ def with_value(value: float, place: tuple[int, ...] = (4, 2)) -> Numbers:
     return positions
 
 
+def on_lines() -> Numbers:
+    """In every frame on another line, one point hidden."""
+    angles, along = np.linspace(0, 1, 10), np.random.default_rng(0).uniform(-90, 90, (10, 20))
+    lines = along[..., None] * np.column_stack([np.cos(angles), np.sin(angles)])[:, None] + [160, 120]
+    lines[3, 5] = np.nan
+    return np.asarray(lines)
+
+
 @pytest.mark.parametrize(
     ("tracks", "bases", "message"),
     [
@@ -145,6 +153,7 @@ def with_value(value: float, place: tuple[int, ...] = (4, 2)) -> Numbers:
         (deforming(n_frames=10)[0], 7, "bases: got 7, expected 2 to 6"),
         (deforming(n_frames=10)[0][:, :6], 2, "got 6 points, expected 7 at least"),
         (np.ones((9, 8, 2)), 2, "points that all lie in one place"),
+        (on_lines(), 2, "got points on a line in every frame"),
     ],
 )
 def test_tracks_that_cannot_be_learned_from(tracks: Numbers, bases: int, message: str) -> None:
