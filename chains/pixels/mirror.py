@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.numerics.compiled import compiled, inlined, logarithm, own_array
+from ...models.numerics.compiled import compiled, inlined, logarithm
 from ...models.pixels.background import ODDS_STEPS, SPAN, foreground_spans
 from ...models.pixels.colour import planes_of
 from .gaussians import MOST_RECALLED, light_beside, mean_of, noise_of
@@ -75,80 +75,70 @@ def find_axes(pixels, before, light_field, model, log_odds, axes, shares, seen):
     """
     height, width = light_field.positions.size, light_field.rows.shape[1]
     step = max(1, max(height, width) // FINE)
-    middle, rows, columns, blocks = step // 2, height // step, width // step, axes.size
-    foreground, counts = np.zeros((columns, rows), np.uint8), np.zeros(blocks + 2, np.int64)
-    for row in range(rows):
-        odds = log_odds[(row * step + middle) * width :]
-        for block in range(blocks):
-            for column in range(block * columns // blocks, (block + 1) * columns // blocks):
-                foreground[column, row] = odds[column * step + middle] < 0
-                counts[1 + block] += foreground[column, row]
-    tables, differences = (
-        np.zeros((blocks + 2, SHARES, 2 * rows), np.float32),
-        np.empty((3, rows), np.float32),
-    )
-    for block in range(blocks):
-        if _total(counts[max(block - 1, 0) : block + 4]) < LEAST_SEEN:
-            continue
-        for column in range(block * columns // blocks, (block + 1) * columns // blocks):
-            if _total(foreground[column]) > 2:
-                for row in range(rows):
-                    y, x = row * step + middle, column * step + middle
-                    each = _difference(pixels, before.mean, light_field, y, x)
-                    differences[0, row], differences[1, row], differences[2, row] = each
-                _weigh_axes(differences, foreground[column], model, before.mean.shape[0], tables[1 + block])
+    rows, columns, blocks = height // step, width // step, axes.size
+    differences = np.empty((rows, 3), np.float32)
+    foreground = np.zeros((columns, rows), np.uint8)
+    tables = np.zeros((columns, 2 * rows, SHARES), np.float32)
+    for column in range(columns):
+        x, count = column * step + step // 2, 0
+        for row in range(rows):
+            foreground[column, row] = log_odds[(row * step + step // 2) * width + x] < 0
+            count += foreground[column, row]
+        if count > 2:
+            for row in range(rows):
+                differences[row] = _difference(pixels, before.mean, light_field, row * step + step // 2, x)
+            _weigh_axes(differences, foreground[column], model, before.mean.shape[0], tables[column])
     for block in range(blocks):
         axes[block] = -1
-        seen[0, block] = _total(counts[block : block + 3]) >= LEAST_SEEN
-        if seen[0, block] == 0:
+        left, right = max((block - 1) * columns // blocks, 0), min((block + 2) * columns // blocks, columns)
+        count = 0
+        for column in range(left, right):
+            for row in range(rows):
+                count += foreground[column, row]
+        seen[0, block] = count >= LEAST_SEEN
+        if count < LEAST_SEEN:
             continue
         top, twice, best = _f4(0), 0, 0
         for each in range(2 * rows):
             for k in range(SHARES):
-                total = tables[block, k, each] + tables[block + 1, k, each] + tables[block + 2, k, each]
+                total = _f4(0)
+                for column in range(left, right):
+                    total += tables[column, each, k]
                 if total > top:
                     top, twice, best = total, each, k
         below = 0
-        left, right = max((block - 1) * columns // blocks, 0), min((block + 2) * columns // blocks, columns)
         for column in range(left, right):
             for row in range(twice // 2 + 1, rows):
                 below += foreground[column, row]
         shares[block] = _f4(best + 1) / _f4(SHARES)
         if top > _f4(LEAST) * below and shares[block] < _f4(MOST_SHARE):
-            axes[block], seen[1, block] = twice * step + 2 * middle, 1
-
-
-@inlined
-def _total(counts):
-    total = 0
-    for k in range(counts.size):
-        total += counts[k]
-    return total
+            axes[block], seen[1, block] = twice * step + 2 * (step // 2), 1
 
 
 @compiled
 def _weigh_axes(differences, foreground, model, channels, table):
-    """Add to `table` `(SHARES, 2 n_rows)` nats for axes, at half their row, in one column of pixels."""
-    own, other, product = own_array(_f4), own_array(_f4), own_array(_f4)
-    d0, d1, d2 = differences
+    """Add to `table` `(2 n_rows, SHARES)` nats for axes, at half their row, in one column of pixels."""
+    fixed, scale = np.empty(SHARES, np.float32), np.empty(SHARES, np.float32)
+    for k in range(SHARES):
+        share = _f4(k + 1) / _f4(SHARES)
+        variance = _f4(NOISE) + _f4(NOISE + BLURRED) * share * share
+        fixed[k], scale[k] = _f4(-0.5) * channels * logarithm(variance), _f4(-0.5) / variance
     any_colour = model.log_prior_odds - model.label_odds
-    for y in range(foreground.size):
-        own[y] = d0[y] * d0[y] + d1[y] * d1[y] + d2[y] * d2[y]
-        scene = _f4(0.5) * (channels * logarithm(_f4(NOISE)) + own[y] * _f4(1 / NOISE))
-        other[y] = any_colour if foreground[y] else min(any_colour, scene)
     for up in range(foreground.size):
         if foreground[up] == 0:
             continue
-        below = range(up + 1, foreground.size)
-        for y in below:
-            product[y] = d0[y] * d0[up] + d1[y] * d1[up] + d2[y] * d2[up]
-        for k in range(SHARES):
-            share, row = _f4(k + 1) * _f4(1 / SHARES), table[k, up:]
-            variance = _f4(NOISE) + _f4(NOISE + BLURRED) * share * share
-            fixed, scale = _f4(-0.5) * channels * logarithm(variance), _f4(-0.5) / variance
-            for y in below:
-                gap = own[y] + share * (share * own[up] - _f4(2) * product[y])
-                row[y] += max(fixed + other[y] + scale * gap, _f4(STRANGE))
+        m0, m1, m2 = differences[up]
+        mirrored = m0 * m0 + m1 * m1 + m2 * m2
+        for down in range(up + 1, foreground.size):
+            d0, d1, d2 = differences[down]
+            own, product = d0 * d0 + d1 * d1 + d2 * d2, d0 * m0 + d1 * m1 + d2 * m2
+            scene = _f4(0.5) * (channels * logarithm(_f4(NOISE)) + own * _f4(1 / NOISE))
+            other = any_colour if foreground[down] else min(any_colour, scene)
+            row = table[up + down]
+            for k in range(SHARES):
+                share = _f4(k + 1) * _f4(1 / SHARES)
+                gap = own + share * (share * mirrored - _f4(2) * product)
+                row[k] += max(fixed[k] + other + scale[k] * gap, _f4(STRANGE))
 
 
 @compiled
