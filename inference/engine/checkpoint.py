@@ -266,10 +266,8 @@ def _of_type(array: NDArray[Any], inner: tuple[Any, ...], place: str) -> NDArray
     array = array.astype(array.dtype.newbyteorder("="), order="C", copy=False)
     if issubclass(array.dtype.type, declared):
         return array
-    if declared is np.float64 and array.dtype.kind in "iu":  # as users may give points
-        return array.astype(np.float64)
-    if declared is np.float64 and array.dtype.kind == "f":
-        return array
+    if declared is np.float64 and array.dtype.kind in "iuf":  # as users may give points
+        return array if array.dtype.kind == "f" else array.astype(np.float64)
     raise ValueError(f"{place}: got an array of {array.dtype}, expected {declared.__name__}")
 
 

@@ -246,16 +246,25 @@ def test_other_files_are_named(tmp_path: Path) -> None:
         walking().load(path)
 
 
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Arrays of a saved state, without their digest."""
+    with np.load(path) as file:
+        return {name: array for name, array in file.items() if name != checkpoint.DIGEST}
+
+
+def write_arrays(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    """Write them with the digest of what they hold now."""
+    np.savez(path, allow_pickle=False, **arrays, **{checkpoint.DIGEST: np.array(checkpoint._digest(arrays))})
+
+
 def test_a_random_generator_without_its_state_is_refused(tmp_path: Path) -> None:
     path, kinds = tmp_path / "x.npz", {"x": np.random.Generator}
     checkpoint.save(path, {"x": np.random.default_rng(0)}, kinds)
-    with np.load(path) as file:
-        arrays = dict(file)
-    arrays.pop(checkpoint.DIGEST)
+    arrays = read_arrays(path)
     skeleton = json.loads(str(arrays["skeleton"]))
     skeleton["values"]["x"]["state"] = None
     arrays["skeleton"] = np.array(json.dumps(skeleton))
-    np.savez(path, allow_pickle=False, **arrays, **{checkpoint.DIGEST: np.array(checkpoint._digest(arrays))})
+    write_arrays(path, arrays)
     with pytest.raises(ValueError, match=r"x: .*None"):
         checkpoint.load(path, kinds)
 
@@ -279,12 +288,10 @@ def walker(tmp_path_factory: pytest.TempPathFactory) -> tuple[RecursiveBP, Path]
 
 def forged(path: Path, name: str, change: Callable[[NDArray[Any]], NDArray[Any]]) -> None:
     """Change an array of a saved state, and give it the digest of what it holds now."""
-    with np.load(path) as file:
-        arrays = dict(file)
-    arrays.pop(checkpoint.DIGEST)
+    arrays = read_arrays(path)
     (place,) = (each for each in arrays if each.endswith(f"/{name}"))
     arrays[place] = change(arrays[place])
-    np.savez(path, allow_pickle=False, **arrays, **{checkpoint.DIGEST: np.array(checkpoint._digest(arrays))})
+    write_arrays(path, arrays)
 
 
 def with_number(number: float, field: str | None = None) -> Callable[[NDArray[Any]], NDArray[Any]]:
