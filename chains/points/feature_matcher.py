@@ -10,6 +10,7 @@ a chain of the shape finds which of their points are the same.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import cast
 
 import cv2
@@ -25,6 +26,7 @@ from ...models.core.identities import find, places_of
 from ...models.core.pictures import grey_of
 from ...models.core.short_repr import Rows, short_repr
 from ...models.numerics.compiled import compiled
+from ...models.numerics.threads import side_by_side
 from ...models.points.patches import Patches, sample_patches
 from ...models.points.point_tracks import PointMessage, PointTracks
 
@@ -66,17 +68,22 @@ def nearest_earlier(pairs, n):
 
 
 @compiled
-def keep_near(likeness, rows, columns, lines, middle, reach, positions, tolerance):
-    """Set `likeness` (k, l) to 0 where `positions` of columns are far from `lines` or `middle` of rows."""
+def keep_near(likeness, one, other, least, tolerance):
+    """Set `likeness` (k, l) to 0 below `least`, and where a feature is not where the other one allows it.
+
+    `one` (8, k) and `other` (8, l) are of each descriptor: x, y, and in the other picture the line a, b, c,
+    from which a feature may be `tolerance` px away, and the middle and the square of the radius of a circle.
+    """
     for i in range(likeness.shape[0]):
-        place = rows[i]
-        a, b, c = lines[place, 0], lines[place, 1], lines[place, 2]
-        for j in range(likeness.shape[1]):
-            x, y = positions[columns[j], 0], positions[columns[j], 1]
-            off = abs(a * x + b * y + c)
-            square = (x - middle[place, 0]) ** 2 + (y - middle[place, 1]) ** 2
-            if off > tolerance or square > reach[place] ** 2:
-                likeness[i, j] = np.float32(0)
+        row = likeness[i]
+        x, y = one[0, i], one[1, i]
+        a, b, c, right, down, reach = one[2, i], one[3, i], one[4, i], one[5, i], one[6, i], one[7, i]
+        for j in range(row.shape[0]):
+            u, v = other[0, j], other[1, j]
+            there = max(abs(a * u + b * v + c) - tolerance, (u - right) ** 2 + (v - down) ** 2 - reach)
+            off = abs(other[2, j] * x + other[3, j] * y + other[4, j]) - tolerance
+            back = max(off, (x - other[5, j]) ** 2 + (y - other[6, j]) ** 2 - other[7, j])
+            row[j] = row[j] if max(there, back) <= 0 and row[j] >= least else np.float32(0)
 
 
 @compiled
@@ -199,10 +206,22 @@ def match_along_lines(
     repeated things are often repeated along the line. `pairs` are at least `NEIGHBOURS`; `fundamental` is
     `(3, 3)`, x' F x = 0 for x of `one` and x' of `other`.
     """
-    likeness = _likeness(one, other)
-    for here, there, rows, geometry, known in (
-        (one, other, likeness, fundamental, pairs),
-        (other, one, likeness.T, fundamental.T, pairs[:, ::-1]),
+    return _matched_along_lines(_likeness(one, other), one, other, pairs, fundamental, tolerance)
+
+
+def _matched_along_lines(
+    likeness: NDArray[np.float32],
+    one: Features,
+    other: Features,
+    pairs: Indices,
+    fundamental: Array,
+    tolerance: float,
+) -> tuple[Indices, Array]:
+    """Return the same, given the likeness of descriptors, which is overwritten."""
+    allowed = []
+    for here, there, geometry, known in (
+        (one, other, fundamental, pairs),
+        (other, one, fundamental.T, pairs[:, ::-1]),
     ):
         lines = here.positions @ geometry[:, :2].T + geometry[:, 2]
         lines /= np.maximum(np.linalg.norm(lines[:, :2], axis=1, keepdims=True), 1e-12)
@@ -211,8 +230,9 @@ def match_along_lines(
         motion = (known_to - known_from)[near]
         middle = here.positions + motion.mean(axis=1)
         reach = SPREADS * np.sqrt(motion.var(axis=1).sum(axis=1)) + 2 * tolerance
-        keep_near(rows, here.place, there.place, lines, middle, reach, there.positions, tolerance)
-    likeness[likeness < LEAST_LIKENESS] = 0
+        numbers = np.concatenate([here.positions, lines, middle, reach[:, None] ** 2], axis=1)
+        allowed.append(np.ascontiguousarray(numbers[here.place].T))
+    keep_near(likeness, *allowed, np.float32(LEAST_LIKENESS), tolerance)
     return _mutual_matches(likeness, one, other)
 
 
@@ -269,29 +289,28 @@ class FilmMatches:
     def of(cls, pictures: Sequence[Features]) -> "FilmMatches":
         """Match each picture with later ones, in growing steps while they match, and with similar ones."""
         edges = np.concatenate([[0], np.cumsum([len(each) for each in pictures])])
-        pairs: list[Indices] = []
-        doubts: list[Array] = []
-        tried: set[tuple[int, int]] = set()
 
-        def tried_together(one: int, other: int) -> bool:
-            tried.add((one, other))
-            matches, doubt = _verify_matches(pictures[one], pictures[other])
-            if not len(matches):
-                return False
-            pairs.append(matches + edges[[one, other]])
-            doubts.append(doubt)
-            return True
+        def together(one: int, other: int) -> tuple[int, int, Indices, Array]:
+            return one, other, *_verify_matches(pictures[one], pictures[other])
 
-        for one in range(len(pictures)):
+        def with_later(one: int) -> list[tuple[int, int, Indices, Array]]:
+            tried = []
             for step in STEPS:
-                if one + step >= len(pictures) or not tried_together(one, one + step):
+                if one + step >= len(pictures) or (tried and not len(tried[-1][2])):
                     break
-        for one, other in _similar_pictures(pictures, tried):
-            tried_together(one, other)
+                tried.append(together(one, one + step))
+            return tried
+
+        later = side_by_side([partial(with_later, one) for one in range(len(pictures))])
+        tried = [each for of_one in later for each in of_one]
+        similar = _similar_pictures(pictures, {(one, other) for one, other, _, _ in tried})
+        tried += side_by_side([partial(together, one, other) for one, other in similar])
         frame = np.repeat(np.arange(len(pictures)), np.diff(edges))
-        if not pairs:
-            return cls(frame, np.zeros((0, 2), np.int64), np.zeros(0))
-        return cls(frame, np.concatenate(pairs), np.concatenate(doubts))
+        pairs = [
+            np.zeros((0, 2), np.int64),
+            *(matches + edges[[one, other]] for one, other, matches, _ in tried),
+        ]
+        return cls(frame, np.concatenate(pairs), np.concatenate([np.zeros(0), *(each[3] for each in tried)]))
 
     def tracks(self, most: int) -> tuple[Indices, Indices]:
         """Join features into tracks, the surest matches first, never two of one picture.
@@ -325,7 +344,8 @@ def _longest(track: Indices, frame: Indices, most: int) -> Mask:
 
 def _verify_matches(one: Features, other: Features) -> tuple[Indices, Array]:
     """Return the matches of two pictures that obey one epipolar geometry, if there are enough."""
-    pairs, doubt = match_features(one, other)
+    likeness = _likeness(one, other)
+    pairs, doubt = _mutual_matches(likeness, one, other)
     if len(pairs) >= LEAST_MATCHES:
         left, right = one.positions[pairs[:, 0]], other.positions[pairs[:, 1]]
         try:
@@ -334,7 +354,8 @@ def _verify_matches(one: Features, other: Features) -> tuple[Indices, Array]:
             geometry, obeys = cv2.findFundamentalMat(left, right, cv2.FM_RANSAC, EPIPOLAR, 0.999, 5000)
         if geometry is not None and np.count_nonzero(obeys) >= LEAST_MATCHES:
             fundamental = np.asarray(geometry[:3], np.float64)
-            return match_along_lines(one, other, pairs[obeys[:, 0] > 0], fundamental, EPIPOLAR)
+            known = pairs[obeys[:, 0] > 0]
+            return _matched_along_lines(likeness, one, other, known, fundamental, EPIPOLAR)
     return pairs[:0], doubt[:0]
 
 
@@ -540,15 +561,12 @@ class FeatureMatcher:
         return tracks
 
     def _tracks(self, greys: Sequence[NDArray[np.uint8] | None], side: int, *, affine: bool) -> FeatureTracks:
-        pictures = [
-            Features.none() if grey is None else find_features(grey, self.n_features, affine=affine)
-            for grey in greys
-        ]
-        patches = [
-            np.zeros((0, side, side), np.float32)
-            if grey is None
-            else sample_patches(grey, each.positions, side)
-            for grey, each in zip(greys, pictures, strict=True)
-        ]
+        def seen(grey: NDArray[np.uint8] | None) -> tuple[Features, NDArray[np.float32]]:
+            if grey is None:
+                return Features.none(), np.zeros((0, side, side), np.float32)
+            features = find_features(grey, self.n_features, affine=affine)
+            return features, sample_patches(grey, features.positions, side)
+
+        pictures, patches = zip(*side_by_side([partial(seen, grey) for grey in greys]), strict=True)
         areas = np.array([1 if grey is None else grey.size for grey in greys], np.float64)
         return FeatureTracks.of(pictures, patches, areas, self.n_points)
