@@ -25,7 +25,7 @@ from .saved_run import STATE
 
 OVERLAY = "overlay.mp4"
 
-COMPILING = "5 to 20 s"
+COMPILING = "5 to 60 s"
 """Of first runs on an Intel Xeon: face 6, background 16, body 18 s to the first frame, structure 53 s."""
 
 _GROWING = (OVERLAY, FILM, ROWS)

@@ -13,9 +13,8 @@ from ...inference.sfm.nonrigid.learning import BasesChoice
 from ...inference.sfm.nonrigid.shape import NonrigidShape
 from ...models.files import write_atomically
 from ..io.sources.open_source import DEFAULT_RATE
-from ..view.overlay import identity_colour
 from ..view.page import BLUE, RED, Line, Page, Plot, Section
-from ..view.points import LAYER, SIDES, FollowedPoints, film_of_points, packed
+from ..view.points import LAYER, SIDES, FollowedPoints, colour_of, film_of_points, packed
 
 Numbers = NDArray[np.float64]
 
@@ -108,7 +107,7 @@ def shape_page(title: str, result: LearnedShape, summary: Mapping[str, Any]) -> 
         "modes": len(learned.bases) - 1,
         "bases": np.concatenate([learned.bases, learned.details]).astype(np.float32),
         "triangles": learned.model().triangles.astype(np.int32),
-        "inks": packed(np.array([identity_colour(point) for point in range(len(mean))])),
+        "inks": packed(np.array([colour_of(point) for point in range(len(mean))])),
         "rotations": learned.rotations.astype(np.float32),
         "scales": learned.scales.astype(np.float32),
         "weights": np.hstack([learned.weights, learned.detail_weights]).astype(np.float32),

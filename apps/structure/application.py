@@ -345,9 +345,9 @@ def _notes(result: Reconstruction, diagnosis: Diagnosis | None, given: bool) -> 
     notes = [] if diagnosis is None else list(diagnosis.sentences)
     if result.geometry == "affine":
         notes.append(f"The shape is known up to an affine map only: {result.reason}.")
-    rejected = np.flatnonzero(result.point_of_track < 0).tolist()
+    rejected = (np.flatnonzero(result.point_of_track < 0) + 1).tolist()
     if rejected:
-        which = f": {listed(rejected, 'track')}" if given else ""
+        which = f" (counted from 1): {listed(rejected, 'track')}" if given else ""
         notes.append(f"{len(rejected)} of {len(result.point_of_track)} tracks belong to no point{which}.")
     if not result.converged:
         notes.append("The ascent was ended before it converged.")

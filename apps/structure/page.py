@@ -17,9 +17,18 @@ from ...models.core.frame import Frame
 from ...models.numerics.evenly_spaced import evenly_spaced
 from ..io.sources.images import focal_of_picture
 from ..view.film import Film, FilmWriter, Row, read_film
-from ..view.overlay import css_colour, identity_colour
+from ..view.overlay import css_colour
 from ..view.page import Line, Page, Plot, Section, encoded
-from ..view.points import LAYER, SIDES, FollowedPoints, film_of_points, most_over_film, packed
+from ..view.points import (
+    LAYER,
+    SIDES,
+    FollowedPoints,
+    colour_of,
+    film_of_points,
+    ink_of,
+    most_over_film,
+    packed,
+)
 from .files import GREY, orthographic_parts
 
 
@@ -120,7 +129,7 @@ def view_row(result: Reconstruction, index: int) -> Row:
     """Return what is drawn on a frame: see `PointsOverlay`."""
     shown = evenly_spaced(result.n_points, most_over_film(len(result.observed)))
     places = result.places[index, shown].astype(np.float32)
-    return {"id": np.array(shown, np.int32), "points": places, "seen": result.observed[index, shown]}
+    return {"id": np.array(shown, np.int32) + 1, "points": places, "seen": result.observed[index, shown]}
 
 
 def structure_page(
@@ -242,7 +251,7 @@ def _tracks(result: Reconstruction) -> Plot:
     lines = []
     for point in drawn:
         seen = np.where(result.observed[chosen, point, None], result.places[chosen, point], np.nan)
-        lines.append(Line(seen[:, 1], "", css_colour(identity_colour(point)), x=seen[:, 0]))
+        lines.append(Line(seen[:, 1], "", ink_of(point), x=seen[:, 0]))
     caption = "As observed."
     caption += f" {len(drawn)} of {result.n_points} points." if len(drawn) < result.n_points else ""
     return Plot("tracks", "y, px", lines, caption, axis="x, px", is_map=True)
@@ -263,7 +272,7 @@ def _space(
     centre = np.median(shape, axis=0)
     # what is badly known lies anywhere, and would make everything else small
     reach = float(np.quantile(np.linalg.norm(shape - centre, axis=1), 0.9))
-    inks = [identity_colour(point) for point in points]
+    inks = [colour_of(point) for point in points]
     rotations: Numbers = np.full((np.count_nonzero(shown), 3, 3), np.nan)
     if result.geometry == "euclidean":
         rotations = orthographic_parts(result.cameras)[1][shown]

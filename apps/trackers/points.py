@@ -27,7 +27,7 @@ class Points:
     velocities
         `(n, 2)` px/s.
     identities
-        `(n,)`: constant for each point, never used twice.
+        `(n,)` from 1, unless they were given: constant for each point, never used twice.
     seen
         `(n,)`: whether the image shows the point; otherwise it is only predicted.
     """

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...models.numerics.evenly_spaced import evenly_spaced
 from .film import Film
-from .overlay import css_colour, identity_colour
+from .overlay import Colour, css_colour, identity_colour
 from .page import Line, Plot, TimelineRow, spans_of
 
 Numbers = NDArray[np.float64]
@@ -87,7 +87,7 @@ class FollowedPoints:
         chosen = [tracked[k] for k in evenly_spaced(len(tracked), MOST_ROWS)]
         observed = self.observed[shown]
         return [
-            TimelineRow(point, f"point {point}", ink_of(point), spans_of(observed[:, point]))
+            TimelineRow(point, f"point {point + 1}", ink_of(point), spans_of(observed[:, point]))
             for point in chosen
         ]
 
@@ -109,9 +109,14 @@ def most_over_film(n_frames: int) -> int:
     return min(MOST_TRACKED, MOST_PLACES // n_frames)
 
 
+def colour_of(point: int) -> Colour:
+    """The BGR colour of a point, by its place in arrays: on pages and in films it is counted from 1."""
+    return identity_colour(point + 1)
+
+
 def ink_of(point: int) -> str:
-    """The colour of a point, CSS colour."""
-    return css_colour(identity_colour(point))
+    """The same, as CSS has it."""
+    return css_colour(colour_of(point))
 
 
 def packed(colours: NDArray[Any]) -> NDArray[np.uint32]:

@@ -632,7 +632,7 @@ class PointTracker:
     def empty(self) -> TrackerState:
         """Return the state without points."""
         density = ACCELERATION_TIME * (self.acceleration or FIRST_ACCELERATION) ** 2
-        return TrackerState(PointTable.none(), 0, density, self.max_position_std, np.inf, None)
+        return TrackerState(PointTable.none(), 1, density, self.max_position_std, np.inf, None)
 
     def replenish(self, state: TrackerState) -> TrackerState:
         """Add new points for those that are missing."""

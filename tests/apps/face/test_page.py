@@ -147,7 +147,7 @@ def test_a_click_on_a_point_selects_it(shown: ViewPage, scene: FaceScene) -> Non
         shown.show(index)
         for vertex in apart(scene.vertices[index], 3.0):
             shown.click(scene.vertices[index, vertex])
-            assert shown.selected == f"point {vertex}"
+            assert shown.selected == f"point {vertex + 1}"
             np.testing.assert_allclose(shown.numbers("place"), scene.vertices[index, vertex], atol=0.06)
             assert shown.numbers("unsure by")[0] == pytest.approx(np.sqrt(5), abs=0.006)
     shown.click((1, 1))
@@ -189,4 +189,4 @@ def test_the_head_turns(shown: ViewPage, scene: FaceScene, with_film: bool) -> N
             shape = shape @ pose.rotations[0].T
         for vertex in apart(np.array([space.place(place)[:2] for place in shape]), 3.0):
             space.click(shape[vertex])
-            assert shown.selected == f"point {vertex}", index
+            assert shown.selected == f"point {vertex + 1}", index

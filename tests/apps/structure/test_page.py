@@ -175,7 +175,7 @@ def test_a_click_on_a_point_selects_it(shown: ViewPage, found: Reconstruction) -
         for index, point in some[:: len(some) // 8].tolist():
             shown.show(index)
             shown.click(found.places[index, point])
-            assert shown.selected == f"point {point}"
+            assert shown.selected == f"point {point + 1}"
             np.testing.assert_allclose(shown.numbers("place"), found.places[index, point], atol=0.06)
             seen = bool(found.observed[index, point])
             assert shown.details["now"].startswith("seen" if seen else "not seen")

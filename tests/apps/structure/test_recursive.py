@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import cylinder
+from rsmcm.apps.view.film import read_film
 from rsmcm.chains import PointTracker, RecursiveStructure
 from rsmcm.chains.reconstruction import recursive_reconstruction
 from rsmcm.inference import MultiChain, RecursiveBP
@@ -35,6 +36,7 @@ def test_a_turning_thing_has_a_shape_while_frames_come_in(tmp_path: Path) -> Non
         assert np.isfinite(tracks["position"][since:]).all()
         assert np.isnan(tracks["position"][:since]).all()
         assert tracks["observed"][since:].any(axis=0).mean() > 0.9
+    assert read_film(out).columns["id"].min() == 1
 
 
 def test_a_scene_that_stands_still_has_none(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

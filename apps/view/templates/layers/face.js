@@ -199,7 +199,7 @@ addLayers((face) => {
   // --- what is selected ---
 
   addRows((id) => id > 0 && id <= n
-    ? { id, label: `point ${shown[id - 1]}`, colour: "#ff3b30", spans: rowOf(0).spans } : null);
+    ? { id, label: `point ${shown[id - 1] + 1}`, colour: "#ff3b30", spans: rowOf(0).spans } : null);
   const unsure = (k) => (i) => Math.sqrt(point(i, k)[2] + point(i, k)[4]);
   addDetails((id, i) => {
     const px = (value) => `${value.toFixed(1)} px`;

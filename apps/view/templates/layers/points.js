@@ -109,7 +109,7 @@ addLayers(({ corner, tracked, inks, positions, residuals, spreads, counts, frame
   addRows((id) => {
     const k = order.get(id);
     const [colour, spans] = k === undefined ? ["#888888", [0, view.count - 1, 1]] : [inks[k], life(k)];
-    return { id, label: `point ${id}`, colour, spans };
+    return { id, label: `point ${id + 1}`, colour, spans };
   });
   addDetails((id, i) => {
     const k = order.get(id), seen = [["seen in", `${counts[id]} of ${frames} frames`]];
