@@ -394,14 +394,14 @@ class _FilmRun:
         application, session, job = self._application, self._session, self._job
         saved = self._saved()
         after = 0 if saved is None else saved.number
+        done = None if saved is None else saved.about["finished"]
+
+        def fits(source: Source) -> None:
+            if not done:
+                check_memory(source.name, source.size, *application.bytes_needed(source))
+
         with open_source(
-            job.source,
-            job.start,
-            job.stop,
-            job.step,
-            after=after,
-            reconnect=job.reconnect,
-            fits=lambda source: check_memory(source.name, source.size, *application.bytes_needed(source)),
+            job.source, job.start, job.stop, job.step, after=after, reconnect=job.reconnect, fits=fits
         ) as source:
             session.fingerprint = source.fingerprint()
             if job.resume and source.live:
@@ -411,9 +411,8 @@ class _FilmRun:
                 session.resume_hint = f"--from {job.out / STATE} starts with its state"
             if saved is not None:
                 check_source(saved.about, session.fingerprint)
-                if saved.about["finished"]:
-                    summary = saved.about["finished"]
-                    return session.outcome(summary, words_of(saved.path, summary, application.in_words))
+                if done:
+                    return session.outcome(done, words_of(saved.path, done, application.in_words))
                 session.earlier_seconds = saved.about["seconds"]
                 session.notes.extend(saved.about["notes"])
             learned = None

@@ -27,7 +27,7 @@ from ..exports.colmap import FILES as COLMAP_FILES
 from ..exports.colmap import write_colmap
 from ..io.files import write_json
 from ..io.point_files import frames_of_tracks, read_track_file
-from ..io.sources.open_source import DEFAULT_RATE, Selection, Source, open_source
+from ..io.sources.open_source import DEFAULT_RATE, Selection, Source, fingerprint, open_source
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.loop import run_film
 from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, STRUCTURE_POINTS, check_memory
@@ -94,7 +94,7 @@ def run_structure(job: StructureJob) -> Outcome:
     `run_film`.
     """
     if job.engine == "recursive-bp":
-        if Path(job.source).suffix.lower() in TRACK_FILES:
+        if _is_of_tracks(job.source):
             raise ValueError(f"--engine {job.engine}: got tracks, {job.source}, expected a film or a stream")
         return run_film(RecursiveRun(job))
     session = Session(NAME, job, job.settings())
@@ -119,13 +119,13 @@ class _StructureRun:
             about = about_of(saved, NAME, session.settings)
             session.earlier_seconds = about["seconds"]
             session.saved = True
+            if summary := about["finished"]:  # what it says needs neither pictures nor memory for them
+                check_source(about, _fingerprint(job.source))
+                return session.outcome(summary, words_of(self._state, summary, in_words))
         self._film = film = read_film(job)
         session.fingerprint = film.fingerprint
         if about is not None:
             check_source(about, film.fingerprint)
-            if about["finished"]:
-                summary = about["finished"]
-                return session.outcome(summary, words_of(self._state, summary, in_words))
         lacking = too_little(film.frames, film.n_tracks) or standing(film.frames)
         if lacking is not None:
             return self._nothing(lacking)
@@ -269,7 +269,18 @@ def read_film(job: StructureJob) -> Film:
     A source that is live and has no end, or frames or arrays that are not what they should be, are
     ValueErrors.
     """
-    return _tracks(job) if Path(job.source).suffix.lower() in TRACK_FILES else _images(job)
+    return _tracks(job) if _is_of_tracks(job.source) else _images(job)
+
+
+def _is_of_tracks(source: str) -> bool:
+    return Path(source).suffix.lower() in TRACK_FILES
+
+
+def _fingerprint(source: str) -> dict[str, Any]:
+    """What tells a source from others, without its pictures."""
+    if not _is_of_tracks(source):
+        return fingerprint(source)
+    return {"kind": "tracks", "name": source, "sha256": hashlib.sha256(Path(source).read_bytes()).hexdigest()}
 
 
 def _tracks(job: StructureJob) -> Film:
@@ -288,9 +299,8 @@ def _tracks(job: StructureJob) -> Film:
     if empty:
         notes.append(f"No point is seen in {listed(empty)}; cameras there are only predicted.")
     frames = frames_of_tracks(tracks, numbers)
-    digest = hashlib.sha256(Path(job.source).read_bytes()).hexdigest()
-    fingerprint = {"kind": "tracks", "name": job.source, "sha256": digest}
-    return Film(job.source, frames, DEFAULT_RATE / job.step, tracks.shape[1], fingerprint, tuple(notes))
+    rate, n_tracks = DEFAULT_RATE / job.step, tracks.shape[1]
+    return Film(job.source, frames, rate, n_tracks, _fingerprint(job.source), tuple(notes))
 
 
 def _images(job: StructureJob) -> Film:
@@ -314,11 +324,13 @@ def _images(job: StructureJob) -> Film:
             notes.append(f"Missing or unreadable: {listed(source.skipped)}.")
         if source.truncated:
             notes.append("The source ends before its announced end.")
-        rate, fingerprint = source.rate / job.step, source.fingerprint()
+        rate = source.rate / job.step
         where = Path(job.source)
         where = where if where.is_dir() else where.parent
         pictures = tuple(where / source.pictures[frame.number - 1] for frame in frames if source.pictures)
-        return Film(source.name, frames, rate, None, fingerprint, tuple(notes), pictures, source.stream)
+        return Film(
+            source.name, frames, rate, None, source.fingerprint(), tuple(notes), pictures, source.stream
+        )
 
 
 def _write_video(path: Path, frames: Sequence[Frame], result: Reconstruction, rate: float) -> None:

@@ -12,11 +12,13 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from rsmcm.apps.io.tracks import read_tracks
+from rsmcm.apps.runs import memory
 from rsmcm.apps.runs.interruption import Interruption
 from rsmcm.apps.runs.session import Session
 
@@ -126,11 +128,17 @@ def test_interrupted_and_resumed(
 
 @pytest.mark.parametrize("name", ["background", *OTHERS])
 def test_a_finished_run_is_resumed_by_doing_nothing(
-    name: str, small: Callable[[str], SmallRun], whole: Callable[[str], Path], tmp_path: Path
+    name: str,
+    small: Callable[[str], SmallRun],
+    whole: Callable[[str], Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Also where there is too little memory for another run."""
     out = tmp_path / "out"
     shutil.copytree(whole(name), out)
     before = {name: path for name, path in stamps(out).items() if name.name != "manifest.json"}
+    monkeypatch.setattr(memory.psutil, "virtual_memory", lambda: SimpleNamespace(available=0))
     assert small(name).run(out, "--resume") == 0
     after = stamps(out)
     assert {path: after[path] for path in before} == before
