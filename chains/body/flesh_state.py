@@ -8,7 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import UpperBody
-from ...models.core.checks import LOG_WEIGHTS, NO_NAN, NotNegative, PositiveOrInfinite, Shape, SizesOf
+from ...models.core.checks import (
+    LOG_WEIGHTS,
+    NO_NAN,
+    POSITIVES,
+    PROBABILITIES,
+    NotNegative,
+    PositiveOrInfinite,
+    Shape,
+    SizesOf,
+)
 from ...models.core.gaussian_mixtures import log_sums
 from ...models.core.short_repr import Rows, short_repr
 from .flesh_assignment import MovingParts
@@ -29,8 +38,9 @@ class Clutter(Rows):
     """Resting blobs that are no part, under each of n hypotheses."""
 
     places: Annotated[Array, Shape("n", "k", 2)]  # px
-    variances: Annotated[Array, Shape("n", "k")]  # px^2, along each axis
-    existence: Annotated[Array, Shape("n", "k")]  # probability that it is still there; 0 of an empty place
+    variances: Annotated[Array, Shape("n", "k"), POSITIVES]  # px^2, along each axis
+    # probability that it is still there; 0 of an empty place
+    existence: Annotated[Array, Shape("n", "k"), PROBABILITIES]
 
     @classmethod
     def none(cls, n_hypotheses: int) -> Self:
@@ -153,7 +163,7 @@ class FleshTracks:
     log_weights: Annotated[Array, Shape("n", finite=False), LOG_WEIGHTS]
     means: Annotated[Array, Shape("n", 3, 4)]  # x, y px and their velocities px/s
     covariances: Annotated[Array, Shape("n", 3, 4, 4)]  # in the same order
-    visible: Annotated[Array, Shape("n", 3)]  # probability that a part is not hidden
+    visible: Annotated[Array, Shape("n", 3), PROBABILITIES]  # probability that a part is not hidden
     # s since a part was last detected; infinite before the first time
     since: Annotated[Array, Shape("n", 3, finite=False), NO_NAN]
     # label of the detection that a part was or was hidden by, or -1

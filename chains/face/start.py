@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...models.core.checks import Shape
 from ...models.core.frame import BoundingBox, Frame
 from ...models.face.detectors import FACE, PartDetector, confirmed_faces, for_height
-from ...models.face.morphable_model import KNOWN, MorphableModel, Poses, SurfacePoints
+from ...models.face.morphable_model import KNOWN, MorphableModel, Poses, SurfacePoints, rms_radius
 from .landmark_fit import LANDMARK_NOISE, MIN_LANDMARKS, fit_landmarks, own_points
 from .recovery import poses_in_boxes
 
@@ -43,8 +43,10 @@ class FaceStart:
     fit_error: float | None  # px: root mean square distance of landmarks from the model's points, if any
 
     def require_fit(self) -> None:
-        """Raise a `ValueError` if pose or points are none of the model's."""
+        """Raise a `ValueError` if pose or points are none of the model's, or this is in no unit of size."""
         n_bases, n_vertices = self.model.bases.shape[:2]
+        if not abs((radius := rms_radius(self.model.bases[0])) - 1) < 1e-6:
+            raise ValueError(f"model: got a typical shape of radius {radius:.3g}, expected 1")
         if self.pose.morphs.shape != (1, n_bases) or self.points.vertices.max(initial=0) >= n_vertices:
             raise ValueError(f"start: got a pose or points of another model than of {n_vertices} vertices")
 
