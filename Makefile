@@ -13,10 +13,11 @@ MODULES := $(sort $(shell find $(PACKAGES) -type f -not -path '*/__pycache__/*')
 # Shows all that pyenv has, where there is one.
 NOX := PYENV_VERSION=$$(pyenv versions --bare 2>/dev/null | paste -sd :) $(BIN)/nox
 
-.PHONY: help demo docs docs-links test test-slow test-all test-versions test-newest test-processors test-oldest-processor test-seeds check constraints bench reproduce results fuzz dist clean
+.PHONY: help install demo docs docs-links test test-slow test-all test-versions test-newest test-processors test-oldest-processor test-seeds check constraints bench reproduce results fuzz dist clean
 .DELETE_ON_ERROR:
 
 help:
+	@echo "make install                the command rsmcm, in .venv/bin"
 	@echo "make demo                   track the people in a built-in scene"
 	@echo "make docs                   the documentation, in docs/_build/html: every warning is an error"
 	@echo "make docs-links             whether the addresses in it are there, which needs a network"
@@ -36,6 +37,8 @@ help:
 	@echo "make fuzz                   damaged inputs for every reader: 100,000 in about twenty minutes, 12,000 of them states"
 	@echo "make dist                   source distribution and wheel of what is committed, in dist/"
 	@echo "make clean                  remove everything that make made, .venv too"
+
+install: $(INSTALLED)
 
 demo: $(INSTALLED)
 	$(BIN)/rsmcm demo
