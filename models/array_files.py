@@ -4,13 +4,14 @@ import math
 import os
 import warnings
 import zipfile
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .core.checks import Sizes, check_of
 from .files import MOST_NUMBERS
 
 SINGLE = ""  # the name of the one array of an `.npy` file
@@ -27,8 +28,32 @@ MATLAB_KINDS = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") f
 Arrays = dict[str, NDArray[Any]]
 
 
+def read_fields(path: Path, expected: str, kinds: Mapping[str, Any]) -> Arrays:
+    """Read those arrays of an unpacked `.npz` that have kinds, as `models.core.checks` has them.
+
+    A `ValueError` in one line names the file, if one is not there, or is none of its kind.
+    """
+    arrays = read_arrays(path, expected, most=path.stat().st_size, only=kinds)
+    require_fields(path, expected, kinds, arrays)
+    return arrays
+
+
+def require_fields(path: Path, expected: str, kinds: Mapping[str, Any], arrays: Arrays) -> None:
+    """Raise the `ValueError` of `read_fields`; names of sizes hold for all arrays."""
+    sizes: Sizes = {}
+    try:
+        for name, kind in kinds.items():
+            check_of(kind)(arrays.get(name), name, sizes)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {error}, {expected}") from None
+
+
 def read_arrays(
-    path: Path, expected: str, most: int = MOST_NUMBERS, shape_only: Collection[str] = ()
+    path: Path,
+    expected: str,
+    most: int = MOST_NUMBERS,
+    shape_only: Collection[str] = (),
+    only: Collection[str] | None = None,
 ) -> Arrays:
     """Read all arrays of a file.
 
@@ -44,6 +69,8 @@ def read_arrays(
     shape_only
         names of arrays of which only shape and type are wanted: they come as zeros that take no memory, and
         do not count.
+    only
+        names of the arrays to read of an `.npz`; default: all.
 
     Raises
     ------
@@ -53,7 +80,7 @@ def read_arrays(
     """
     with path.open("rb") as file:
         try:
-            return _arrays(file, most, shape_only)
+            return _arrays(file, most, shape_only, only)
         except _WrongError as error:
             wrong = str(error)
         except Exception as error:  # broken bytes make zip and numpy raise almost anything
@@ -65,7 +92,7 @@ class _WrongError(Exception):
     """What is wrong with a file, in our own words."""
 
 
-def _arrays(file: IO[bytes], most: int, shape_only: Collection[str]) -> Arrays:
+def _arrays(file: IO[bytes], most: int, shape_only: Collection[str], only: Collection[str] | None) -> Arrays:
     beginning = file.read(4)
     size = file.seek(0, os.SEEK_END)
     file.seek(0)
@@ -79,6 +106,8 @@ def _arrays(file: IO[bytes], most: int, shape_only: Collection[str]) -> Arrays:
     with zipfile.ZipFile(file) as archive:
         for member in archive.infolist():
             name = member.filename.removesuffix(".npy")
+            if only is not None and name not in only:
+                continue
             if name in arrays:
                 raise _WrongError(f"array {name[:60]!r} twice")
             # a comment would be the next member, when a length is damaged

@@ -27,6 +27,24 @@ def naming(path: Path) -> Iterator[None]:
 
 
 @contextmanager
+def fitting(path: Path, expected: str) -> Iterator[None]:
+    """Have whatever the content of a file leads to said in one line, as a `ValueError` that names the file.
+
+    For what Python and numpy do with it, which check indices and shapes themselves: they raise almost
+    anything. Errors of the system and of memory, and those that name its folder, stay as they are.
+    """
+    try:
+        yield
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:
+        if str(path) in str(error) or f"{path.parent}{os.sep}" in str(error):
+            raise
+        said = " ".join(str(error).split())[:80] or type(error).__name__
+        raise ValueError(f"{path}: got other content ({said}), {expected}") from error
+
+
+@contextmanager
 def write_atomically(path: Path) -> Iterator[Path]:
     """Yield the name of a file to write instead, which becomes `path` when all went well.
 

@@ -12,11 +12,12 @@ from markupsafe import Markup
 
 from ..exports.finished_run import SUMMARY, FinishedRun, read_tracks_table
 from ..io.files import write_json
+from ..io.sources.images import read_image, to_8_bits
 from ..io.tracks import TABLE
 from ..io.zones import Line, Zones, read_zones
 from ..runs.output_folder import output_folder
 from ..view import page
-from ..view.overlay import draw_zones
+from ..view.overlay import canvas_of, draw_zones
 from ..view.page import BLUE, ORANGE, Page, Plot, Section, paragraph, picture, table, write_page
 from .watch import EVENTS, Event, EventLog, Kind, rounded, write_events
 
@@ -186,9 +187,10 @@ def run_events(run: Path, zones: Path) -> list[str]:
 
 
 def _sections(run: Path, zone_events: ZoneEvents) -> list[Section]:
-    background = cv2.imread(str(run / BACKGROUND)) if (run / BACKGROUND).exists() else None
-    if background is None:
+    image = read_image(run / BACKGROUND) if (run / BACKGROUND).exists() else None
+    if image is None:
         return zone_events.sections()
+    background = canvas_of(to_8_bits(image))
     scale = max(1.0, LEAST / max(background.shape[:2]))
     drawn = np.asarray(
         cv2.resize(background, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), np.uint8

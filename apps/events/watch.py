@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.checks import checked
-from ...models.files import naming, write_text
+from ...models.files import fitting, naming, write_text
 from ..io.files import LineWriter
 from ..io.row_log import RowLog
 from ..io.zones import Line as Line
@@ -404,7 +404,10 @@ def line_of(event: Event) -> str:
 def read_events(path: str | Path) -> list[Event]:
     """Read `events.csv`; a ValueError with file and line if it is not such a file."""
     path, found = Path(path), []
-    with path.open(encoding="utf-8", newline="") as file:
+    with (
+        fitting(path, "expected events of a run"),
+        path.open(encoding="utf-8-sig", errors="replace", newline="") as file,
+    ):
         rows = csv.reader(file)
         if tuple(next(rows, ())) != COLUMNS:
             raise ValueError(f"{path}: got another header, expected {','.join(COLUMNS)}")

@@ -2,15 +2,16 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.array_files import read_fields
 from ...models.body.upper_body import PARTS
-from ...models.core.checks import checked
+from ...models.core.checks import Shape, checked
 from ...models.core.identities import places_of
-from ...models.files import MOST_NUMBERS, write_atomically
+from ...models.files import MOST_NUMBERS, fitting, write_atomically
 from ..options.libraries import needed
 from .finished_run import FinishedRun, read_tracks_table
 
@@ -20,6 +21,23 @@ if TYPE_CHECKING:
 Numbers = NDArray[np.float64]
 
 SPACE = ["x", "y"]
+
+POSES = "poses.npz"
+OF_FRAMES = Annotated[NDArray[np.float64], Shape("n_frames", finite=False)]
+PLACES = Annotated[NDArray[np.floating], Shape("n_frames", "n_points", 2, finite=False)]
+OF_BODY = {
+    "times": OF_FRAMES,
+    "joints_2d": PLACES,
+    "seen_probability": Annotated[NDArray[np.float64], Shape("n_frames", len(PARTS), finite=False)],
+    "joint_names": Annotated[NDArray[np.str_], Shape("n_points")],
+}
+OF_FACE = {
+    "times": OF_FRAMES,
+    "landmarks": PLACES,
+    "fit": OF_FRAMES,
+    "lost": Annotated[NDArray[np.bool_], Shape("n_frames")],
+}
+"""Arrays that are read of `poses.npz`; the others, which may be large, stay where they are."""
 
 
 @checked
@@ -120,34 +138,26 @@ def _times(numbers: range, measured: NDArray[np.int64], times: Numbers, rate: fl
 
 
 def _body(run: FinishedRun) -> "xarray.Dataset":
-    poses = _read_poses(run, ("times", "joints_2d", "seen_probability", "joint_names"))
+    poses = read_fields(run.folder / POSES, "expected the poses of a body", OF_BODY)
     joints = [str(name) for name in poses["joint_names"]]
     confidence = np.full(poses["joints_2d"].shape[:2], np.nan)
-    confidence[:, [joints.index(part) for part in PARTS]] = poses["seen_probability"]
+    with fitting(run.folder / POSES, f"expected joints {', '.join(PARTS)}"):
+        confidence[:, [joints.index(part) for part in PARTS]] = poses["seen_probability"]
     return _poses(run, poses["times"], poses["joints_2d"], confidence, joints)
 
 
 def _face(run: FinishedRun) -> "xarray.Dataset":
-    poses = _read_poses(run, ("times", "landmarks", "fit", "lost"))
+    path, expected = run.folder / POSES, "expected the poses of a face"
+    poses = read_fields(path, expected, OF_FACE)
     points, kind = poses["landmarks"], "landmark"
     there = np.isfinite(points).all(axis=2).any(axis=0)
     if not there.any():
-        points, kind = _read_poses(run, ("vertices_2d",))["vertices_2d"], "vertex"
+        kinds = {"times": OF_FACE["times"], "vertices_2d": PLACES}
+        points, kind = read_fields(path, expected, kinds)["vertices_2d"], "vertex"
         there = np.ones(points.shape[1], bool)
     confidence = np.where(poses["lost"], 0.0, poses["fit"])[:, None] * np.ones(there.sum())
     names = [f"{kind}_{place}" for place in np.flatnonzero(there)]
     return _poses(run, poses["times"], points[:, there], confidence, names)
-
-
-def _read_poses(run: FinishedRun, names: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Some arrays of `poses.npz`; the others, which may be large, stay where they are."""
-    path = run.folder / "poses.npz"
-    with path.open("rb") as file:
-        try:
-            with np.load(file, allow_pickle=False) as arrays:
-                return {name: arrays[name] for name in names}
-        except Exception as error:  # broken bytes make zip and numpy raise almost anything
-            raise ValueError(f"{path}: got a damaged file ({type(error).__name__}), expected poses") from None
 
 
 def _poses(

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from zipfile import BadZipFile
 
 import av
 import cv2
@@ -11,13 +10,13 @@ import numpy as np
 from ...models.array_files import read_arrays
 from ...models.core.checks import checked
 from ...models.core.frame import Frame
-from ...models.files import write_atomically
+from ...models.files import fitting, write_atomically
 from ..body.page import drawing, with_final_names
 from ..io.zones import read_zones
 from ..runs.progress import Progress
 from ..view.film import FILM, ROWS, Film, read_film
 from ..view.overlay import Draw, OverlayVideo, PointsOverlay, TracksOverlay, draw_face
-from .finished_run import FinishedRun
+from .finished_run import SUMMARY, FinishedRun
 
 
 @checked
@@ -38,17 +37,17 @@ def to_video(run: str | Path, out: str | Path) -> str:
     finished = FinishedRun.of(run, *_DRAWINGS)
     if not (finished.folder / FILM).exists() or not (finished.folder / ROWS).exists():
         raise ValueError(f"{finished.folder}: holds no film, expected {FILM} and {ROWS}")
-    try:
-        film = read_film(finished.folder)
-    except (av.FFmpegError, BadZipFile, KeyError, ValueError) as error:
-        raise ValueError(f"{finished.folder}: got a damaged film ({error})") from None
+    film = read_film(finished.folder)
     if finished.summary.get("relabelled"):
-        poses = read_arrays(finished.folder / "poses.npz", "expected the poses of a body")
-        film = with_final_names(film, poses)
-    draw = _DRAWINGS[finished.application](finished)
+        path, expected = finished.folder / "poses.npz", "expected the poses of a body"
+        with fitting(path, expected):
+            film = with_final_names(film, read_arrays(path, expected, most=path.stat().st_size))
+    with fitting(finished.folder / SUMMARY, f"expected the summary of rsmcm {finished.application}"):
+        draw = _DRAWINGS[finished.application](finished)
     span = film.times[-1] - film.times[0]
     rate = (len(film.times) - 1) / span if span > 0 else 25.0
     with (
+        fitting(finished.folder / ROWS, f"expected the film of rsmcm {finished.application}"),
         write_atomically(Path(out)) as unfinished,
         OverlayVideo(unfinished, rate, draw) as video,
         Progress("video", len(film.numbers)) as progress,

@@ -12,7 +12,7 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.files import naming, write_atomically, write_text
+from ...models.files import LAST_FRAME, fitting, naming, write_atomically, write_text
 
 Values = Mapping[str, Any]
 """By the names of columns, what a frame or its objects have there."""
@@ -22,6 +22,8 @@ COLUMNS = "rows"
 
 HEADER = 256
 """Bytes of a file before its numbers: as many whatever the number of rows, which is not known beforehand."""
+
+EXPECTED = "expected rows of a run"
 
 _FRAME, _OBJECT = "frame", "object"
 _TYPES = {"number": np.int64, "objects": np.int64, "missing": np.bool_}
@@ -40,12 +42,6 @@ class _Column:
         self._file.seek(0, os.SEEK_END)
 
     @classmethod
-    def reopened(cls, path: Path, count: int) -> Self:
-        """The column that a file holds, with so many of its rows."""
-        whole = np.load(path, mmap_mode="r", allow_pickle=False)
-        return cls(path, whole.dtype, whole.shape[1:], count)
-
-    @classmethod
     def like(cls, path: Path, values: NDArray[Any]) -> Self:
         """An empty column for rows such as these."""
         return cls(path, values.dtype, values.shape[1:])
@@ -59,7 +55,7 @@ class _Column:
         """Append rows; ValueError if they have another shape or type than those before."""
         if values.shape[1:] != self.shape or values.dtype != self.dtype:
             raise ValueError(
-                f"{self.path.stem}: got {values.shape[1:]} {values.dtype}, expected {self.shape} "
+                f"{self.path}: got {values.shape[1:]} {values.dtype}, expected {self.shape} "
                 f"{self.dtype} like the rows before"
             )
         self._file.write(values.tobytes())
@@ -110,14 +106,13 @@ class RowLog:
         folder.mkdir(exist_ok=True)
         paths = sorted(folder.glob("*.npy"))
         if resume_after and paths:
-            numbers, counts = (np.load(self._path(_FRAME, name)) for name in ("number", "objects"))
-            kept = int(np.searchsorted(numbers, resume_after, side="right"))
-            rows = {_FRAME: kept, _OBJECT: int(counts[:kept].sum())}
-            for path in paths:
+            rows = self._rows(resume_after)
+            forms = {path: _form_of(path, rows.get(path.stem.partition(".")[0], 0)) for path in paths}
+            for path, form in forms.items():
                 kind, _, name = path.stem.partition(".")
-                if rows[kind]:
+                if rows.get(kind):
                     columns = self._frames if kind == _FRAME else self._objects
-                    columns[name] = _Column.reopened(path, rows[kind])
+                    columns[name] = _Column(path, *form, rows[kind])
                 else:
                     path.unlink()
         else:
@@ -208,8 +203,37 @@ class RowLog:
         with write_atomically(path) as unfinished:
             np.savez(unfinished, allow_pickle=False, **constants, **of_frames)
 
+    def _rows(self, last: int) -> dict[str, int]:
+        """How many rows of each kind there are up to a frame; a `ValueError` names a file without them."""
+        paths = [self._path(_FRAME, name) for name in ("number", "objects")]
+        numbers, counts = (_mapped(path) for path in paths)
+        for path, column in zip(paths, (numbers, counts), strict=True):
+            if column.ndim != 1 or column.dtype != np.int64:
+                raise ValueError(f"{path}: got {column.shape} {column.dtype}, {EXPECTED}")
+        kept = int(np.count_nonzero(numbers <= last))
+        if (np.diff(numbers) <= 0).any():
+            raise ValueError(f"{paths[0]}: got numbers that do not ascend, {EXPECTED}")
+        if not ((counts[:kept] >= 0) & (counts[:kept] <= LAST_FRAME)).all():
+            raise ValueError(f"{paths[1]}: got counts beyond 0 to {LAST_FRAME}, {EXPECTED}")
+        return {_FRAME: kept, _OBJECT: int(counts[:kept].sum())}
+
     def _path(self, kind: str, name: str) -> Path:
         return self._folder / f"{kind}.{name}.npy"
+
+
+def _mapped(path: Path) -> NDArray[Any]:
+    """The rows of a file, on the disk; a `ValueError` names it if it is damaged."""
+    with fitting(path, EXPECTED):
+        array: NDArray[Any] = np.lib.format.open_memmap(path, "r")
+    return array
+
+
+def _form_of(path: Path, count: int) -> tuple[np.dtype[Any], tuple[int, ...]]:
+    """Type and shape of the rows of a file that has so many; a `ValueError` names one that has less."""
+    rows = _mapped(path)
+    if not rows.ndim or len(rows) < count:
+        raise ValueError(f"{path}: got {rows.shape} {rows.dtype}, expected {count} rows of a run")
+    return rows.dtype, rows.shape[1:]
 
 
 def remove_rows(folder: Path) -> None:

@@ -8,7 +8,7 @@ import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -21,6 +21,7 @@ from ...inference import Belief, MultiChain, RecursiveBP
 from ...inference.engine.checkpoint import EXPECTED
 from ...inference.engine.recursive_bp import RunState
 from ...models.core.frame import Frame
+from ...models.files import fitting
 from ...models.numerics.compiled import work_clock
 from ...models.numerics.threads import thread_count
 from ..io.files import segments_of, write_json
@@ -229,6 +230,17 @@ class Start:
         except (TypeError, ValueError, LookupError) as error:
             assert self._saved is not None
             raise ValueError(f"{self._saved.path}: got another memory, {EXPECTED}") from error
+
+    @contextmanager
+    def going_on(self) -> Iterator[None]:
+        """Inside, a ValueError in a run that goes on from another one's state names its file."""
+        try:
+            yield
+        except ValueError as error:
+            origin = self._saved or self._learned
+            if origin is None:
+                raise
+            raise ValueError(f"{origin.path}: got a state that leads to: {error}, {EXPECTED}") from error
 
     def state(self, model: MultiChain) -> RunState:
         """Return the state of a model before the first frame."""
@@ -478,7 +490,8 @@ class _FilmRun:
             unsaved, spent = 0, 0.0
             for frame in frames:
                 began = work_clock()
-                answered = engine.step(frame)
+                with self._start.going_on():
+                    answered = engine.step(frame)
                 spent += work_clock() - began
                 for belief in answered:
                     write(belief, spent / len(answered))
@@ -592,5 +605,8 @@ class _FilmRun:
         )
         out = self._job.out
         film = read_film(out) if (out / FILM_ROWS).exists() else None  # or there was no image
-        write_page(out / VIEW, application.page(log, film, summary))
+        earlier = fitting(out / FILM_ROWS, f"expected the film of rsmcm {application.name}")
+        with earlier if start.resumed else nullcontext():
+            page = application.page(log, film, summary)
+        write_page(out / VIEW, page)
         return summary

@@ -13,7 +13,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from ...models.files import UNFINISHED, naming
+from ...models.files import UNFINISHED, naming, read_text
 from ..io.files import PART, write_json
 from .saved_run import STATE
 
@@ -197,7 +197,7 @@ def _holder(path: Path) -> str:
     try:
         holder = json.loads((path / HOLDER).read_text(encoding="utf-8"))
         return f"process {holder['process']} on {holder['machine']}, since {holder['since']},"
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return "another run"  # which has just begun or is about to end
 
 
@@ -210,7 +210,7 @@ def _manifest(path: Path) -> dict[str, Any]:
     if not file.exists():
         return {"application": None, "files": []}
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = json.loads(read_text(file, "expected a list of files"))
         application, files = content["application"], content["files"]
         inside = all(not Path(name).is_absolute() and ".." not in Path(name).parts for name in files)
         if not (isinstance(application, str) and isinstance(files, list) and inside):

@@ -4,15 +4,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.array_files import Arrays, read_arrays, require_fields
+from ...models.core.checks import NONE_NEGATIVE, Bound, Shape
 from ...models.core.frame import Frame
-from ...models.files import sync, write_atomically
+from ...models.files import MOST_PIXELS, fitting, sync, write_atomically
 from ..io.files import (
     PLAYABLE,
     SegmentedVideo,
@@ -28,6 +30,19 @@ Row = Mapping[str, NDArray[Any]]
 """What is drawn on a frame: arrays whose first axis may have another length in every frame."""
 
 FILM, ROWS = "film.mp4", "view.npz"
+
+EXPECTED = "expected the film of a run"
+SIZES = Bound(
+    lambda sizes: (sizes > 0).all() and 0 < sizes.prod(axis=1, dtype=float).max(initial=0) <= MOST_PIXELS,
+    f"sizes of pictures of up to {MOST_PIXELS} px",
+)
+OF_FRAMES = {
+    "number": Annotated[NDArray[np.int64], Shape("n_frames")],
+    "time": Annotated[NDArray[np.float64], Shape("n_frames")],
+    "size": Annotated[NDArray[np.int32], Shape("n_frames", 2), SIZES],
+}
+"""Arrays of `view.npz` with a value a frame."""
+OF_COUNT = Annotated[NDArray[np.int64], Shape("n_frames"), NONE_NEGATIVE]
 
 LONGEST_SIDE = 640  # px of the film
 MOST_BYTES = 24 << 20
@@ -168,23 +183,38 @@ class Film:
 
 
 def read_film(folder: Path) -> Film:
-    """Read what `FilmWriter` has written."""
-    path = folder / FILM
-    with np.load(folder / ROWS) as file:
-        arrays = dict(file)
-    columns = {name: values for name, values in arrays.items() if not name.endswith(".count")}
-    numbers, times = columns.pop("number"), columns.pop("time")
-    width, height = columns.pop("size")[-1].tolist()
-    counts = {name: arrays[f"{name}.count"] for name in columns}
-    return Film(path, (width, height), numbers, times, _moments(path), columns, counts)
+    """Read what `FilmWriter` has written; a `ValueError` names a file that is no such one."""
+    video, path = folder / FILM, folder / ROWS
+    arrays = _read_rows(path)
+    names = [name for name in arrays if not name.endswith(".count") and name not in OF_FRAMES]
+    columns = {name: arrays[name] for name in names}
+    counts = {name: arrays[f"{name}.count"] for name in names}
+    width, height = arrays["size"][-1].tolist()
+    return Film(video, (width, height), arrays["number"], arrays["time"], _moments(video), columns, counts)
+
+
+def _read_rows(path: Path) -> Arrays:
+    """Arrays of a file of rows, checked as far as all applications have them."""
+    arrays = read_arrays(path, EXPECTED, most=path.stat().st_size)
+    names = {name for name in arrays if not name.endswith(".count")} | OF_FRAMES.keys()
+    counts = {f"{name}.count": OF_COUNT for name in names}
+    require_fields(path, EXPECTED, OF_FRAMES | counts, arrays)
+    for name in names:
+        values, total = arrays[name], arrays[f"{name}.count"].astype(float).sum()
+        if not values.ndim or len(values) != total or values.dtype.kind not in "biuf":
+            raise ValueError(f"{path}: {name}: got {values.shape} {values.dtype} for {total:g}, {EXPECTED}")
+    return arrays
 
 
 def _moments(path: Path) -> NDArray[np.float64]:
-    with av.open(str(path)) as container:
-        stream = container.streams.video[0]
-        assert stream.time_base is not None
-        ticks = [packet.pts for packet in container.demux(stream) if packet.pts is not None]
-        return np.array(ticks, np.float64) * float(stream.time_base)  # closed, a stream has no memory
+    try:
+        with av.open(str(path)) as container:
+            stream = container.streams.video[0]
+            assert stream.time_base is not None
+            ticks = [packet.pts for packet in container.demux(stream) if packet.pts is not None]
+            return np.array(ticks, np.float64) * float(stream.time_base)  # closed, a stream has no memory
+    except (av.FFmpegError, IndexError) as error:
+        raise ValueError(f"{path}: got a damaged film ({error})") from None
 
 
 def _small(image: Image) -> Image:
@@ -202,12 +232,13 @@ def _small(image: Image) -> Image:
 
 
 def _join(segments: Sequence[Path], path: Path) -> None:
-    parts = []
+    parts: list[Arrays] = []
     for segment in segments:
-        with np.load(segment) as file:
-            parts.append(dict(file))
-    np.savez(
-        path,
-        allow_pickle=False,
-        **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
-    )
+        part = _read_rows(segment)
+        with fitting(segment, EXPECTED):
+            for name, values in parts[-1].items() if parts else ():
+                if part[name].shape[1:] != values.shape[1:] or part[name].dtype != values.dtype:
+                    raise ValueError(f"{name} unlike that of the frames before")
+        parts.append(part)
+    arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    np.savez(path, allow_pickle=False, **arrays)

@@ -516,7 +516,8 @@ class OverlayVideo:
         self._image = self._image if frame.image is None else frame.image
         if self._image is None:
             return  # nothing seen yet, not even the size
-        picture = self._draw(self._image, row(), frame.number, frame.time, missing=frame.missing)
+        with np.errstate(all="ignore"):  # places that are not known, and those beyond all pictures
+            picture = self._draw(self._image, row(), frame.number, frame.time, missing=frame.missing)
         if self._video is not None:
             self._video.write(picture, frame.number, frame.time)
         if self._show is not None:

@@ -55,6 +55,7 @@ POSITIVE = Bound(lambda value: value > 0, "more than 0")
 NOT_EMPTY = Bound(lambda value: len(value) > 0, "one or more")
 NO_NAN = Bound(lambda numbers: not np.isnan(numbers).any(), "numbers without NaN")
 PROBABILITIES = Bound(lambda numbers: bool(((numbers >= 0) & (numbers <= 1)).all()), "probabilities")
+NONE_NEGATIVE = Bound(lambda numbers: bool((numbers >= 0).all()), "numbers from 0")
 POSITIVES = Bound(lambda numbers: bool((numbers > 0).all()), "numbers above 0")
 LOG_WEIGHTS = Bound(
     lambda logs: bool((logs < 1).all() and abs(np.exp(logs).sum() - 1) < 1e-3),

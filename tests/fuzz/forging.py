@@ -1,4 +1,4 @@
-"""States that were changed on purpose: one or several values of a real one, with a digest that fits."""
+"""Archives that were changed on purpose: one or several values of a real one; a state's digest fits."""
 
 import io
 import json
@@ -35,23 +35,24 @@ TYPES = (">f8", ">i4", "f8", "f4", "i8", "i4", "u1", "i1", "u8", "?", "c16", "U3
 LARGEST = 1 << 16  # numbers of an array that grew
 
 
-def forged(files: Files, random: Random) -> Files:
-    """The files of an input with another state: arrays or plain JSON, changed once or a few times."""
-    with np.load(io.BytesIO(files[STATE])) as archive:
-        arrays = dict(archive)
-    arrays.pop(checkpoint.DIGEST)
-    skeleton = json.loads(str(arrays.pop(checkpoint.SKELETON)))
+def forged(files: Files, archive: str, random: Random) -> Files:
+    """The files of an input with another archive: arrays, or plain JSON of a state, changed once or more."""
+    with np.load(io.BytesIO(files[archive])) as content:
+        arrays = dict(content)
+    is_state = arrays.pop(checkpoint.DIGEST, None) is not None
+    skeleton = json.loads(str(arrays.pop(checkpoint.SKELETON))) if is_state else None
     for _ in range(random.geometric(0.6)):
-        if random.random() < 0.3 or not arrays:
+        if skeleton and (random.random() < 0.3 or not arrays):
             _change_json(skeleton["values"], random)
         else:
             name = str(random.choice(sorted(arrays)))
             arrays[name] = _changed(arrays[name], [*arrays.values()], random)
-    arrays[checkpoint.SKELETON] = np.array(json.dumps(skeleton))
+    if is_state:
+        arrays[checkpoint.SKELETON] = np.array(json.dumps(skeleton))
+        arrays[checkpoint.DIGEST] = np.array(checkpoint._digest(arrays))
     stream = io.BytesIO()
-    digest = np.array(checkpoint._digest(arrays))
-    np.savez(stream, allow_pickle=False, **arrays, **{checkpoint.DIGEST: digest})
-    return files | {STATE: stream.getvalue()}
+    np.savez(stream, allow_pickle=False, **arrays)
+    return files | {archive: stream.getvalue()}
 
 
 def _one(things: Any, random: Random) -> Any:

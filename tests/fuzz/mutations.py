@@ -26,6 +26,8 @@ SHAPES = (
 TYPES = (
     "<f8", ">f8", "<f4", "<f2", "<i8", "|i1", "<u8", "|b1", "<c16", "|O", "<U3", "|S5", "<M8[s]",
 )  # fmt: skip
+KEPT = {"run.json", "out/state.npz"}
+"""Names of files that are not damaged: they say what is run, and states are forged by themselves."""
 LONGEST = 1 << 22  # bytes of an input that grew
 
 
@@ -33,12 +35,12 @@ def mutated(files: Files, others: list[Files], random: Random) -> Files:
     """One of the files of an input, or several, damaged once or a few times."""
     files = dict(files)
     for _ in range(random.geometric(0.7)):
-        name = str(random.choice(sorted(files)))
+        name = str(random.choice(sorted(files.keys() - KEPT)))
         if random.random() < 0.02:
             files[name] = b""
         elif random.random() < 0.02:
-            files[name] = files[str(random.choice(sorted(files)))]
-        elif random.random() < 0.01 and len(files) > 1:
+            files[name] = files[str(random.choice(sorted(files.keys() - KEPT)))]
+        elif random.random() < 0.01 and len(files.keys() - KEPT) > 1:
             del files[name]
         else:
             other = others[random.integers(len(others))]

@@ -27,6 +27,7 @@ from rsmcm.models.face.detectors import default_faces
 from rsmcm.models.face.model_files import read_correspondences, read_model
 from rsmcm.models.face.morphable_model import Poses
 
+from .folders import continued, events, poses, recounts, shapes, summaries, videos
 from .runs import finished, learned, resumed, rounds, trackers
 
 SIZE = (64, 48)
@@ -177,14 +178,15 @@ def detectors(folder: Path) -> None:
 FORGED = {"resumed", "learned", "rounds", "finished", "trackers"}
 """Those whose inputs are states with other values, not damaged files."""
 
-SLOW = {"detectors": 20, **dict.fromkeys(FORGED, 2)}
-"""How many times fewer inputs: each starts a process of its own, or is a run."""
+SLOW = {"detectors": 20, "continued": 5, "videos": 2, **dict.fromkeys(FORGED, 2)}
+"""How many times fewer inputs: each starts a process of its own, is a run, or ends with a video."""
 
 READERS: dict[str, Callable[[Path], None]] = {
     reader.__name__: reader
     for reader in (
         films, pictures, masks, regions, boxes, archives, results, detections, keypoints, parameters, zones,
         tracks, landmarks, models, correspondences, states, predictions, exports, detectors,
+        continued, poses, videos, recounts, summaries, events, shapes,
         resumed, learned, rounds, finished, trackers,
     )
 }  # fmt: skip

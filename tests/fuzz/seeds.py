@@ -21,6 +21,15 @@ from rsmcm.inference.validity import RecordedPredictions
 from rsmcm.models.face.model_files import write_model
 from rsmcm.models.face.morphable_model import MorphableModel, rms_radius
 
+from .folders import (
+    batches,
+    event_tables,
+    finished_folders,
+    moving_shapes,
+    posed_folders,
+    stopped_folders,
+    watched_folders,
+)
 from .mutations import Files
 from .networks import tiny_network
 from .runs import finished_runs, first_round, runs_to_learn_from, saved_trackers, stopped_runs
@@ -303,6 +312,13 @@ MAKERS: dict[str, Callable[[Path], list[Files]]] = {
     "predictions": _predictions,
     "exports": _exports,
     "detectors": _detectors,
+    "continued": stopped_folders,
+    "poses": posed_folders,
+    "videos": finished_folders,
+    "recounts": watched_folders,
+    "summaries": batches,
+    "events": event_tables,
+    "shapes": moving_shapes,
     "resumed": stopped_runs,
     "learned": runs_to_learn_from,
     "rounds": first_round,

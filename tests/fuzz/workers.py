@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
-from .forging import forged
+from .forging import STATE, forged
 from .mutations import Files, mutated
 from .readers import FORGED, READERS
 
@@ -30,7 +31,9 @@ MEMORY = 2 << 30
 HEADROOM = 3
 """Factor of the process limit above this memory, so that an excessive request is measured, not refused."""
 SECONDS = 30.0
-"""Most wall time of an input, of a process's first one with imports, which take six on a busy machine."""
+"""Most computing time of an input, of a process's first one with imports."""
+PATIENCE = 10
+"""Factor of this time above which an input is ended that does not compute, on however busy a machine."""
 RESULT, REFUSED = "result", "refused"
 
 Seeds = dict[str, list[Files]]
@@ -43,7 +46,12 @@ def input_of(seeds: Seeds, task: Task, seed: int) -> Files:
     reader, number = task
     random = np.random.default_rng([seed, number, *reader.encode()])
     chosen = seeds[reader][number % len(seeds[reader])]
-    return forged(chosen, random) if reader in FORGED else mutated(chosen, seeds[reader], random)
+    if reader in FORGED:
+        return forged(chosen, STATE, random)
+    archives = [name for name in sorted(chosen) if name.endswith(".npz")]
+    if archives and random.random() < 0.5:
+        return forged(chosen, str(random.choice(archives)), random)
+    return mutated(chosen, seeds[reader], random)
 
 
 def write(files: Files, folder: Path) -> None:
@@ -75,7 +83,7 @@ def outcomes(
             for pipe, worker in busy.items():
                 if pipe in ready:
                     outcome = worker.outcome()
-                elif time.monotonic() - worker.started > seconds:
+                elif time.monotonic() - worker.started > PATIENCE * seconds or worker.computed() > seconds:
                     worker.stop()
                     outcome = f"more than {seconds:g} s"
                 else:
@@ -92,6 +100,7 @@ class _Worker:
     arguments: tuple[Any, ...]
     task: Task | None = None
     started: float = 0.0
+    _before: float = 0.0
     process: Any = None
     pipe: Any = field(default=None)
 
@@ -106,8 +115,16 @@ class _Worker:
             self.process.start()
             other.close()
             self.pipe.recv()  # ready
-        self.started = time.monotonic()
+        self.started, self._before = time.monotonic(), 0.0
+        self._before = self.computed()
         self.pipe.send(task)
+
+    def computed(self) -> float:
+        """Seconds of computing for this task."""
+        with contextlib.suppress(psutil.Error):
+            times = psutil.Process(self.process.pid).cpu_times()
+            return times.user + times.system - self._before
+        return 0.0
 
     def outcome(self) -> str:
         try:

@@ -84,7 +84,7 @@ def test_columns_can_be_looked_at_while_the_run_goes_on(tmp_path: Path) -> None:
 def test_another_row_is_refused(tmp_path: Path) -> None:
     with RowLog(tmp_path / "rows") as log:
         log.append(row(1), {})
-        with pytest.raises(ValueError, match=r"frame\.pose: got \(3, 3\) float32, expected \(2, 3\) float32"):
+        with pytest.raises(ValueError, match=r"frame\.pose\.npy: got \(3, 3\) float32, expected \(2, 3\)"):
             log.append({**row(2), "pose": np.zeros((3, 3), np.float32)}, {})
 
 
@@ -103,3 +103,22 @@ def test_tables_and_arrays(tmp_path: Path) -> None:
             "poses": (2, 2, 3),
             "two": (2,),
         }
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("number", lambda column: column[::-1].copy(), "got numbers that do not ascend"),
+        ("number", lambda column: column.astype(float), r"got \(5,\) float64"),
+        ("objects", lambda column: column - 3, "got counts beyond 0"),
+        ("pose", lambda column: column[:2], r"got \(2, 2, 3\) float32, expected 4 rows"),
+        ("time", lambda column: np.array("x"), r"got \(\) <U1, expected 4 rows"),
+        ("time", lambda column: np.array([None]), "got other content"),
+    ],
+)
+def test_forged_columns_are_refused_by_name(name: str, change: Any, message: str, tmp_path: Path) -> None:
+    written(tmp_path / "rows", 1, 5)
+    path = tmp_path / "rows" / f"frame.{name}.npy"
+    np.save(path, change(np.load(path)), allow_pickle=True)
+    with pytest.raises(ValueError, match=rf"frame\.{name}\.npy: {message}"):
+        RowLog(tmp_path / "rows", 4)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -111,3 +112,25 @@ def test_pictures_are_small(tmp_path: Path, size: tuple[int, int], shown: tuple[
     video = cv2.VideoCapture(str(tmp_path / FILM))
     assert (int(video.get(3)), int(video.get(4))) == shown
     assert max(shown) == LONGEST_SIDE
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"size": np.full((5, 2), 2**20, np.int32)}, "size: got .*, expected sizes of pictures"),
+        ({"number": np.arange(4)}, "number.*got shape|time.*got shape"),
+        ({"box.count": np.arange(5)}, r"box: got \(\d+, 4\) float32 for 10"),
+        ({"box.count": np.array([0, 1, 2, 3, -6])}, "box.count: got .*, expected numbers from 0"),
+        ({"one": np.full(5, "x")}, r"one: got \(5,\) <U1"),
+        ({"more": np.zeros(3)}, "more.count: got None"),
+    ],
+)
+def test_forged_rows_are_refused_by_name(
+    changes: dict[str, NDArray[Any]], message: str, tmp_path: Path
+) -> None:
+    write(tmp_path, range(1, 6))
+    with np.load(tmp_path / ROWS) as file:
+        arrays = dict(file)
+    np.savez(tmp_path / ROWS, allow_pickle=False, **(arrays | changes))
+    with pytest.raises(ValueError, match=rf"view\.npz: ({message})"):
+        read_film(tmp_path)
