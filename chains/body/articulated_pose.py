@@ -148,10 +148,14 @@ class ArticulatedPose:
         seen, past, n = message.image.mixtures, state.ancestors, CANDIDATES * self.samples
         starts = self._start_mixtures(message, seen, state)
         if past is None:
-            drawn = Candidates.of_first_frame(self._dynamics, state.size, starts, max(FIRST, n), random)
+            drawn = Candidates.of_first_frame(
+                self._dynamics, state.size, starts, max(FIRST, n), random, bare=message.image.bare
+            )
         else:
             guides = ((seen, 1 - PREDICTED), (message.predicted, PREDICTED))
-            drawn = Candidates.of_next_frame(self._dynamics, state.size, past, guides, starts, n, random)
+            drawn = Candidates.of_next_frame(
+                self._dynamics, state.size, past, guides, starts, n, random, message.image.bare
+            )
         return drawn.weighted(message.log_values(self.body.parts(drawn.poses)))
 
     def smooth(

@@ -515,33 +515,41 @@ def arm_terms(joints, arms, scales, points, weights, torso, missing, out):
 
 
 @compiled
-def blob_terms(parts, elbows, blobs, costs, reach, bare, out):
-    """Takes from `out` `(n,)` the `costs` `(m,)` nats of `blobs` `(m, 2)` px that nothing explains.
+def unexplained_terms(joints, places, costs, reach, bare, out):
+    """Takes from `out` `(n,)` the `costs` `(m,)` nats of skin at `places` `(m, 2)` px that nothing explains.
 
-    A part explains what is within about `reach` `(4,)` px of it, and so do, if they are `bare`, forearms.
+    Head and hands explain what is within about `reach` `(4,)` px of them, and so do, if they are `bare`,
+    forearms and upper arms from halfway to the elbow. `joints` `(n, 8, 2)` px.
     """
-    arms = np.empty((2, 3), np.float32)
-    for k in range(len(parts)):
+    limbs, rates = np.empty((4, 5), np.float32), np.empty(4, np.float32)
+    for part in range(4):
+        rates[part] = _f4(0.5) / _f4(reach[part] * reach[part])
+    n_limbs = 4 if bare else 0
+    for k in range(len(joints)):
+        for limb in range(n_limbs):
+            first = 2 + 3 * (limb // 2) + limb % 2
+            x, y = _f4(joints[k, first, 0]), _f4(joints[k, first, 1])
+            right, below = _f4(joints[k, first + 1, 0]) - x, _f4(joints[k, first + 1, 1]) - y
+            if limb % 2 == 0:
+                right, below = _f4(0.5) * right, _f4(0.5) * below
+                x, y = x + right, y + below
+            length = max(np.sqrt(right * right + below * below), _f4(1e-3))
+            limbs[limb, 0], limbs[limb, 1] = x, y
+            limbs[limb, 2], limbs[limb, 3], limbs[limb, 4] = right / length, below / length, length
         total = _f4(0.0)
-        if bare:
-            for side in range(2):
-                _forearm(parts, elbows, k, side, _f4(0.0), arms[side])
-        for j in range(len(blobs)):
+        for j in range(len(places)):
             left = _f4(costs[j])
             for part in range(3):
-                x = _f4(parts[k, part, 0] - blobs[j, 0])
-                y = _f4(parts[k, part, 1] - blobs[j, 1])
-                scale = _f4(0.5) / _f4(reach[part] * reach[part])
-                left *= _f4(1.0) - exponential(-scale * (x * x + y * y))
-            if bare:
-                for side in range(2):
-                    x = _f4(blobs[j, 0] - elbows[k, side, 0])
-                    y = _f4(blobs[j, 1] - elbows[k, side, 1])
-                    along = min(max(x * arms[side, 0] + y * arms[side, 1], _f4(0.0)), arms[side, 2])
-                    x -= along * arms[side, 0]
-                    y -= along * arms[side, 1]
-                    scale = _f4(0.5) / _f4(reach[3] * reach[3])
-                    left *= _f4(1.0) - exponential(-scale * (x * x + y * y))
+                joint = 0 if part == 0 else 1 + 3 * part
+                x = _f4(places[j, 0] - joints[k, joint, 0])
+                y = _f4(places[j, 1] - joints[k, joint, 1])
+                left *= _f4(1.0) - exponential(-rates[part] * (x * x + y * y))
+            for limb in range(n_limbs):
+                x, y = _f4(places[j, 0]) - limbs[limb, 0], _f4(places[j, 1]) - limbs[limb, 1]
+                along = min(max(x * limbs[limb, 2] + y * limbs[limb, 3], _f4(0.0)), limbs[limb, 4])
+                x -= along * limbs[limb, 2]
+                y -= along * limbs[limb, 3]
+                left *= _f4(1.0) - exponential(-rates[3] * (x * x + y * y))
             total += left
         out[k] -= total
 

@@ -19,13 +19,13 @@ from .kernels import (
     HandModel,
     Solid,
     arm_terms,
-    blob_terms,
     edge_features,
     forearm_terms,
     hand_terms,
     head_terms,
     outline_terms,
     over_density,
+    unexplained_terms,
 )
 
 Array = NDArray[np.float64]
@@ -138,7 +138,8 @@ HEAD_SCORES = (5.0, 0.2)
 
 NECK_RADIUS, NO_NECK = 0.28, -9.0  # head heights: of bare skin above the shoulders; of none
 BLOB_COST = 4.0  # nats of a blob that looks like a hand and that no part explains
-BLOB_REACH = (0.6, 0.35, 0.35, 0.25)  # head heights: within which parts and bare forearms explain a blob
+LEAST_COST = 0.1  # nats of a place below which its skin costs nothing
+BLOB_REACH = (0.6, 0.35, 0.35, 0.25)  # head heights: within which parts and bare arms explain skin
 EDGE_STD = 0.05  # head heights: standard deviation of an edge about the outline of a nearly right body
 EDGE_WINDOW = 0.5  # head heights: standard deviation of the window of the density of edges
 DENSITY_CELLS = 5.0  # entries of the map of that density per such length
@@ -251,7 +252,7 @@ class ImageLikelihood:
         if self.head is not None:
             head_terms(parts[:, 0], self.head, _scales(self.head, image), np.array(HEAD_SCORES), terms[0])
         if self.skin is not None:
-            terms[1] = self._skin_terms(self.skin, parts, poses.roots, joints[:, [3, 6]])[0]
+            terms[1] = self._skin_terms(self.skin, joints, poses.roots)[0]
         if image.keypoints is not None:
             terms[2] = image.keypoints.log_ratios(body, joints)
         if image.arms is not None:
@@ -262,6 +263,26 @@ class ImageLikelihood:
                 terms[3],
             )  # fmt: skip
         return terms
+
+    @cached_property
+    def _skin_by_area(self) -> tuple[Array, Array]:
+        """Places `(m, 2)` px, a hand's radius apart, and nats `(m,)` of their skin if nothing explains it.
+
+        Where arms may be bare, skin of a hand's area costs as much as a blob. Detected faces explain theirs.
+        """
+        assert self.skin is not None
+        share, scales = self.skin[0], _scales(self.skin[0], self.image)
+        across, down = self.body.hand * scales
+        rows, columns = (
+            np.arange(0.5 * step, length, step).astype(np.int64)
+            for step, length in zip((down, across), share.shape, strict=True)
+        )
+        places = (np.stack(np.meshgrid(columns, rows), axis=2).reshape(-1, 2) + 0.5) / scales - 0.5
+        costs = BLOB_COST / np.pi * share[np.ix_(rows, columns)].ravel().astype(np.float64)
+        shown = costs > LEAST_COST
+        for x, y, half_width, half_height in self.image.faces:
+            shown &= np.square((places - [x, y]) / [half_width, half_height]).sum(axis=1) > 1
+        return places[shown], costs[shown]
 
     @cached_property
     def _face(self) -> GaussianMixtures:
@@ -276,21 +297,22 @@ class ImageLikelihood:
         parts = joints[:, PART_JOINTS]
         log_odds = np.full((len(poses), 2), np.log(HAND_DETECTED / FALSE_HANDS))
         if self.skin is not None:
-            log_odds += self._skin_terms(self.skin, parts, poses.roots, joints[:, [3, 6]])[1]
+            log_odds += self._skin_terms(self.skin, joints, poses.roots)[1]
         if self.image.keypoints is not None:
             none = np.zeros((0, 2))
             log_odds += self.image.keypoints.mixtures(none, none).log_values(parts)[:, 1:]
         return log_odds
 
-    def _skin_terms(
-        self, skin: tuple[Map, Map], parts: Array, roots: Array, elbows: Array
-    ) -> tuple[Array, Array]:
+    def _skin_terms(self, skin: tuple[Map, Map], joints: Array, roots: Array) -> tuple[Array, Array]:
         """Nats of hands and blobs `(n,)`, log of the mixture of bare and covered forearms; of each hand."""
         body, image = self.body, self.image
+        parts, elbows = joints[:, PART_JOINTS], joints[:, [3, 6]]
         neck_radius = NECK_RADIUS if image.moving_skin is image.skin else NO_NECK
         scales = _scales(skin[0], image)
-        # weighted by the probability that a blob is a hand
-        costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
+        if image.bare:
+            places, costs = self._skin_by_area
+        else:  # weighted by the probability that a blob is a hand
+            places, costs = image.blobs, BLOB_COST / (1 + np.exp(-image.blob_log_weights))
         reach = body.head_height * np.array(BLOB_REACH)
         ratios, nats = np.full((2, len(parts)), -np.inf), np.zeros((2, len(parts), 2))
         for bare, probability in enumerate((1 - image.bare, image.bare)):
@@ -298,7 +320,7 @@ class ImageLikelihood:
                 ratio = np.full(len(parts), np.log(probability))
                 hand = hand_model(body, neck_radius, bool(bare), image.faces)
                 hand_terms(parts, roots, elbows, *skin, scales, hand, bool(bare), ratio, nats[bare])
-                blob_terms(parts, elbows, image.blobs, costs, reach, bool(bare), ratio)
+                unexplained_terms(joints, places, costs, reach, bool(bare), ratio)
                 if bare:
                     forearm_terms(parts, roots, elbows, skin[0], scales, hand, ratio)
                 ratios[bare] = ratio

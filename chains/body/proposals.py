@@ -5,7 +5,8 @@ pose sampling", 2003): head and hands are drawn from their mixtures. Given torso
 two degrees of freedom left, which are drawn and completed by inverse kinematics.
 
 Guided sampling (Isard and Blake, "ICondensation", 1998): most poses are drawn from the dynamics alone. In the
-others one hand is drawn from its mixture, given an ancestor with the hand near there.
+others one hand is drawn from its mixture, given an ancestor with the hand near there. Elbows of bare arms
+look like hands: some draws have either at such a place, so that an arm that is reversed turns round.
 """
 
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import i0e
+from scipy.special import i0e, logsumexp
 
 from ...inference.smc import normalised, systematic
 from ...models.body.upper_body import PART_JOINTS, BodyPoses, UpperBody, arm_at, log_volume, swivels
@@ -26,6 +27,8 @@ from .tempering import Strata
 Array = NDArray[np.float64]
 
 MOST_ROUNDS = 40  # of rejection sampling of possible poses, whose density changes by a constant only
+AT_ELBOWS = 0.4  # share of draws of a bare arm whose elbow, too, is drawn where a hand may be
+LEAST_COSINES = 1e-12  # of a limb across the line of sight, whose density is 0
 LEAST_DEPTH = 1.0  # px: half range of a hand's depth at least, so that a stretched arm has a density
 
 
@@ -44,23 +47,25 @@ def draw_from_likelihood(
     n: int,
     random: np.random.Generator,
     rounds: int = MOST_ROUNDS,
+    bare: float = 0.0,
 ) -> Proposal:
     """Draw `n` possible poses, or as many as there are in so many rounds of `n` draws.
 
     Torso and neck have their stationary distribution; the depth of a hand and the swivel of an elbow are
-    uniform within reach. `mixtures`: of head, left and right hand; without flat components.
+    uniform within reach, or both ends of a bare forearm are drawn from the hand's mixture. `mixtures`: of
+    head, left and right hand; without flat components; `bare`: probability of bare forearms.
     """
     drawn: list[BodyPoses] = []
     while sum(map(len, drawn)) < n and len(drawn) < rounds:
-        drawn.append(_possible(dynamics, mixtures, n, random))
+        drawn.append(_possible(dynamics, mixtures, n, random, AT_ELBOWS * bare))
     every = BodyPoses.concatenated(drawn)
     poses = every.take(slice(n))
     tried = len(drawn) * n * len(poses) / max(len(every), 1)
-    return Proposal(poses, _log_density(dynamics, poses, mixtures), tried)
+    return Proposal(poses, _log_density(dynamics, poses, mixtures, AT_ELBOWS * bare), tried)
 
 
 def _possible(
-    dynamics: BodyDynamics, mixtures: GaussianMixtures, n: int, random: np.random.Generator
+    dynamics: BodyDynamics, mixtures: GaussianMixtures, n: int, random: np.random.Generator, at_elbows: float
 ) -> BodyPoses:
     """Draw `n` poses and return those within reach and joint limits."""
     body = dynamics.body
@@ -77,12 +82,47 @@ def _possible(
         offsets[:, :2] = places[:, 1 + side] - shoulders[:, side]
         offsets[:, 2] = half_range(body, offsets) * random.uniform(-1, 1, n)
         arms[:, side], within = arm_at(body, side, offsets, random.uniform(-np.pi, np.pi, n))
+        if at_elbows > 0:
+            moved = np.flatnonzero(random.random(n) < at_elbows)
+            elbows = draw_mixture(mixtures, 1 + side, n, random)[moved]
+            upper, fore = elbows - shoulders[moved, side], places[moved, 1 + side] - elbows
+            arms[moved, side], within[moved] = _through(body, upper, fore, random)
         possible &= within
     poses = BodyPoses(roots, torsos, necks, arms).take(possible)
     return poses.take(body.allowed(poses))
 
 
-def _log_density(dynamics: BodyDynamics, poses: BodyPoses, mixtures: GaussianMixtures) -> Array:
+def _through(
+    body: UpperBody, upper: Array, fore: Array, random: np.random.Generator
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Draw arms `(n, 2, 3)` whose segments have projections `upper` and `fore` `(n, 2)` px.
+
+    Each points to the viewer or away from him. Also returns whether they are that long, `(n,)`.
+    """
+    lengths = np.array([body.upper_arm, body.forearm])
+    arms = np.zeros((len(upper), 2, 3))
+    arms[..., :2] = np.stack([upper, fore], axis=1) / lengths[:, None]
+    rest = 1 - np.square(arms[..., :2]).sum(axis=2)
+    arms[..., 2] = np.sqrt(np.maximum(rest, 0)) * random.choice([-1.0, 1.0], rest.shape)
+    return arms, np.asarray((rest > 0).all(axis=1))
+
+
+def _or_through(body: UpperBody, completions: Array, elbows: Array, arms: Array, at_elbows: float) -> Array:
+    """`(n,)` nats: log density of arms, given their hands, that are completed or drawn by `_through`.
+
+    `completions`, `elbows` `(n,)` nats: log densities of the first way, over directions, and of the elbow in
+    the picture in the second one; `arms` `(n, 2, 3)`; `at_elbows`: share of the second.
+    """
+    # d(elbow x, y) d(hand x, y) = |z| of both directions times squared lengths; two ways for each
+    depths = np.maximum(np.abs(arms[..., 2]).prod(axis=1), LEAST_COSINES)
+    through = elbows + np.log(depths * (0.5 * body.upper_arm * body.forearm) ** 2)
+    shares = np.log1p(-at_elbows), np.log(at_elbows)
+    return np.asarray(np.logaddexp(shares[0] + completions, shares[1] + through))
+
+
+def _log_density(
+    dynamics: BodyDynamics, poses: BodyPoses, mixtures: GaussianMixtures, at_elbows: float
+) -> Array:
     body = dynamics.body
     joints = body.joints(poses)
     stds = dynamics.turn_stds
@@ -90,7 +130,12 @@ def _log_density(dynamics: BodyDynamics, poses: BodyPoses, mixtures: GaussianMix
     total -= 0.5 * ((poses.turns / stds) ** 2).sum(axis=1) + np.log(stds).sum() + 3 * np.log(2 * np.pi)
     for side in (0, 1):
         offsets = joints[:, 4 + 3 * side] - joints[:, 2 + 3 * side]
-        total += log_volume(body, offsets) - np.log(4 * np.pi * half_range(body, offsets))
+        completions = log_volume(body, offsets) - np.log(4 * np.pi * half_range(body, offsets))
+        if at_elbows > 0:
+            of_part = mixtures.take([1 + side])
+            elbows = of_part.log_values(joints[:, None, 3 + 3 * side, :2])[:, 0] - of_part.log_masses[0]
+            completions = _or_through(body, completions, elbows, poses.arms[:, side], at_elbows)
+        total += completions
     return np.asarray(total)
 
 
@@ -131,9 +176,10 @@ class _Targets:
     shares: Array  # (k,) of all draws, with sum `GUIDED`
     means: Array  # (k, 2) px
     covariances: Array  # (k, 2, 2) px^2
+    at_elbows: float  # share of their draws whose elbow is at a target, too
 
     @classmethod
-    def of(cls, guides: Sequence[tuple[GaussianMixtures, float]]) -> "_Targets":
+    def of(cls, guides: Sequence[tuple[GaussianMixtures, float]], bare: float) -> "_Targets":
         """Collect the components that are not flat, with shares half by weight, half even."""
         sides, shares, means, covariances = [], [], [], []
         for mixtures, share in guides:
@@ -148,8 +194,23 @@ class _Targets:
                 means.append(mixtures.means[part, proper])
                 covariances.append(mixtures.covariances[part, proper])
         if not sides:
-            return cls(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2, 2)))
-        return cls(*map(np.concatenate, (sides, shares, means, covariances)))
+            return cls(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2, 2)), 0.0)
+        return cls(
+            np.concatenate(sides),
+            np.concatenate(shares),
+            np.concatenate(means),
+            np.concatenate(covariances),
+            AT_ELBOWS * bare,
+        )
+
+    def log_mean_density(self, side: int, places: Array) -> Array:
+        """`(n,)` nats: log of the mean of the Gaussians of a side at `places` `(n, 2)` px."""
+        own = np.flatnonzero(self.sides == side)
+        precisions = np.linalg.inv(self.covariances[own])
+        apart = places[:, None] - self.means[own]
+        squares = np.einsum("nkx,kxy,nky->nk", apart, precisions, apart)
+        heights = np.log(np.sqrt(np.linalg.det(precisions)) / (2 * np.pi * len(own)))
+        return np.asarray(logsumexp(heights - 0.5 * squares, axis=1))
 
 
 def draw_guided(
@@ -158,11 +219,13 @@ def draw_guided(
     guides: Sequence[tuple[GaussianMixtures, float]],
     n: int,
     random: np.random.Generator,
+    bare: float = 0.0,
 ) -> Guided:
     """Draw `n` poses and leave out those that are impossible.
 
     `past`: k weighted poses of the frame before, resampled over all `Strata`; `guides`: mixtures of head and
-    hands, with the shares, of sum 1, of the poses that they guide; flat components are ignored.
+    hands, with the shares, of sum 1, of the poses that they guide; flat components are ignored; `bare`:
+    probability that forearms are bare, so that elbows look like hands.
     """
     body, elapsed = dynamics.body, past.elapsed
     with np.errstate(divide="ignore"):
@@ -170,7 +233,7 @@ def draw_guided(
     log_choice = Strata.of(body, past.poses).balanced(log_weights)
     joints = body.joints(past.poses)
     hidden = _HiddenCoordinates.of(dynamics, past.poses, joints, elapsed)
-    targets = _Targets.of(guides)
+    targets = _Targets.of(guides, bare)
     choice = np.exp(log_choice)
     closeness = _closeness(targets, joints, hidden.step, choice)
     chosen, target = _chosen(choice, targets.shares, closeness, n, random)
@@ -232,6 +295,13 @@ def _guide(
             random.uniform(-np.pi, np.pi, count),
         )
         poses.arms[rows, side], possible[rows] = arm_at(body, side, offsets, angles)
+        if targets.at_elbows > 0:
+            moved = np.flatnonzero(random.random(count) < targets.at_elbows)
+            ends = random.choice(np.flatnonzero(targets.sides == side), len(moved))
+            steps = random.standard_normal((len(moved), 2))
+            elbows = targets.means[ends] + np.einsum("nxy,ny->nx", roots[ends], steps)
+            upper, fore = elbows - shoulders[rows[moved], side], places[moved] - elbows
+            poses.arms[rows[moved], side], possible[rows[moved]] = _through(body, upper, fore, random)
     return possible
 
 
@@ -253,6 +323,11 @@ def _log_drawn(
         near = hidden.log_density(chosen, side, offsets[:, 2], angles)
         evenly = np.log(ANYWHERE / (4 * np.pi)) - np.log(half_range(body, offsets))
         completions[:, side] = np.logaddexp(np.log1p(-ANYWHERE) + near, evenly) + log_volume(body, offsets)
+        if targets.at_elbows > 0 and (targets.sides == side).any():
+            elbows = targets.log_mean_density(side, joints[:, HANDS[side] - 1, :2])
+            completions[:, side] = _or_through(
+                body, completions[:, side], elbows, poses.arms[:, side], targets.at_elbows
+            )
     precisions = np.linalg.inv(targets.covariances)
     heights = targets.shares * np.sqrt(np.linalg.det(precisions)) / (2 * np.pi)
     values = np.empty(len(poses))
@@ -329,9 +404,10 @@ class Candidates:
         n: int,
         random: np.random.Generator,
         rounds: int = MOST_ROUNDS,
+        bare: float = 0.0,
     ) -> Self:
         """Draw poses without a past, from proper mixtures `starts` of head and hands."""
-        proposal = draw_from_likelihood(dynamics, starts, n, random, rounds)
+        proposal = draw_from_likelihood(dynamics, starts, n, random, rounds, bare)
         log_weights = dynamics.log_density_anywhere(proposal.poses, size) - proposal.log_density
         log_weights -= np.log(max(proposal.tried, 1.0))
         count = len(proposal.poses)
@@ -349,12 +425,13 @@ class Candidates:
         starts: GaussianMixtures,
         n: int,
         random: np.random.Generator,
+        bare: float = 0.0,
     ) -> Self:
         """Draw most poses from the past, guided (`draw_guided`), and some without, from `starts`."""
         log_elsewhere, log_stays = dynamics.log_returns(past.elapsed)
         n_restarted = round(max(RESTARTED, np.exp(log_elsewhere)) * n)
-        fresh = cls.of_first_frame(dynamics, size, starts, n_restarted, random, rounds=1)
-        continued = draw_guided(dynamics, past, guides, max(n - n_restarted, 1), random)
+        fresh = cls.of_first_frame(dynamics, size, starts, n_restarted, random, rounds=1, bare=bare)
+        continued = draw_guided(dynamics, past, guides, max(n - n_restarted, 1), random, bare)
         return cls(
             dynamics,
             size,

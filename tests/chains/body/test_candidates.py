@@ -38,8 +38,8 @@ def anywhere(n: int, random: np.random.Generator) -> tuple[BodyPoses, float]:
     return poses, float(np.exp(dynamics.log_posture(poses)).mean())
 
 
-@pytest.mark.parametrize("weight", [1.0, 50.0])
-def test_the_mass_of_what_begins_anew_is_that_of_the_prior(weight: float) -> None:
+@pytest.mark.parametrize(("weight", "bare"), [(1.0, 0.0), (50.0, 0.0), (1.0, 1.0)])
+def test_the_mass_of_what_begins_anew_is_that_of_the_prior(weight: float, bare: float) -> None:
     """Sums of weights, by whatever mixtures: the chance that the joints allow a draw times its posture's."""
     dynamics, random = BodyDynamics(BODY), np.random.default_rng(1)
     poses, usual = anywhere(20_000, random)
@@ -51,7 +51,7 @@ def test_the_mass_of_what_begins_anew_is_that_of_the_prior(weight: float) -> Non
     found = []
     for run in range(RUNS):
         one = Candidates.of_first_frame(
-            dynamics, SIZE, broad(poses, weight), 20_000, np.random.default_rng(run), rounds=1
+            dynamics, SIZE, broad(poses, weight), 20_000, np.random.default_rng(run), rounds=1, bare=bare
         )
         inside = ((one.poses.roots >= 0) & (one.poses.roots <= SIZE[::-1])).all(axis=1)
         found.append(np.exp(one.log_weights)[inside].sum())

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
 from rsmcm.chains.body.kernels import choose, closeness_to, guided_values
-from rsmcm.chains.body.proposals import ANYWHERE, GUIDED, Guided, draw_guided, half_range
+from rsmcm.chains.body.proposals import ANYWHERE, AT_ELBOWS, GUIDED, Guided, draw_guided, half_range
 from rsmcm.models.body.upper_body import JOINTS, BodyPoses, UpperBody, log_volume, swivels
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 from scipy.special import logsumexp
@@ -78,14 +78,15 @@ def targets_of(case: str, past: Ancestors) -> Said:
     return [(said_of([middles[0] + (0.0, -150.0)], [middles[1] - (0.5 * BODY.upper_arm, 0.0)], 12.0), 1.0)]
 
 
+@pytest.mark.parametrize("bare", [0.0, 0.7])
 @pytest.mark.parametrize("case", ["none", "near", "one hand, two voices", "far away"])
-def test_weighted_draws_are_of_the_prediction(case: str) -> None:
+def test_weighted_draws_are_of_the_prediction(case: str, bare: float) -> None:
     """Wherever hands are detected: means over runs against those of plain draws."""
     past, dynamics = past_of(1), BodyDynamics(BODY)
     truth = features(plain(dynamics, past, 100_000, np.random.default_rng(2)))
     said, runs, effective = targets_of(case, past), [], []
     for run in range(RUNS):
-        found = draw_guided(dynamics, past, said, 3000, np.random.default_rng(run))
+        found = draw_guided(dynamics, past, said, 3000, np.random.default_rng(run), bare)
         assert BODY.allowed(found.poses).all()
         weights = np.exp(found.log_weights)
         assert weights.sum() == pytest.approx(1.0)
@@ -99,7 +100,7 @@ def test_weighted_draws_are_of_the_prediction(case: str) -> None:
 
 
 def density(
-    draws: Guided, past: Ancestors, dynamics: BodyDynamics, target: tuple[int, Array, float]
+    draws: Guided, past: Ancestors, dynamics: BodyDynamics, target: tuple[int, Array, float], bare: float
 ) -> Array:
     """Of arms given their ancestors, written out for one target that a hand is drawn to."""
     side, place, spread = target
@@ -114,25 +115,35 @@ def density(
     near = norm.pdf(offsets[:, 2], depths, step * np.sqrt(past.elapsed))
     near *= vonmises.pdf(angles[0] - angles[1], 1 / turn**2)
     evenly = 1 / (2 * half_range(BODY, offsets)) / (2 * np.pi)
-    hand = multivariate_normal(place, spread**2).logpdf(after[:, HANDS[side], :2])
-    arm = hand + np.log((1 - ANYWHERE) * near + ANYWHERE * evenly) + log_volume(BODY, offsets)
+    at_place = multivariate_normal(place, spread**2)
+    completed = ((1 - ANYWHERE) * near + ANYWHERE * evenly) * np.exp(log_volume(BODY, offsets))
+    # an area in the picture over the solid angle of a limb, of which two directions are seen alike
+    upper, fore = np.moveaxis(np.abs(poses.arms[:, side, :, 2]), 1, 0) / 2
+    through = at_place.pdf(after[:, HANDS[side] - 1, :2])
+    through *= upper * BODY.upper_arm**2 * fore * BODY.forearm**2
+    share = AT_ELBOWS * bare
+    hand = at_place.logpdf(after[:, HANDS[side], :2])
+    arm = hand + np.log((1 - share) * completed + share * through)
     share = 0.5 * GUIDED
     both = np.stack([np.log(1 - share) + walks.sum(axis=1), np.log(share) + arm + walks[:, 1 - side]], axis=1)
     return logsumexp(both, axis=1)
 
 
+@pytest.mark.parametrize("bare", [0.0, 0.7])
 @pytest.mark.parametrize("side", [0, 1])
-def test_weights_are_prediction_over_density_of_the_draw(side: int) -> None:
+def test_weights_are_prediction_over_density_of_the_draw(side: int, bare: float) -> None:
     """Of one ancestor and one target, by the formula."""
     past, dynamics = past_of(6, modes=1, each=1), BodyDynamics(BODY)
     place = BODY.joints(past.poses)[0, HANDS[side], :2] + (5.0, -5.0)
     targets = [[place], []] if side == 0 else [[], [place]]
     found = draw_guided(
-        dynamics, past, [(said_of(targets[0], targets[1], 6.0), 1.0)], 2000, np.random.default_rng(1)
+        dynamics, past, [(said_of(targets[0], targets[1], 6.0), 1.0)], 2000, np.random.default_rng(1), bare
     )
     walks = dynamics.log_arm_steps(found.poses, past.poses.take(found.ancestors), DT).sum(axis=1)
     expected = (
-        walks + dynamics.log_posture(found.poses, DT) - density(found, past, dynamics, (side, place, 6.0))
+        walks
+        + dynamics.log_posture(found.poses, DT)
+        - density(found, past, dynamics, (side, place, 6.0), bare)
     )
     np.testing.assert_allclose(found.log_weights, expected - logsumexp(expected), atol=1e-6)
 

@@ -8,13 +8,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.chains.body.kernels import FOREARM_POINTS, NECK, arm_terms, blob_terms, forearm_terms, hand_terms
+from rsmcm.chains.body.kernels import (
+    FOREARM_POINTS,
+    NECK,
+    arm_terms,
+    forearm_terms,
+    hand_terms,
+    unexplained_terms,
+)
 from rsmcm.chains.body.likelihood import (
     ARM_POINTS,
     ARM_WEIGHTS,
     BARE_HAND_SCORES,
     BARE_POINTS,
     BARE_SCORES,
+    BLOB_COST,
     EDGE_POINTS,
     EDGE_SHARPNESS,
     EDGE_STD,
@@ -33,6 +41,7 @@ from rsmcm.chains.body.likelihood import (
     skin_maps,
 )
 from rsmcm.models.body.image_features import BodyImage, edge_distances
+from rsmcm.models.body.skin import HIGHEST
 from rsmcm.models.body.upper_body import BodyPoses, UpperBody
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 from rsmcm.models.numerics.threads import set_threads, thread_count
@@ -227,21 +236,23 @@ def test_skin_of_a_detected_face_is_no_hand() -> None:
 
 @settings(deadline=None, max_examples=12)
 @given(st.integers(0, 10**6), st.integers(0, 6))
-def test_blobs_equal_plain_numpy(seed: int, m: int) -> None:
+def test_unexplained_skin_equals_plain_numpy(seed: int, m: int) -> None:
     random = np.random.default_rng(seed)
-    parts, blobs = random.uniform(0, 200, (9, 3, 2)), random.uniform(0, 200, (m, 2))
-    elbows = random.uniform(0, 200, (9, 2, 2))
+    joints, places = random.uniform(0, 200, (9, 8, 2)), random.uniform(0, 200, (m, 2))
     costs, reach = random.uniform(0, 2, m), np.array([50.0, 30.0, 30.0, 20.0])
-    squares = ((parts[:, None] - blobs[None, :, None]) ** 2).sum(-1) / reach[:3] ** 2
-    # distances from forearms, by the nearest of many points on each
+    parts, ends = joints[:, [0, 4, 7]], joints[:, [3, 4, 6, 7]]
+    begins = joints[:, [2, 3, 5, 6]]
+    begins[:, [0, 2]] = 0.5 * (begins + ends)[:, [0, 2]]
+    squares = ((parts[:, None] - places[None, :, None]) ** 2).sum(-1) / reach[:3] ** 2
+    # distances from limbs, by the nearest of many points on each
     t = np.linspace(0, 1, 2001)[:, None, None, None]
-    points = (1 - t) * elbows + t * parts[:, 1:]
-    arms = ((points[:, :, None] - blobs[:, None]) ** 2).sum(-1).min(axis=0) / reach[3] ** 2
-    for bare, near in ((False, squares), (True, np.concatenate([squares, arms], axis=2))):
+    points = (1 - t) * begins + t * ends
+    limbs = ((points[:, :, None] - places[:, None]) ** 2).sum(-1).min(axis=0) / reach[3] ** 2
+    for bare, near in ((False, squares), (True, np.concatenate([squares, limbs], axis=2))):
         out = np.zeros(9)
-        blob_terms(parts, elbows, blobs, costs, reach, bare, out)
+        unexplained_terms(joints, places, costs, reach, bare, out)
         expected = -(costs * (1 - np.exp(-0.5 * near)).prod(-1)).sum(-1)
-        # exponential() is exact to 2e-5, the rest to 1e-6, points on an arm are 0.1 px apart
+        # exponential() is exact to 2e-5, the rest to 1e-6, points on a limb are 0.1 px apart
         np.testing.assert_allclose(out, expected, atol=2e-3)
 
 
@@ -444,12 +455,27 @@ def test_who_may_be_in_sleeves_or_not_is_a_mixture() -> None:
     random = np.random.default_rng(3)
     poses = scattered(40, random)
     image = bare_armed(signing())
+    # of arms that are surely in sleeves, blobs count in place of areas
     sleeves, bare, either = (
-        BodyLikelihood(BODY)(replace(image, bare=share)).inner_terms(poses)[SKIN] for share in (0.0, 1.0, 0.3)
+        BodyLikelihood(BODY)(replace(image, bare=share)).inner_terms(poses)[SKIN]
+        for share in (1e-20, 1.0, 0.3)
     )
     np.testing.assert_allclose(either, np.log(0.7 * np.exp(sleeves) + 0.3 * np.exp(bare)), atol=1e-6)
     assert (bare > sleeves).any()
     assert (bare < sleeves).any()
+
+
+@pytest.mark.parametrize("hands", [1.0, 3.0])
+def test_skin_that_nothing_explains_costs_by_its_area(hands: float) -> None:
+    """As much as a blob for each hand's area, far from bare arms."""
+    poses = signing()
+    without, image = bare_armed(poses), bare_armed(poses)
+    assert image.skin is not None
+    side = np.sqrt(hands * np.pi) * BODY.hand
+    image.skin[20 : 20 + round(side), 20 : 20 + round(side)] = HIGHEST
+    free, costly = (BodyLikelihood(BODY)(each).inner_terms(poses)[SKIN, 0] for each in (without, image))
+    # places are a hand's radius apart
+    assert free - costly == pytest.approx(BLOB_COST * hands, rel=0.2)
 
 
 def test_a_hand_is_seen_where_its_skin_is() -> None:
