@@ -43,6 +43,9 @@ Robust = Literal["outliers", "none"]
 Camera = Literal["auto", "affine", "perspective"]
 
 MOST_ROUNDS = 20
+SETTLED = 0.02
+"""Share of the objective that a round has to gain for another one: what is decided anew in each round,
+who shows what, moves it by half a percent to and fro."""
 FEWEST_POINTS = 4
 FEWEST_FRAMES = 3  # two views of a rigid thing leave its depth open
 FEWEST_VIEWS = 2  # that agree about a point before a perspective camera
@@ -201,7 +204,7 @@ def structure_engine(
         coherence=coherence == "second-order", associate=dual, outliers=robust == "outliers"
     )
     model.connect(shape, points, feedback=dual)
-    return CoordinateAscent(model, MOST_ROUNDS)
+    return CoordinateAscent(model, MOST_ROUNDS, SETTLED)
 
 
 def _following(frames: Sequence[Frame]) -> tuple[MultiChain, PointTracks]:

@@ -294,7 +294,7 @@ class FilmMatches:
             return one, other, *_verify_matches(pictures[one], pictures[other])
 
         def with_later(one: int) -> list[tuple[int, int, Indices, Array]]:
-            tried = []
+            tried: list[tuple[int, int, Indices, Array]] = []
             for step in STEPS:
                 if one + step >= len(pictures) or (tried and not len(tried[-1][2])):
                     break

@@ -1,4 +1,4 @@
-"""Loops of factor analysis: inverses of many small matrices, and the smoother of coherent cameras."""
+"""Loops of factor analysis: small matrices, the smoother of coherent cameras, points that cover frames."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -291,3 +291,15 @@ def _invert_sum(scaled, spread, table):
                 for n in range(2 * ROW):
                     table[k, n] -= factor * table[j, n]
     return log_determinant
+
+
+@compiled
+def cover(seen, order, enough):
+    """Return which points to take, tried in `order`, while one of their frames shows fewer than `enough`."""
+    taken, counts = np.zeros(seen.shape[1], np.bool_), np.zeros(seen.shape[0], np.int64)
+    for point in order:
+        for t in range(seen.shape[0]):
+            taken[point] |= seen[t, point] and counts[t] < enough
+        for t in range(seen.shape[0]):
+            counts[t] += taken[point] and seen[t, point]
+    return taken

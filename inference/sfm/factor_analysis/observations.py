@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
+from .kernels import cover
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -182,6 +184,19 @@ class Observations:
         return replace(
             self, by_frame=self.by_frame.only(frames, points), by_point=self.by_point.only(points, frames)
         )
+
+
+ENOUGH = 100  # points of a frame: more make its camera, which has eight numbers, hardly surer
+
+
+def covering(seen: Mask) -> Mask:
+    """Return points `(n_points,)`, of which each frame shows `ENOUGH` or all that it has.
+
+    These are the points that are seen longest, `seen` `(n_frames, n_points)`: what is searched for among many
+    starts is sought by them.
+    """
+    longest = np.argsort(-np.count_nonzero(seen, axis=0), kind="stable")
+    return np.asarray(cover(np.ascontiguousarray(seen), longest, ENOUGH), np.bool_)
 
 
 LEAST_VIEWS = 2

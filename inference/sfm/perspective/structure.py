@@ -21,9 +21,10 @@ from scipy.spatial.transform import Rotation, Slerp
 from ....models.camera.perspective_camera import MIRROR, PerspectiveCameras
 from ....models.core.short_repr import short_repr
 from ....models.numerics.rotations import exponential
+from ....models.numerics.threads import side_by_side
 from ..affine_camera import Euclidean, euclidean
 from ..factor_analysis.factorisation import NEAR, projected, variable_projection
-from ..factor_analysis.observations import Array, Observations, SparseObservations, determined
+from ..factor_analysis.observations import Array, Observations, SparseObservations, covering, determined
 from .bundle_adjustment import (
     Bundle,
     StudentNoise,
@@ -353,7 +354,8 @@ def affine_starts(metric: Euclidean, principal: Array, width: float, focal: floa
 def grown_starts(places: Array, principal: Array, width: float, focal: float | None) -> Iterable[Start]:
     """Return structures that grow from two views, with several focal lengths."""
     focals = [focal] if focal is not None else [factor * width for factor in FOCAL_STARTS]
-    tried = [grown(places - principal, each, focal_known=focal is not None) for each in focals]
+    grow = partial(grown, places - principal, focal_known=focal is not None)
+    tried = side_by_side([partial(grow, each) for each in focals])
     found = [each for each in tried if each is not None]
     most = max((np.count_nonzero(known) for _, _, known in found), default=0)
     for cameras, shape, known in found:
@@ -369,11 +371,11 @@ def best_bundle(
     Of an unknown focal length the sign is free, too: a negative one is that of the mirrored shape.
     """
     fit = partial(_round, listed, focal_known=focal_known, outliers=outliers)
-    trials = [_tried(fit, start) for start in starts]
+    trials = side_by_side([partial(_tried, fit, start) for start in starts])
     if not trials:
         return None
     trials.sort(key=lambda each: -each.log_likelihood)
-    ends = [_settled(fit, trial) for trial in trials[:FINALISTS]]
+    ends = side_by_side([partial(_settled, fit, trial) for trial in trials[:FINALISTS]])
     return max(ends, key=lambda each: each.log_likelihood)
 
 
@@ -517,23 +519,28 @@ def perspective_structure(
     solution, used as a start; only frames and points that it determines are used.
     """
     known, n_points = affine.frames, positions.shape[1]
-    frames, points = np.nonzero(weights[known] > 0)
-    x, y = positions[known][frames, points].T.copy()
-    weight = weights[known][frames, points]
-    by_frame = SparseObservations.sorted_by(frames, int(known.sum()), points, x, y, weight)
+    rows, points = np.nonzero(weights[known] > 0)
+    x, y = positions[known][rows, points].T.copy()
+    weight = weights[known][rows, points]
+    by_frame = SparseObservations.sorted_by(rows, int(known.sum()), points, x, y, weight)
     everything = about(by_frame.transposed(n_points), lens.principal)
-    listed = everything.only(affine.points, np.ones(int(known.sum()), bool))
+    frames = np.ones(int(known.sum()), bool)
+    listed = everything.only(affine.points, frames)
     metric = euclidean(affine.cameras[known], affine.shape)
     fixed = lens.focal is not None
     about_lens = lens.principal, float(max(lens.size)), lens.focal
-    places = np.where((weights[known] > 0)[..., None] & affine.points[:, None], positions[known], np.nan)
+    searched = affine.points & covering((weights[known] > 0) & affine.points)
+    places = np.where((weights[known] > 0)[..., None] & searched[:, None], positions[known], np.nan)
     starts = [
         *(affine_starts(metric, *about_lens) if metric.determined else ()),
         *grown_starts(places, *about_lens),
     ]
-    found = best_bundle(listed, starts, focal_known=fixed, outliers=outliers)
+    found = best_bundle(listed.only(searched, frames), starts, focal_known=fixed, outliers=outliers)
     if found is None:
         return None
+    if not np.array_equal(searched, affine.points):
+        found = replace(found, shape=retriangulated(listed, found), log_likelihood=-math.inf)
+        found = _settled(partial(_round, listed, focal_known=fixed, outliers=outliers), found)
     # a point of one frame has a direction, and the depth of all others
     found = _upright(found, affine.points)
     found = replace(found, shape=retriangulated(everything, found))
