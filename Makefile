@@ -34,7 +34,7 @@ help:
 	@echo "make bench                  speed beside peers, and cost as curves: ten minutes on a quiet machine"
 	@echo "make reproduce              all experiments: hours"
 	@echo "make results                docs/results.md, pictures, and figures of README, from what was recorded; needs Chromium"
-	@echo "make fuzz                   damaged inputs for every reader: 100,000 in about twenty minutes, 12,000 of them states"
+	@echo "make fuzz                   damaged inputs for every reader: 100,000, 9,500 of them states"
 	@echo "make dist                   source distribution and wheel of what is committed, in dist/"
 	@echo "make clean                  remove everything that make made, .venv too"
 

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import math
 import warnings
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -15,6 +16,7 @@ from rsmcm.apps.events.page import run_events
 from rsmcm.apps.events.watch import read_events
 from rsmcm.apps.exports import to_movement, to_video
 from rsmcm.apps.io.point_files import read_shapes
+from rsmcm.apps.runs import progress
 from rsmcm.apps.runs.loop import run_film
 from rsmcm.apps.scenes import face, turntable
 from scipy.io import savemat
@@ -128,6 +130,7 @@ def moving_shapes(_: Path) -> list[Files]:
 def continued(folder: Path) -> None:
     """A stopped run that goes on to its end from all that its folder holds, as `--resume` does."""
     words = json.loads((folder / RUN).read_bytes())
+    progress.SPARSE_SECONDS = math.inf  # on a busy machine its lines would count as said by itself
     with contextlib.chdir(folder), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         try:
@@ -145,6 +148,7 @@ def poses(folder: Path) -> None:
 
 def videos(folder: Path) -> None:
     """The film of a finished run with its results drawn on it."""
+    progress.SPARSE_SECONDS = math.inf
     to_video(folder / OUT, folder / "video.mp4")
 
 
