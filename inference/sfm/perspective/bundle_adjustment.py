@@ -419,7 +419,9 @@ def covariance_of(
     systematic = 0.0
     if not focal_known:
         fields = systematic_fields(listed, bundle.noise)
-        systematic = float(np.linalg.norm(whole[-1] @ _pulled(listed, counted, equations, bundle, fields)))
+        systematic = float(
+            np.linalg.norm(whole[-1] @ _pulled(listed, counted, equations, inverses, bundle, fields))
+        )
 
     n_frames, n_points = len(bundle.cameras.scales), len(bundle.shape)
     columns = CAMERA * listed.other[:, None] + np.arange(CAMERA)
@@ -472,16 +474,28 @@ def systematic_fields(listed: SparseObservations, noise: StudentNoise) -> Array:
 
 
 def _pulled(
-    listed: SparseObservations, weights: Array, equations: NormalEquations, bundle: Bundle, fields: Array
+    listed: SparseObservations,
+    weights: Array,
+    equations: NormalEquations,
+    inverses: Array,
+    bundle: Bundle,
+    fields: Array,
 ) -> Array:
     """Return how errors `(k, 2, n)` px of observations change the reduced vector: `(6 n_frames + 1, k)`."""
-    before = reduced(listed, equations, 0.0, focal_known=False)[1]
+    by_camera, by_place, by_focal, _ = _jacobians(bundle.cameras.of(listed.other), bundle.shape[listed.own])
+    by_camera = weights[:, None, None] * np.concatenate([by_camera, by_focal[:, :, None]], axis=2)
+    by_place = weights[:, None, None] * by_place
+    n, n_frames = len(weights), len(bundle.cameras.scales)
+    of_points = _sums_of_points(listed)
+    of_frames = csr_array((np.ones(n), (listed.other, np.arange(n))), shape=(n_frames, n))
     pulls = []
-    for right, down in fields:
-        moved = listed._replace(x=listed.x + right, y=listed.y + down)
-        pulled = normal_equations(moved, weights, bundle.cameras, bundle.shape)
-        pulled = pulled._replace(points=equations.points)
-        pulls.append(reduced(moved, pulled, 0.0, focal_known=False)[1] - before)
+    for field in fields:
+        vectors = of_frames @ np.einsum("nci,cn->ni", by_camera, field)
+        moved = of_points @ np.einsum("nci,cn->ni", by_place, field)
+        moved = np.einsum("ijk,ik->ij", inverses, moved)  # points, by which cameras are pulled back
+        back = of_frames @ np.einsum("nim,ni->nm", equations.mixed, moved[listed.own])
+        of_focal = vectors[:, -1].sum() - np.sum(equations.mixed_border * moved)
+        pulls.append(np.append((vectors[:, :-1] - back).reshape(-1), of_focal))
     return np.stack(pulls, axis=1)
 
 
