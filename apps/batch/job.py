@@ -60,7 +60,7 @@ class Batch:
     jobs: OfBatch[int | None] = None
     dask: OfBatch[str | None] = None
     overwrite: OfBatch[Flag] = False
-    only_print: Annotated[OfBatch[Flag], Parameter(name="--print")] = False
+    only_print: Annotated[OfBatch[Flag], Parameter(name=("--print", "--dry-run"))] = False
 
 
 def options_of(application: str) -> type[Any]:

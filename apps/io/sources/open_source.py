@@ -323,7 +323,7 @@ def _open_path(source: str, path: Path) -> Reader:
     if path.is_dir():
         files = images_among(path.iterdir())
         if not files:
-            raise FileNotFoundError(f"{source}: the folder holds no images")
+            raise FileNotFoundError(f"{source}: the folder holds no images; rsmcm batch takes one of films")
         return ImageReader(source, path, files)
     if path.is_file():
         if path.suffix.lower() in IMAGE_SUFFIXES:

@@ -176,7 +176,11 @@ def test_printed_commands_do_the_same(films: Path, done: Path, tmp_path: Path) -
     shutil.copytree(films, spaced)
     out = tmp_path / "out"
     batch = ["batch", "background", str(spaced), "--out", str(out), "--seed", "3"]
-    printed = subprocess.run([*COMMAND, *batch, "--print"], check=True, capture_output=True, text=True).stdout
+    printed, same = (
+        subprocess.run([*COMMAND, *batch, only], check=True, capture_output=True, text=True).stdout
+        for only in ("--print", "--dry-run")
+    )
+    assert same == printed
     assert not out.exists()
     for line in printed.splitlines():
         assert line.startswith("rsmcm background ")
