@@ -28,7 +28,7 @@ from ...models.core.identities import find
 from ...models.numerics.compiled import compiled, exponential, logarithm, put
 from ...models.numerics.threads import side_by_side, thread_count
 from ...models.objects.box_message import HEIGHT, WIDTH, BoxMessage
-from ...models.pixels.background import ODDS_STEPS, StoredPlanes
+from ...models.pixels.background import ODDS_STEPS, SPAN, StoredPlanes, foreground_spans
 from ...models.pixels.layers import LayerStack
 from ...models.pixels.pixel_labels import PixelMessage
 from .blob_records import (
@@ -563,6 +563,7 @@ def learn_all(which, before, old, blobs, pools, picture, scene, rule, alive, scr
 Spot = list[int]
 """Top, left, bottom, right px."""
 
+COVERED = 0.2  # probability from which on a pixel is a blob's
 BLOCKS = 192  # along the longer side of a picture, in which spots are looked for
 MOST_SPOTS = 256  # in one frame
 VIEW_TIME = 0.4  # s over which a view is averaged: masks err for a while in the same way
@@ -652,6 +653,35 @@ class BlobScene:
         return np.array([float(top), float(left)]), mask, planes
 
 
+@compiled
+def count_in_blocks(log_odds, blobs, pools, scale, counts):
+    """Count foreground in blocks of `scale` x `scale` px, but not in those of blobs and beside them.
+
+    `counts` `(block_rows, block_columns)` int64 are 0 before.
+    """
+    (height, width), (block_rows, block_columns) = log_odds.shape, counts.shape
+    spans = np.empty(width // SPAN + 1, np.int64)
+    for y in range(height):
+        odds, row = log_odds[y], counts[y // scale]
+        for span in range(foreground_spans(odds, spans)):
+            for x in range(spans[span], min(spans[span] + SPAN, width)):
+                row[x // scale] += odds[x] < 0
+    covered = np.zeros(counts.shape, np.uint8)
+    for k in range(blobs.size):
+        mask, (top, left) = mask_of(blobs[k], pools), corner_of(blobs[k])
+        first, end, start, stop = _inside(top, left, mask.shape[0], mask.shape[1], height, width)
+        for y in range(first, end):
+            row = covered[(top + y) // scale]
+            for x in range(start, stop):
+                if mask[y, x] > _f4(COVERED):
+                    row[(left + x) // scale] = 1
+    for row in range(block_rows):
+        for column in range(block_columns):
+            if counts[row, column] > 0:
+                around = covered[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+                counts[row, column] *= not around.any()
+
+
 def find_spots(log_odds: NDArray[np.int8], blobs: Blobs, min_area: float) -> list[Spot]:
     """Return spots of foreground (negative `log_odds` `(height, width)`) that are no blob nor beside one.
 
@@ -659,20 +689,8 @@ def find_spots(log_odds: NDArray[np.int8], blobs: Blobs, min_area: float) -> lis
     """
     height, width = log_odds.shape
     scale = max(1, round(max(height, width) / BLOCKS))
-    shape = -(-height // scale), -(-width // scale)
-    maps = np.zeros((2, scale * shape[0], scale * shape[1]), np.uint8)
-    np.less(log_odds, 0, out=maps[0, :height, :width])
-    for blob in blobs:
-        (top, left), (rows, columns) = blob.corner, blob.mask.shape
-        first, start = max(-top, 0), max(-left, 0)
-        place = maps[1, max(top, 0) : max(top + rows, 0), max(left, 0) : max(left + columns, 0)]
-        high, wide = place.shape
-        place |= blob.mask[first : first + high, start : start + wide] > np.float32(0.2)
-    sums, covered = (
-        cv2.boxFilter(each, cv2.CV_16U, (scale, scale), normalize=False, anchor=(0, 0))[::scale, ::scale]
-        for each in maps
-    )
-    counts = np.where(cv2.dilate(covered, np.ones((3, 3), np.uint8)) > 0, 0, sums)
+    counts = np.zeros((-(-height // scale), -(-width // scale)), np.int64)
+    count_in_blocks(log_odds, blobs.table, blobs.pools, scale, counts)
     blocks = counts >= -(-scale * scale // 4)
     if not blocks.any():
         return []

@@ -4,9 +4,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
-import cv2
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ...models.core.short_repr import short_repr
@@ -50,55 +48,86 @@ LUMA_NOISE = 20.0
 """Squared grey levels: what luma differs by in any case, so that two flat surfaces are alike."""
 
 
-def follow(
-    blocks: Planes,
-    ratios: Planes,
-    agreement: Planes,
-    texture: Planes,
-    covered: Planes,
-    fastest: float,
-    slowly: float,
-    hidden: float,
-) -> Planes:
-    """Return the blocks of light, updated by what is measured in a frame (see `light_ratios`).
+@compiled
+def follow(before, ratios, agreement, texture, covered, fastest, slowly, hidden, after):
+    """Write the blocks of light `after` a frame, by what is measured in it (see `light_ratios`).
 
     `fastest` is the log of the most that it changes; of a slight change only the share `slowly` is followed,
     and the share `hidden` is what a block that is not seen takes from those around it.
     """
-    # by what is known to be there (the median is that of the larger half), and by its texture
-    clear = np.square((1 - 2 * covered.astype(np.float64)).clip(0, 1)).clip(UNSEEN, 1 - UNSEEN)
-    odds = np.log(clear) - np.log1p(-clear) + texture
-    weight = np.where(agreement > LEAST_AGREEMENT, agreement / (1 + np.exp(-odds.clip(-30, 30))), 0.0)
-    change = np.log(ratios).astype(np.float64)
-    around = sliding_window_view(_extrapolated(_filled(change, weight)), (3, 3))
-    medians = np.partition(around.reshape(*weight.shape, 9), 4)[..., 4]
-    padded = _extrapolated(medians)  # smoothed by 1 2 1 both ways: errors of no wavelength grow
-    rows = padded[:-2] + 2 * padded[1:-1] + padded[2:]
-    step = (rows[:, :-2] + 2 * rows[:, 1:-1] + rows[:, 2:]) / 16
-    weight[np.abs(change - step) >= SAME_LIGHT] = 0
-    step *= np.where(np.abs(step) > STEADY_LIGHT, 1.0, slowly)
-    moved = np.log(blocks) + step.clip(-fastest, fastest)
-    moved += (1 - weight) * hidden * (_filled(moved, weight) - moved)
-    after: Planes = np.exp(moved).clip(DARKEST, BRIGHTEST).astype(np.float32)
-    return after
+    rows, columns = before.shape
+    weight, change, moved = np.empty((3, rows, columns))
+    for i in range(rows):
+        for j in range(columns):
+            # by what is known to be there (the median is that of the larger half), and by its texture
+            clear = min(max(max(1 - 2 * covered[i, j], 0.0) ** 2, UNSEEN), 1 - UNSEEN)
+            odds = min(max(math.log(clear / (1 - clear)) + texture[i, j], -30.0), 30.0)
+            agrees = agreement[i, j] > LEAST_AGREEMENT
+            weight[i, j] = agreement[i, j] / (1 + math.exp(-odds)) if agrees else 0.0
+            change[i, j] = math.log(ratios[i, j])
+    around, medians, nine = _extrapolated(_filled(change, weight)), np.empty((rows, columns)), np.empty(9)
+    for i in range(rows):
+        for j in range(columns):
+            for k in range(9):
+                value, place = around[i + k // 3, j + k % 3], k
+                while place > 0 and nine[place - 1] > value:
+                    nine[place] = nine[place - 1]
+                    place -= 1
+                nine[place] = value
+            medians[i, j] = nine[4]
+    around = _extrapolated(medians)  # smoothed by 1 2 1 both ways: errors of no wavelength grow
+    for i in range(rows):
+        for j in range(columns):
+            step = 0.0
+            for k in range(9):
+                step += around[i + k // 3, j + k % 3] * (2 - abs(k // 3 - 1)) * (2 - abs(k % 3 - 1)) / 16
+            if abs(change[i, j] - step) >= SAME_LIGHT:
+                weight[i, j] = 0.0
+            step *= 1.0 if abs(step) > STEADY_LIGHT else slowly
+            moved[i, j] = math.log(before[i, j]) + min(max(step, -fastest), fastest)
+    filled = _filled(moved, weight)
+    for i in range(rows):
+        for j in range(columns):
+            moved[i, j] += (1 - weight[i, j]) * hidden * (filled[i, j] - moved[i, j])
+            after[i, j] = min(max(math.exp(moved[i, j]), DARKEST), BRIGHTEST)
 
 
-def _extrapolated(blocks: NDArray[np.float64]) -> NDArray[np.float64]:
+@compiled
+def _extrapolated(blocks):
     """Return the blocks with one more all around, by their slopes."""
-    rows = np.vstack((2 * blocks[0] - blocks[1], blocks, 2 * blocks[-1] - blocks[-2])).T
-    return np.vstack((2 * rows[0] - rows[1], rows, 2 * rows[-1] - rows[-2])).T
+    rows, columns = blocks.shape
+    wide = np.empty((rows + 2, columns + 2))
+    wide[1:-1, 1:-1] = blocks
+    wide[0, 1:-1], wide[-1, 1:-1] = 2 * blocks[0] - blocks[1], 2 * blocks[-1] - blocks[-2]
+    wide[:, 0], wide[:, -1] = 2 * wide[:, 1] - wide[:, 2], 2 * wide[:, -2] - wide[:, -3]
+    return wide
 
 
-def _filled(values: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
+@compiled
+def _filled(values, weight):
     """Normalised convolution over narrowing windows: where the weight is small, what is around counts."""
-    both = np.dstack((weight * values, weight))
-    sums = both.sum(axis=(0, 1))
-    filled = np.full(weight.shape, sums[0] / (sums[1] + 1))
-    for reach in (*(2**k for k in reversed(range((max(weight.shape) - 1).bit_length()))), 0):
+    rows, columns = weight.shape
+    # sums above and left of a corner, of weighted values and weights
+    total, count = np.zeros((2, rows + 1, columns + 1))
+    for i in range(rows):
+        for j in range(columns):
+            value, one = weight[i, j] * values[i, j], weight[i, j]
+            total[i + 1, j + 1] = value + total[i, j + 1] + total[i + 1, j] - total[i, j]
+            count[i + 1, j + 1] = one + count[i, j + 1] + count[i + 1, j] - count[i, j]
+    filled = np.full(weight.shape, total[rows, columns] / (count[rows, columns] + 1))
+    reach = 1
+    while reach < max(rows, columns):
+        reach *= 2
+    while reach > 0:
+        reach //= 2
         wider = WINDOW_WEIGHT if reach > 0 else OWN_WEIGHT
-        window = (2 * reach + 1, 2 * reach + 1)
-        inside = cv2.boxFilter(both, -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
-        filled = (inside[:, :, 0] + wider * filled) / (inside[:, :, 1] + wider)
+        for i in range(rows):
+            top, bottom = max(i - reach, 0), min(i + reach + 1, rows)
+            for j in range(columns):
+                left, right = max(j - reach, 0), min(j + reach + 1, columns)
+                values_in = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
+                weight_in = count[bottom, right] - count[top, right] - count[bottom, left] + count[top, left]
+                filled[i, j] = (values_in + wider * filled[i, j]) / (weight_in + wider)
     return filled
 
 
@@ -233,25 +262,28 @@ class LightField:
     @cached_property
     def along_rows(self) -> Light:
         """Field along x at the blocks' centres, and where between them each row lies."""
-        left, share = _neighbours(self.size[1], self.blocks.shape[1])
-        around = np.exp(_extrapolated(np.log(self.blocks).astype(np.float64))).clip(DARKEST, BRIGHTEST)
-        values = around.astype(np.float32)
-        here, right = values.take(left, axis=1), values.take(left + 1, axis=1)
-        return Light(here + share * (right - here), _positions(self.size[0], self.blocks.shape[0]))
+        rows = np.empty((self.blocks.shape[0] + 2, self.size[1]), np.float32)
+        interpolate(self.blocks, _positions(self.size[1], self.blocks.shape[1]), rows)
+        return Light(rows, _positions(self.size[0], self.blocks.shape[0]))
+
+
+@compiled
+def interpolate(blocks, positions, rows):
+    """Write the light `(block_rows + 2, width)` along x at the blocks' centres, one more on either side."""
+    around = _extrapolated(np.log(blocks.astype(np.float64)))
+    for i in range(around.shape[0]):
+        values = np.empty(around.shape[1], np.float32)
+        for j in range(values.size):
+            values[j] = min(max(math.exp(around[i, j]), DARKEST), BRIGHTEST)
+        for x in range(positions.size):
+            left = int(positions[x])
+            rows[i, x] = values[left] + (positions[x] - _f4(left)) * (values[left + 1] - values[left])
 
 
 @lru_cache(maxsize=16)
 def _positions(n_pixels: int, n_blocks: int) -> Planes:
     """Where the centres of pixels lie between those of blocks, `(n_pixels,)`; block 0 is before the first."""
     return ((np.arange(n_pixels) + 0.5) * n_blocks / n_pixels + 0.5).astype(np.float32)
-
-
-@lru_cache(maxsize=16)
-def _neighbours(n_pixels: int, n_blocks: int) -> tuple[NDArray[np.intp], Planes]:
-    """The block left of every pixel, and the share of the one right of it."""
-    position = _positions(n_pixels, n_blocks)
-    left = position.astype(np.intp)
-    return left, (position - left).astype(np.float32)
 
 
 def track_light(
@@ -285,7 +317,8 @@ def track_light(
     over_bands(work, len(before.blocks))
     slowly, hidden = (-math.expm1(-elapsed / time) for time in (LIGHT_TIME, HIDDEN_TIME))
     fastest = FASTEST_LIGHT * elapsed
-    blocks = follow(before.blocks, ratios, agreement, texture, covered, fastest, slowly, hidden)
+    blocks = np.empty_like(before.blocks)
+    follow(before.blocks, ratios, agreement, texture, covered, fastest, slowly, hidden, blocks)
     return LightField(blocks, before.size)
 
 
@@ -298,9 +331,27 @@ def light_grid(height: int, width: int) -> tuple[int, int]:
 def share_of_blocks(covered: NDArray[np.uint8], grid: tuple[int, ...]) -> Planes:
     """Return the covered share of every block of light; `(height, width)` uint8 are 255 where covered."""
     every = min(SAMPLED, *(max(n // m, 1) for n, m in zip(covered.shape, grid, strict=True)))
-    rows, columns = (
-        (np.arange(m)[:, None] == np.arange(0, n, every) * m // n).astype(np.float64)
-        for n, m in zip(covered.shape, grid, strict=True)
-    )
-    counts = rows @ (covered[::every, ::every] == 255) @ columns.T
-    return np.asarray((counts / np.outer(rows.sum(axis=1), columns.sum(axis=1)).clip(1)).astype(np.float32))
+    shares = np.empty(grid, np.float32)
+    count_covered(covered, every, shares)
+    return shares
+
+
+@compiled
+def count_covered(covered, every, shares):
+    """Write the share of 255 in each block, of the pixels `every` so many px."""
+    (height, width), (block_rows, block_columns) = covered.shape, shares.shape
+    samples = np.arange(0, width, every)
+    starts = np.searchsorted(samples * block_columns // width, np.arange(block_columns + 1))
+    counts, rows = np.zeros((block_rows, block_columns), np.int64), np.zeros(block_rows, np.int64)
+    for y in range(0, height, every):
+        row = y * block_rows // height
+        rows[row] += 1
+        for column in range(block_columns):
+            hidden = 0
+            for k in range(starts[column], starts[column + 1]):
+                hidden += covered[y, k * every] == 255
+            counts[row, column] += hidden
+    for row in range(block_rows):
+        for column in range(block_columns):
+            seen = rows[row] * (starts[column + 1] - starts[column])
+            shares[row, column] = counts[row, column] / max(seen, 1)
