@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...inference.engine.protocols import Incoming, Port
 from ...inference.kalman import kinematic
 from ...models.camera.moving_camera import View
-from ...models.core.checks import NotNegative, Positive, Shape, Share, SizesOf, checked
+from ...models.core.checks import NotNegative, Positive, Shape, Share, SizesOf, checked, made
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.identities import Turnover, find, places_of
@@ -109,8 +109,14 @@ class GroundState:
     def newcomers(self) -> Newcomers:
         """Return the distribution of a new object's box."""
         _, aspect, variance = self.all_aspects.tolist()
-        return Newcomers(
-            self.size, self.scene[:2], self.scene_covariance[:2, :2], self.variation, aspect, variance
+        return made(
+            Newcomers,
+            self.size,
+            self.scene[:2],
+            self.scene_covariance[:2, :2],
+            self.variation,
+            aspect,
+            variance,
         )
 
     def expected_height(self, foot_y: ArrayLike) -> tuple[Array, Array]:

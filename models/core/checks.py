@@ -26,6 +26,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import numpy as np
 
 T = TypeVar("T", bound=Callable[..., Any])
+Made = TypeVar("Made")
 Sizes = dict[str, int]
 Check = Callable[[Any, str, Sizes], None]
 """Raises an error if a value, which the name names, is not what is expected."""
@@ -139,6 +140,13 @@ def checked(thing: T) -> T:
     """
     wrapped: T = _checked_class(thing) if isinstance(thing, type) else _checked_function(thing)
     return wrapped
+
+
+def made(kind: type[Made], *values: Any, **named: Any) -> Made:
+    """Return a value of a `checked` dataclass, made of parts of such values, which need no check."""
+    thing = object.__new__(kind)
+    getattr(kind.__init__, "__wrapped__", kind.__init__)(thing, *values, **named)
+    return thing
 
 
 def _checked_class(kind: Any) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.compiled import compiled, inlined
-from .checks import Count, Shape, checked
+from .checks import Count, Shape, checked, made
 from .frame import Frame
 from .identities import Identities, Places, find, places_of, union
 from .short_repr import Rows, short_repr
@@ -90,7 +90,8 @@ class GaussianMessage(Rows):
         if self.identities is not other.identities and not np.array_equal(self.identities, other.identities):
             both, here, there = union(self.identities, other.identities)
             one, two = self._spread(both, here), other._spread(both, there)
-        return type(self)(
+        return made(
+            type(self),
             one.identities,
             one.information + two.information,
             one.vector + two.vector,
@@ -192,7 +193,7 @@ class GaussianMessage(Rows):
         information, vector = np.zeros((count, dimension, dimension)), np.zeros((count, dimension))
         log_scale = np.zeros(count)
         information[place], vector[place], log_scale[place] = self.information, self.vector, self.log_scale
-        return type(self)(identities, information, vector, log_scale)
+        return made(type(self), identities, information, vector, log_scale)
 
 
 @checked

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..camera.moving_camera import View
-from ..core.checks import NotNegative, Positive, Probability, Shape, Share, checked
+from ..core.checks import NotNegative, Positive, Probability, Shape, Share, checked, made
 from ..core.gaussian_message import GaussianMessage
 from ..core.identities import find, union
 from ..core.short_repr import short_repr
@@ -289,7 +289,8 @@ class BoxMessage:
         for name in ("errors", "places", "newcomers", "detector", "association"):
             if getattr(self, name) is not None and getattr(other, name) is not None:
                 raise ValueError(f"box message: got two factors {name}, expected at most one")
-        return type(self)(
+        return made(
+            type(self),
             self.objects * other.objects,
             self.hidden * other.hidden,
             self.existence * other.existence,

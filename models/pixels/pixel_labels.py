@@ -5,7 +5,7 @@ image; products gather factors, and loops over pixels run when a number is read.
 nothing to say, its message has no factor, and nothing is computed.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.moving_camera import View
-from ..core.checks import checked, shown
+from ..core.checks import checked, made, shown
 from ..core.frame import Frame
 from ..core.short_repr import short_repr
 from .background import ODDS_STEPS, BackgroundFactor, Subtraction
@@ -72,8 +72,8 @@ class PixelMessage:
             raise ValueError("pixel message: got two background predictions, expected at most one")
         if self.image is not None and other.image is not None:
             raise ValueError("pixel message: got two images, expected at most one")
-        return replace(
-            self,
+        return made(
+            type(self),
             background=self.background or other.background,
             layers=self.layers * other.layers,
             image=self.image if other.image is None else other.image,
