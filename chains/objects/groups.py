@@ -36,13 +36,17 @@ def group_parts(blobs: Blobs, scene: BlobScene) -> Blobs:
     free, alone = np.flatnonzero(is_free), np.flatnonzero(~is_free)
     table, own, before, taken = table.copy(), table["identity"], table["whole"], set[int]()
     table["whole"] = own
-    groups = [*_joined(blobs, free, scene), *alone[:, None]]
+    groups, everyone = [*_joined(blobs, free, scene), *alone[:, None]], set(own.tolist())
     for members in sorted(groups, key=lambda members: -table["mass"][members].sum()):
-        names = {*before[members].tolist(), *own[members].tolist()}
-        name = min(names - taken.union(np.delete(own, members).tolist()))
+        names = set(own[members].tolist())
+        name = min(names.union(before[members].tolist()) - taken - (everyone - names))
         taken.add(name)
         table["whole"][members] = name
-        if (before[members] != before[members[0]]).any() and (table["seen"][members] < SETTING_OFF).all():
+        if (
+            len(members) > 1
+            and (before[members] != before[members[0]]).any()
+            and (table["seen"][members] < SETTING_OFF).all()
+        ):
             # where any of them appeared, each may still be one with what they have left
             table["origin"][members], table["past_views"][members] = union(table["origin"][members]), 0.0
     return blobs.with_table(table)
