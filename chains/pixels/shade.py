@@ -139,18 +139,18 @@ def recall_shaded(first, end, halo, pixels, before, light_field, model, shade, l
                 if gain == 0:
                     continue
                 asked = agree = 0  # in halves: 2 for the same gain, 1 for the usual light, -2 for others
+                inside = reach <= y < height - reach and reach <= x < width - reach
                 for k in range(len(around)):
                     down, right = y + around[k, 0], x + around[k, 1]
-                    if not (0 <= down < height and 0 <= right < width):
+                    if not inside and not (0 <= down < height and 0 <= right < width):
                         continue
                     asked += 2
                     other = log_odds[down * width + right]
-                    if other >= 0:
-                        agree += other == SURE  # its own Gaussian, and nothing recalled
-                    elif abs(gains[(down - start) * width + right] - gain) < _f4(SAME_GAIN) * gain:
-                        agree += 2
-                    else:
-                        agree -= 2
+                    # no branches, which cannot be predicted; a gain of background means nothing
+                    near = abs(gains[(down - start) * width + right] - gain) < _f4(SAME_GAIN) * gain
+                    alike = 2 if near else -2
+                    usual = 1 if other == SURE else 0  # its own Gaussian, and nothing recalled
+                    agree += usual if other >= 0 else alike
                 counts[2, block_row, block] += step if agree > 0 else 0
                 ratio = shade.log_odds[block_row, block] + evidence * _f4(agree) / _f4(asked)
                 counts[1, block_row, block] += int(_f4(step) * sigmoid(ratio))
