@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from ...inference.smc import copied, log_sum, normalised, systematic
 from ...models.body.parts import PartMessage
 from ...models.body.upper_body import JOINTS, PARTS, BodyPoses, UpperBody
-from ...models.core.checks import LOG_WEIGHTS, NotNegative, Shape, SizesOf, checked
+from ...models.core.checks import LOG_WEIGHTS, NEAR, Bound, NotNegative, Shape, SizesOf, checked
 from ...models.core.gaussian_mixtures import GaussianMixtures
 from ...models.core.short_repr import short_repr
 from .dynamics import Ancestors, BodyDynamics
@@ -30,7 +30,7 @@ SAMPLE_STD = 1.0  # px: standard deviation added to a part's, since samples may 
 class BodySamples:
     """Weighted poses."""
 
-    poses: BodyPoses  # n of them
+    poses: Annotated[BodyPoses, Bound(lambda poses: NEAR.holds(poses.roots), NEAR.expected)]  # n of them
     log_weights: Annotated[Array, Shape("n", finite=False), LOG_WEIGHTS]  # of weights that sum to 1
     size: Annotated[tuple[int, int], SizesOf("height", "width")]  # px of the picture
     random: np.random.Generator  # generator of the draws to come

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...inference.engine.protocols import Incoming, Port
 from ...inference.kalman import kinematic
 from ...models.camera.moving_camera import View
-from ...models.core.checks import NotNegative, Positive, Shape, Share, SizesOf, checked, made
+from ...models.core.checks import NEAR, NotNegative, Positive, Shape, Share, SizesOf, checked, made
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.identities import Turnover, find, places_of
@@ -84,7 +84,7 @@ class GroundState:
     # weight, mean and variance of the width over height of all objects
     all_aspects: Annotated[Array, Shape(3)]
     identities: Annotated[NDArray[np.int64], Shape("n")]  # of the objects, increasing
-    feet: Annotated[Array, Shape("n", 2, 2)]  # along x and y, position px and velocity px/s
+    feet: Annotated[Array, Shape("n", 2, 2), NEAR]  # along x and y, position px and velocity px/s
     feet_covariance: Annotated[Array, Shape("n", 2, 2, 2)]
     heights: OfObjects  # px, the scale on which an object moves and varies
     aspects: OfObjects  # width over height

@@ -322,6 +322,7 @@ def with_number(number: float, field: str | None = None) -> Callable[[NDArray[An
             "blobs: got a record 0 of other pixels",
         ),
         ("ground/identities", lambda names: names[1:], "ground/feet: got shape"),
+        ("ground/feet", with_number(1e15), "ground/feet: got .*, expected px that a picture may have"),
     ],
 )
 def test_a_forged_state_is_refused(
