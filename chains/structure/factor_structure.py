@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,7 +124,9 @@ class FactorStructure:
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: StructureTrajectory | None = None
     ) -> Smoothed[StructureTrajectory]:
-        """Return shape and cameras fitted to `incoming` from scratch, so that early errors do not persist.
+        """Return shape and cameras fitted to `incoming`, from the `current` cameras where there are such.
+
+        Who shows what is decided anew, so that early errors do not persist.
 
         Raises
         ------
@@ -132,11 +134,13 @@ class FactorStructure:
             if there are fewer than 3 frames or 4 tracks, or frames share too few of them.
         """
         identities, positions, weights = observations(incoming_over_time)
+        start = None if current is None else current.factorisation
+        how: Any = {"coherence": self.coherence, "outliers": self.outliers, "start": start}
         if self.associate:
-            found = associate_tracks(positions, weights, coherence=self.coherence, outliers=self.outliers)
+            found = associate_tracks(positions, weights, **how)
             fit, point, trusted = found.factorisation, found.point_of_track, found.trusted
         else:
-            robust = factorise_robustly(positions, weights, coherence=self.coherence, outliers=self.outliers)
+            robust = factorise_robustly(positions, weights, **how)
             kept, trusted = robust.consistent, robust.trusted
             fit = robust.factorisation.of_points(kept)
             point = np.where(kept, np.cumsum(kept) - 1, -1)

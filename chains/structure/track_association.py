@@ -285,6 +285,7 @@ def associate_tracks(
     *,
     coherence: bool = False,
     outliers: bool = True,
+    start: Factorisation | None = None,
 ) -> TrackAssociation:
     """Find points, cameras, and which tracks belong to which point.
 
@@ -293,7 +294,7 @@ def associate_tracks(
     """
     where, weight = as_arrays(positions, weights)
     where = np.where(weight[..., None] > 0, where, 0.0)
-    robust = factorise_robustly(where, weight, coherence=coherence, outliers=outliers)
+    robust = factorise_robustly(where, weight, coherence=coherence, outliers=outliers, start=start)
     trusted = robust.weights * robust.trusted
     whole = ~np.isnan(where).any(axis=2)
     kept, fit = robust.consistent & (trusted * whole > 0).any(axis=0), robust.factorisation

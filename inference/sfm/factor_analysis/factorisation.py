@@ -481,11 +481,11 @@ def _beginning(
         given = np.asarray(start, np.float64)
         if given.shape != (n_frames, 2, 4) or not np.isfinite(given).all():
             raise ValueError(f"start: got {given.shape} cameras, expected finite {(n_frames, 2, 4)}")
-        cameras, shape = _with_points(part, observations.scaled(given))
+        cameras, shape = _best_points(part, observations.scaled(given))
     return around_start(observations, cameras, shape, frames, points, coherent=coherent)
 
 
-def _with_points(part: Observations, cameras: Array) -> tuple[Array, Array]:
+def _best_points(part: Observations, cameras: Array) -> tuple[Array, Array]:
     """Given cameras with the points that fit them best; translations may become frames' middles."""
     listed = part.by_frame
     sums = ObservationSums(listed, part.n_points)
@@ -624,10 +624,12 @@ def factorise_robustly(
     *,
     coherence: bool = False,
     outliers: bool = True,
+    start: Factorisation | None = None,
 ) -> RobustFactorisation:
     """Estimate cameras and shape with outliers among the positions; arguments and errors as of `factorise`.
 
-    Without `outliers` all positions are right: least squares.
+    Without `outliers` all positions are right: least squares. Only the cameras of `start` count, whatever its
+    points.
 
     A position is an inlier with noise of its weight, or an outlier with a larger variance: a contaminated
     normal (Tukey, "A survey of sampling from contaminated distributions", 1960), fitted by EM with learned
@@ -637,13 +639,17 @@ def factorise_robustly(
     """
     where, given = as_arrays(positions, weights)
     if not outliers:
-        return RobustFactorisation(factorise(where, given, coherence=coherence), given, np.sign(given))
-    fit = _roughly(where, given, coherence, "grow")
+        fit = factorise(where, given, coherence=coherence)
+        return RobustFactorisation(fit, given, np.sign(given))
+    if start is None:
+        fit = _roughly(where, given, coherence, "grow")
+    else:
+        fit = _roughly(where, given, coherence, _with_points(start, where, given))
     frames, points = np.nonzero(given > 0)
     seen: tuple[Indices, Indices] = frames.astype(np.int64), points.astype(np.int64)
     numbers = np.count_nonzero(~np.isnan(where[seen]), axis=1)
     right, weight = np.where(given > 0, 1.0, 0.0), given.copy()
-    share, renewed = FIRST_SHARE, False
+    share, renewed = FIRST_SHARE, start is not None
     for number in range(MOST_ROUNDS):
         squares: Array = given[seen] * _free_squares(fit, where[seen], weight[seen], seen)
         before = right[seen]
@@ -667,7 +673,7 @@ def factorise_robustly(
         fit = _roughly(where, weight, coherence, fit)
         if settled and renewed:
             break
-        if settled or number == FIRST_ROUNDS:
+        if start is None and (settled or number == FIRST_ROUNDS):
             # where to begin was chosen among outliers, which may have led astray
             fit, renewed = _renewed(where, np.where(right > TRUSTED, weight, 0.0), coherence, fit), True
     if share > MOST_SHARE:
@@ -682,6 +688,18 @@ def _roughly(
     return factorise(
         where, weights, coherence=coherence, start=start, polish=coherence, iterations=ITERATIONS
     )
+
+
+def _with_points(fit: Factorisation, where: Array, weights: Array) -> Factorisation:
+    """The same cameras with other points: those that positions make likeliest."""
+    whole = np.asarray(~np.isnan(where).any(axis=2))
+    observations = Observations.from_arrays(np.where(whole[..., None], where, 0.0), weights * whole)
+    cameras, square = observations.scaled(fit.cameras), observations.scale**2
+    noise = fit.noise_variance / (square * observations.weight_unit)
+    sums = ObservationSums(observations.by_frame, observations.n_points)
+    information, vector, _ = sums.of_points(cameras, camera_moments(cameras, fit.camera_covariance / square))
+    spread, _ = invert_information(np.array(information), np.ones(RANK), 1 / noise)
+    return replace(fit, shape=np.einsum("ijk,ik->ij", spread, vector) / noise, shape_covariance=spread)
 
 
 def _renewed(where: Array, weights: Array, coherence: bool, fit: Factorisation) -> Factorisation:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from rsmcm.apps.scenes import cylinder
 from rsmcm.inference.sfm.factor_analysis.factorisation import factorise, factorise_robustly, predicted
+from rsmcm.inference.sfm.factor_analysis.observations import ENOUGH, covering
 
 SCENE = cylinder(n_points=60, n_frames=24, p_loose=0.1, p_drift=0.0, seed=3)
 
@@ -20,6 +21,16 @@ def test_without_outliers_it_is_factorise(coherence: bool) -> None:
     # a tenth of the noise
     assert np.sqrt(np.square(off).mean()) < 0.001
     assert found.factorisation.noise_variance == pytest.approx(plain.noise_variance, rel=0.05)
+
+
+def test_of_many_points_each_frame_shows_enough_of_the_longest() -> None:
+    seen = np.random.default_rng(0).random((24, 1500)) < np.linspace(0.02, 0.9, 1500)
+    seen[5, 60:] = False
+    some = covering(seen)
+    shown = np.count_nonzero(seen & some, axis=1)
+    assert (shown >= np.minimum(np.count_nonzero(seen, axis=1), ENOUGH)).all()
+    assert np.count_nonzero(some) < 400
+    assert covering(SCENE.visible).all()
 
 
 @pytest.mark.parametrize("coherence", [False, True])
@@ -40,6 +51,8 @@ def test_outliers_are_told_from_right_positions(coherence: bool) -> None:
     )
     assert off < 1.1 * least
     assert most > 3 * least
+    again = factorise_robustly(positions[:, ::-1], coherence=coherence, start=oracle)
+    np.testing.assert_array_equal(again.trusted[:, ::-1], found.trusted)
 
 
 def test_a_mismatch_in_two_frames_is_seen() -> None:
