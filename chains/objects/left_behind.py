@@ -10,16 +10,18 @@ As A is known, a difference from E is seen that is too small to tell any colour 
 stay for longer than a foot stands in a step, and that no mask holds any more, are layers of their own until
 they show another colour. Where no object is, E follows the image; where A stays, A does. E is known once
 it has been shown for as long, and longer than other colours since, so that it is no earlier object's.
+
+All of this takes a second, so that ten looks a second are enough.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.checks import Shape
+from ...models.core.checks import NotNegative, Shape
 from ...models.core.short_repr import short_repr
 from ...models.numerics.compiled import compiled, inlined
 from ...models.pixels.background import SPAN, foreground_spans
@@ -41,6 +43,7 @@ STAYS = 1.0  # s; a foot stands for .6 s in a step
 SURE = 2 * STAYS  # s for which E has been shown at most: another colour is the scene after as long
 BEGUN = 1e-3  # s, of what an object has just brought
 PATIENCE = 0.2  # s for which what stays may look otherwise
+LOOK = 0.1  # s between two looks: a fraction of what it takes to stay, and of what may be missed
 BAND = 8  # rows of a picture whose covers are in the cache
 BARE = 0.9  # probability that no mask holds a pixel, from which on it shows the scene
 SCENE_TIME, OWN_TIME = 1.0, 0.2  # s, time constants of E and A, which move by a grey level a frame at least
@@ -58,6 +61,7 @@ class LeftBehind:
     # s for which it has shown A; below 0: for which it has shown E, without any object so far
     time: Annotated[NDArray[np.float32], Shape("height", "width")]
     parts: Annotated[NDArray[np.bool_], Shape("height", "width")]  # that objects have left behind
+    unseen: NotNegative = 0.0  # s since the last look
 
     @classmethod
     def nothing(cls, image: NDArray[np.uint8]) -> Self:
@@ -77,8 +81,12 @@ class LeftBehind:
         """Return what is known after an image `(height, width, channels)`, `elapsed` s after the last.
 
         Of the `blobs`, those that `are_sure` `(n,)` may leave something behind; where there are `ghosts`,
-        nothing has been. Parts have `least_area` px or more, and are no lines.
+        nothing has been. Parts have `least_area` px or more, and are no lines. If the last look was less than
+        `LOOK` ago, and there are no ghosts, all stays as it is.
         """
+        elapsed += self.unseen
+        if elapsed < LOOK and not len(ghosts):
+            return replace(self, unseen=elapsed)
         known: Any = self.shown, self.before, self.time
         stays = np.zeros(self.time.shape, np.bool_)
         shown, before, time = after = self.shown.copy(), np.empty_like(self.before), np.empty_like(self.time)

@@ -42,7 +42,7 @@ from .background_prediction import BackgroundPrediction, fixed_point, stored_pla
 from .empty_scene import empty_scene
 from .gaussians import MEAN_STEPS, Gaussians
 from .light import LightField, light_grid, share_of_blocks, track_light
-from .mirror import mirroring, update_mirror
+from .mirror import EVERY, mirroring, update_mirror
 from .second_colours import SETTLED, SecondColours, Settling, learn_second_colours, update_behind
 from .shade import shade_in, update_shade
 from .sway import Sway, sway_reach, update_rates
@@ -267,6 +267,9 @@ class AdaptiveBackground:
                 flat, subtraction.unshaded, covered, light,
                 colour.from_pixels(channels), colour.to_pixels(channels), settling, after, second,
             )  # fmt: skip
+        mirror = state.mirror
+        if prediction.looks_for_mirrors:
+            mirror = update_mirror(mirror, prediction.mirror_seen(image), state.age, EVERY * state.elapsed)
         return replace(
             state,
             **after._asdict(),
@@ -276,7 +279,7 @@ class AdaptiveBackground:
             shade=update_shade(
                 state.shade, prediction.shade_counts(image), state.size, state.age, state.elapsed
             ),
-            mirror=update_mirror(state.mirror, prediction.mirror_seen(image), state.age, state.elapsed),
+            mirror=mirror,
             candidate=second.colours,
             seen=second.seen,
             elapsed=0.0,

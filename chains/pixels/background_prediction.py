@@ -49,7 +49,7 @@ from .gaussians import (
     whole_steps,
 )
 from .light import LightField
-from .mirror import find_axes, recall_mirrored
+from .mirror import EVERY, find_axes, recall_mirrored
 from .second_colours import SecondColours, recall
 from .shade import Shade, recall_shaded
 from .sway import LEAST_RATE, Sway, recall_moved
@@ -317,6 +317,11 @@ class BackgroundPrediction:
         """Means of all pixels."""
         return stored_planes(self.pixels.mean, self.size)
 
+    @property
+    def looks_for_mirrors(self) -> bool:
+        """Whether columns are looked at that are not known to mirror."""
+        return self.frames % EVERY == 0
+
     @cached_property
     def model(self) -> PixelModel:
         """Parameters that loops need beside the pixels."""
@@ -405,8 +410,10 @@ class BackgroundPrediction:
         over_bands(compare, height)
         some_unknown = max(highest) > HIGHEST_VARIANCE * VARIANCE_STEPS
         mirror_seen, mirrored = np.zeros((2, self.mirroring.size), np.float32), None
-        axes, shares = np.empty(self.mirroring.size, np.int64), np.zeros(self.mirroring.size, np.float32)
-        find_axes(flat, self.pixels, light, self.model, log_odds, axes, shares, mirror_seen)
+        axes, shares = np.full(self.mirroring.size, -1), np.zeros(self.mirroring.size, np.float32)
+        wanted = self.mirroring | self.looks_for_mirrors
+        if wanted.any():
+            find_axes(flat, self.pixels, light, self.model, log_odds, wanted, axes, shares, mirror_seen)
         axes[~self.mirroring] = -1
         if axes.max() >= 0:
             mirrored = np.zeros(log_odds.size, np.uint8)

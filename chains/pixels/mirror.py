@@ -32,6 +32,7 @@ STRANGE = -4.0  # nats at least, of a pixel: a surface ends somewhere
 LEAST = 2.0  # nats per pixel of foreground below an axis
 LEAST_SEEN = 24  # pixels of foreground in three columns of blocks that may tell
 MIRROR_TIME = 10.0  # s for which it is remembered
+EVERY = 4  # frames of which one is looked at for columns that mirror
 LITTLE = 0.2  # share of time for which a column has to show foreground to tell by itself
 
 
@@ -68,10 +69,11 @@ def _difference(pixels, mean, light_field, y, x):
 
 
 @compiled
-def find_axes(pixels, before, light_field, model, log_odds, axes, shares, seen):
+def find_axes(pixels, before, light_field, model, log_odds, wanted, axes, shares, seen):
     """Write twice the row of each column's axis into `axes` `(block_columns,)`, -1 for none, and its share.
 
-    `seen` `(2, block_columns)` gets 1 where there is enough foreground, and an axis.
+    It is looked for in those columns of blocks that are `wanted` `(block_columns,)`. `seen` `(2,
+    block_columns)` gets 1 where there is enough foreground, and an axis.
     """
     height, width = light_field.positions.size, light_field.rows.shape[1]
     step = max(1, max(height, width) // FINE)
@@ -79,7 +81,14 @@ def find_axes(pixels, before, light_field, model, log_odds, axes, shares, seen):
     differences = np.empty((rows, 3), np.float32)
     foreground = np.zeros((columns, rows), np.uint8)
     tables = np.zeros((columns, 2 * rows, SHARES), np.float32)
+    asked = np.zeros(columns, np.bool_)
+    for block in range(blocks):
+        axes[block] = -1
+        if wanted[block]:
+            asked[max((block - 1) * columns // blocks, 0) : (block + 2) * columns // blocks] = True
     for column in range(columns):
+        if not asked[column]:
+            continue
         x, count = column * step + step // 2, 0
         for row in range(rows):
             foreground[column, row] = log_odds[(row * step + step // 2) * width + x] < 0
@@ -89,7 +98,8 @@ def find_axes(pixels, before, light_field, model, log_odds, axes, shares, seen):
                 differences[row] = _difference(pixels, before.mean, light_field, row * step + step // 2, x)
             _weigh_axes(differences, foreground[column], model, before.mean.shape[0], tables[column])
     for block in range(blocks):
-        axes[block] = -1
+        if not wanted[block]:
+            continue
         left, right = max((block - 1) * columns // blocks, 0), min((block + 2) * columns // blocks, columns)
         count = 0
         for column in range(left, right):

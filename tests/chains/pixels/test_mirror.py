@@ -37,7 +37,10 @@ def mirrored(seed: int, share: float) -> Prediction:
 def axes_of(prediction: Prediction) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]:
     pixels, image, odds = prediction
     axes, shares, seen = np.empty(24, np.int64), np.zeros(24, np.float32), np.zeros((2, 24), np.float32)
-    mirror.find_axes(image.reshape(-1), pixels, LIGHT, MODEL, odds.reshape(-1), axes, shares, seen)
+    everywhere = np.ones(24, bool)
+    mirror.find_axes(
+        image.reshape(-1), pixels, LIGHT, MODEL, odds.reshape(-1), everywhere, axes, shares, seen
+    )
     return axes, shares, seen
 
 
