@@ -43,9 +43,10 @@ Robust = Literal["outliers", "none"]
 Camera = Literal["auto", "affine", "perspective"]
 
 MOST_ROUNDS = 20
-SETTLED = 0.02
-"""Share of the objective that a round has to gain for another one: what is decided anew in each round,
-who shows what, moves it by half a percent to and fro."""
+SETTLED, SETTLED_TRACKS = 0.02, 1e-5
+"""Share of the objective that a round has to gain for another one. In images, what is decided anew in each
+round, who shows what, moves it by half a percent to and fro. The unit of given tracks, and so the objective,
+is arbitrary: of them nothing but the end of the ascent is known."""
 FEWEST_POINTS = 4
 FEWEST_FRAMES = 3  # two views of a rigid thing leave its depth open
 FEWEST_VIEWS = 2  # that agree about a point before a perspective camera
@@ -204,12 +205,16 @@ def structure_engine(
         coherence=coherence == "second-order", associate=dual, outliers=robust == "outliers"
     )
     model.connect(shape, points, feedback=dual)
-    return CoordinateAscent(model, MOST_ROUNDS, SETTLED)
+    return CoordinateAscent(model, MOST_ROUNDS, SETTLED_TRACKS if _given(frames) else SETTLED)
+
+
+def _given(frames: Sequence[Frame]) -> bool:
+    return any(frame.points is not None for frame in frames)
 
 
 def _following(frames: Sequence[Frame]) -> tuple[MultiChain, PointTracks]:
     """Return a model of chains that track points of the frames, and its feature node."""
-    given = any(frame.points is not None for frame in frames)
+    given = _given(frames)
     points = PointTracks(noise=noise_of_tracks(frames)) if given else PointTracks()
     # what a tracker predicts comes from observations that the shape has as well, and would count twice over
     model = MultiChain().connect(PointTracker(), points, feedback=False)

@@ -268,7 +268,8 @@ class ImageLikelihood:
     def _skin_by_area(self) -> tuple[Array, Array]:
         """Places `(m, 2)` px, a hand's radius apart, and nats `(m,)` of their skin if nothing explains it.
 
-        Where arms may be bare, skin of a hand's area costs as much as a blob. Detected faces explain theirs.
+        Where arms may be bare, skin of a hand's area costs what a hand gains by it; detected faces explain
+        theirs.
         """
         assert self.skin is not None
         share, scales = self.skin[0], _scales(self.skin[0], self.image)
@@ -278,7 +279,7 @@ class ImageLikelihood:
             for step, length in zip((down, across), share.shape, strict=True)
         )
         places = (np.stack(np.meshgrid(columns, rows), axis=2).reshape(-1, 2) + 0.5) / scales - 0.5
-        costs = BLOB_COST / np.pi * share[np.ix_(rows, columns)].ravel().astype(np.float64)
+        costs = BARE_HAND_SCORES[0] / np.pi * share[np.ix_(rows, columns)].ravel().astype(np.float64)
         shown = costs > LEAST_COST
         for x, y, half_width, half_height in self.image.faces:
             shown &= np.square((places - [x, y]) / [half_width, half_height]).sum(axis=1) > 1
