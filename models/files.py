@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-MOST_PIXELS = 1 << 27  # of one picture: 134 million, over four times those of 8K video, and 400 MB as colour
-
 MOST_NUMBERS = 1 << 25
 """Of one file of arrays: 34 million, such as 10,000 frames of 1,600 points, and 270 MB as float64."""
 

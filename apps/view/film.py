@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.array_files import Arrays, read_arrays, require_fields
-from ...models.core.checks import NONE_NEGATIVE, Bound, Shape
+from ...models.core.checks import MOST_PIXELS, NONE_NEGATIVE, Bound, Shape
 from ...models.core.frame import Frame
-from ...models.files import MOST_PIXELS, fitting, sync, write_atomically
+from ...models.files import fitting, sync, write_atomically
 from ..io.files import (
     PLAYABLE,
     SegmentedVideo,

@@ -25,8 +25,6 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 
-from ..files import MOST_PIXELS
-
 T = TypeVar("T", bound=Callable[..., Any])
 Made = TypeVar("Made")
 Sizes = dict[str, int]
@@ -60,6 +58,7 @@ NO_NAN = Bound(lambda numbers: not np.isnan(numbers).any(), "numbers without NaN
 PROBABILITIES = Bound(lambda numbers: bool(((numbers >= 0) & (numbers <= 1)).all()), "probabilities")
 NONE_NEGATIVE = Bound(lambda numbers: bool((numbers >= 0).all()), "numbers from 0")
 POSITIVES = Bound(lambda numbers: bool((numbers > 0).all()), "numbers above 0")
+MOST_PIXELS = 1 << 27  # of one picture: 134 million, over four times those of 8K video, and 400 MB as colour
 NEAR = Bound(lambda px: bool((np.abs(px) <= MOST_PIXELS).all()), "px that a picture may have")
 """Of places and motions of what is seen: no picture has a longer side."""
 LOG_WEIGHTS = Bound(

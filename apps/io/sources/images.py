@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ....models.core.frame import Frame
-from ....models.files import MOST_PIXELS
+from ....models.core.checks import MOST_PIXELS
 from ...options.libraries import quiet_libraries
 from .reader import DEFAULT_RATE, Reader, Selection
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....models.core.frame import Frame
-from ....models.files import MOST_PIXELS
+from ....models.core.checks import MOST_PIXELS
 from ....models.numerics.threads import thread_count
 from .reader import DEFAULT_RATE, Reader, Selection
 
