@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ....models.core.frame import Frame
 from ....models.core.checks import MOST_PIXELS
+from ....models.core.frame import Frame
 from ...options.libraries import quiet_libraries
 from .reader import DEFAULT_RATE, Reader, Selection
 

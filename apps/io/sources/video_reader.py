@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.core.frame import Frame
 from ....models.core.checks import MOST_PIXELS
+from ....models.core.frame import Frame
 from ....models.numerics.threads import thread_count
 from .reader import DEFAULT_RATE, Reader, Selection
 
