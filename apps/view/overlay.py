@@ -222,11 +222,11 @@ class PointsOverlay:
     """Draws points: seen ones as dots with the way that they came, predicted ones as rings.
 
     Frames are drawn in their order: trails are those of the twelve frames before. A row has `id (n,)`,
-    `points (n, 2)` px, and `seen (n,)`, of the same points in every frame.
+    `points (n, 2)` px, and `seen (n,)`, of the points that there are in that frame.
     """
 
     def __init__(self) -> None:
-        self._trail: deque[Array] = deque(maxlen=TRAIL_FRAMES + 1)
+        self._trail: deque[dict[int, Array]] = deque(maxlen=TRAIL_FRAMES + 1)
 
     def __call__(self, image: Image, row: Row, number: int, time: float, *, missing: bool) -> Image:
         """Draw a frame; see `Draw`."""
@@ -235,13 +235,13 @@ class PointsOverlay:
         unit, margin = _unit(canvas), np.array([width, height])
         places, seen = row["points"].astype(np.float64), row["seen"]
         near = np.all((places > -margin) & (places < 2 * margin), axis=1)  # NaN is not near
-        self._trail.append(np.where((near & seen)[:, None], places, np.nan))
-        trails = np.stack(self._trail, axis=1)
+        names = row["id"].tolist()
+        self._trail.append({names[k]: places[k] for k in np.flatnonzero(near & seen).tolist()})
         radius = round(2.2 * unit * (1 << FRACTION_BITS))
         for k in np.flatnonzero(near).tolist():
-            colour, centre = identity_colour(int(row["id"][k])), _fixed(places[k]).tolist()
+            colour, centre = identity_colour(names[k]), _fixed(places[k]).tolist()
             if seen[k]:
-                trail = _fixed(trails[k][np.isfinite(trails[k]).all(axis=1)])
+                trail = _fixed(np.array([then[names[k]] for then in self._trail if names[k] in then]))
                 cv2.polylines(canvas, [trail], False, colour, max(1, round(unit)), cv2.LINE_AA, FRACTION_BITS)
                 cv2.circle(canvas, centre, radius, colour, cv2.FILLED, cv2.LINE_AA, FRACTION_BITS)
             else:

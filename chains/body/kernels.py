@@ -518,19 +518,19 @@ def arm_terms(joints, arms, scales, points, weights, torso, missing, out):
 def unexplained_terms(joints, places, costs, reach, bare, out):
     """Takes from `out` `(n,)` the `costs` `(m,)` nats of skin at `places` `(m, 2)` px that nothing explains.
 
-    Head and hands explain what is within about `reach` `(4,)` px of them, and so do, if they are `bare`,
-    forearms and upper arms from halfway to the elbow. `joints` `(n, 8, 2)` px.
+    Head and hands explain what is within about `reach` `(4,)` px of them, and so do, if arms are `bare`, the
+    neck, forearms, and upper arms from halfway to the elbow. `joints` `(n, 8, 2)` px.
     """
-    limbs, rates = np.empty((4, 5), np.float32), np.empty(4, np.float32)
+    limbs, rates = np.empty((5, 5), np.float32), np.empty(4, np.float32)
     for part in range(4):
         rates[part] = _f4(0.5) / _f4(reach[part] * reach[part])
-    n_limbs = 4 if bare else 0
+    n_limbs = 5 if bare else 0
     for k in range(len(joints)):
         for limb in range(n_limbs):
-            first = 2 + 3 * (limb // 2) + limb % 2
+            first = 0 if limb == 4 else 2 + 3 * (limb // 2) + limb % 2
             x, y = _f4(joints[k, first, 0]), _f4(joints[k, first, 1])
             right, below = _f4(joints[k, first + 1, 0]) - x, _f4(joints[k, first + 1, 1]) - y
-            if limb % 2 == 0:
+            if limb == 0 or limb == 2:
                 right, below = _f4(0.5) * right, _f4(0.5) * below
                 x, y = x + right, y + below
             length = max(np.sqrt(right * right + below * below), _f4(1e-3))

@@ -239,8 +239,8 @@ def test_unexplained_skin_equals_plain_numpy(seed: int, m: int) -> None:
     random = np.random.default_rng(seed)
     joints, places = random.uniform(0, 200, (9, 8, 2)), random.uniform(0, 200, (m, 2))
     costs, reach = random.uniform(0, 2, m), np.array([50.0, 30.0, 30.0, 20.0])
-    parts, ends = joints[:, [0, 4, 7]], joints[:, [3, 4, 6, 7]]
-    begins = joints[:, [2, 3, 5, 6]]
+    parts, ends = joints[:, [0, 4, 7]], joints[:, [3, 4, 6, 7, 1]]
+    begins = joints[:, [2, 3, 5, 6, 0]]
     begins[:, [0, 2]] = 0.5 * (begins + ends)[:, [0, 2]]
     squares = ((parts[:, None] - places[None, :, None]) ** 2).sum(-1) / reach[:3] ** 2
     # distances from limbs, by the nearest of many points on each
