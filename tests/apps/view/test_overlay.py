@@ -62,6 +62,24 @@ def test_seen_points_are_dots_and_predicted_ones_rings() -> None:
     assert picture[56:65, 56:65].any()
 
 
+def test_a_trail_is_of_its_own_point() -> None:
+    """Whichever points come and go beside it."""
+
+    def row_of(*numbers: int, x: float) -> dict[str, NDArray[Any]]:
+        places = np.array([[x, 20.0 * number] for number in numbers])
+        return {"id": np.array(numbers), "points": places, "seen": np.ones(len(numbers), np.bool_)}
+
+    one, other, none = (PointsOverlay() for _ in range(3))
+    one(blank(grey=0), row_of(1, 2, x=20.0), 1, 0.0, missing=False)
+    other(blank(grey=0), row_of(2, x=20.0), 1, 0.0, missing=False)
+    beside, alone, new = (
+        each(blank(grey=0), row_of(2, 3, x=60.0), 2, 0.04, missing=False) for each in (one, other, none)
+    )
+    np.testing.assert_array_equal(beside, alone)
+    assert alone[40, 40].any()
+    assert not new[40, 40].any()
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1e300, 5000.0])
 def test_points_far_outside_are_not_drawn(value: float) -> None:
     rows = [
