@@ -120,6 +120,7 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 CONTRAST = 0.005  # of a feature, as OpenCV has it, where Lowe has 0.04: noise has many, but none that match
+SMALL = 500_000  # pixels: up to there pictures are searched side by side, which takes 200 bytes per pixel
 TILTS = 2  # of surfaces for affine features: by 45 and 60 degrees (Morel, Yu, "ASIFT", 2009)
 SAME_PLACE = 1.5  # px: nearer affine features, of different tilts, are one
 
@@ -567,6 +568,8 @@ class FeatureMatcher:
             features = find_features(grey, self.n_features, affine=affine)
             return features, sample_patches(grey, features.positions, side)
 
-        pictures, patches = zip(*side_by_side([partial(seen, grey) for grey in greys]), strict=True)
         areas = np.array([1 if grey is None else grey.size for grey in greys], np.float64)
+        works = [partial(seen, grey) for grey in greys]
+        found = side_by_side(works) if areas.max() <= SMALL else [work() for work in works]
+        pictures, patches = zip(*found, strict=True)
         return FeatureTracks.of(pictures, patches, areas, self.n_points)
