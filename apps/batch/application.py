@@ -44,6 +44,9 @@ LOCKED = 10.0
 
 FAILED = 1
 
+COUNTED = {"frames": int, "missing": list, "tracks": int, "seconds": float, "frames_per_second": float}
+"""What a batch says of a film, and what it is in the summary of a run that has it."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -291,7 +294,11 @@ def summary_if_complete(application: str, job: Job) -> dict[str, Any] | None:
         return None
     about = about_of(checkpoint.read(path), application, job.settings())
     summary: dict[str, Any] | None = about["finished"]
-    if summary is not None and "://" not in job.source and not about.get("live", False):
+    if summary is None:
+        return None
+    if not all(isinstance(summary.get(name, kind()), kind) for name, kind in COUNTED.items()):
+        raise ValueError(f"{path}: got another summary, {checkpoint.EXPECTED}")
+    if "://" not in job.source and not about.get("live", False):
         check_source(about, fingerprint(job.source))
     return summary
 

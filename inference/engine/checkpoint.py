@@ -36,6 +36,7 @@ EXPECTED = "expected a state that was saved here"
 SKELETON = "skeleton"
 DIGEST = "digest"  # of everything else: loops compiled for speed trust the shapes and numbers of a state
 SCALARS = (int, float, bool, str, NoneType)
+LARGEST_WHOLE = 1 << 53  # beyond it a float does not tell whole numbers apart
 GENERATORS = {
     "PCG64": np.random.PCG64,
     "PCG64DXSM": np.random.PCG64DXSM,
@@ -190,8 +191,9 @@ def _decode(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Sizes | Non
     if origin is np.ndarray and is_array:
         return _of_type(arrays.pop(data["array"]), inner, place)
     if origin in SCALARS and is_array and arrays[data["array"]].ndim == 0:
-        return arrays.pop(data["array"])[()]
-    if origin in SCALARS and (type(data) is origin or (origin is float and type(data) is int)):
+        if _is_of(origin, arrays[data["array"]].item()):
+            return arrays.pop(data["array"])[()]
+    elif origin in SCALARS and _is_of(origin, data):
         return data
     if (
         origin is np.random.Generator
@@ -230,6 +232,11 @@ def _decode(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Sizes | Non
     if isinstance(kind, Mapping) or is_dataclass(origin):
         return _decode_record(data, kind, arrays, place, sizes)
     raise ValueError(f"{place}: got {str(data)[:40]!r}, expected {_spelled(kind)}")
+
+
+def _is_of(kind: type, value: object) -> bool:
+    """Whether a value is of a type, or a whole number that a `float` can be."""
+    return type(value) is kind or (kind is float and type(value) is int and abs(value) <= LARGEST_WHOLE)
 
 
 def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str, sizes: Sizes | None) -> Any:

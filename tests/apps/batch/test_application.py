@@ -8,15 +8,17 @@ import shutil
 import signal
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 from filelock import FileLock
 from rsmcm.apps.batch import application
 from rsmcm.apps.batch.application import run_batch, workers_for
-from rsmcm.apps.batch.job import Batch, options_of
+from rsmcm.apps.batch.job import Batch, job_of, options_of
 from rsmcm.apps.batch.sources import FilmSource
 from rsmcm.apps.batch.summary import FilmStatus
 from rsmcm.apps.command_line import main
+from rsmcm.apps.runs import saved_run
 from rsmcm.models.numerics.threads import set_threads, thread_count
 
 from ...support.films import (
@@ -104,6 +106,22 @@ def test_other_options_are_not_mixed(films: Path, done: Path, capfd: pytest.Capt
     )
     assert results(done / "film001") == before
     assert code_of(films, "--out", done, "--seed", "3") == 0
+
+
+@pytest.mark.parametrize("forged", [{"frames": "12"}, {"frames_per_second": {}}, {"missing": 3}])
+def test_a_summary_with_forged_counts(
+    films: Path, done: Path, forged: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def about_of(*given: Any) -> dict[str, Any]:
+        about = saved_run.about_of(*given)
+        return {**about, "finished": {**about["finished"], **forged}}
+
+    monkeypatch.setattr(application, "about_of", about_of)
+    film = "film001"
+    job = job_of("background", [str(films / film), "--out", str(done / film), "--seed", "3"])
+    status = application.run_film("background", job)
+    assert (status.state, status.frames) == ("failed", None)
+    assert status.error.endswith("got another summary, expected a state that was saved here")
 
 
 def test_a_failure_stops_nobody(films: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
