@@ -22,7 +22,6 @@ from ..inference.sfm.perspective.structure import (
     PerspectiveStructure,
     affine_fit,
     perspective_structure,
-    tied_frames,
 )
 from ..models.core.checks import Positive, Shape, checked
 from ..models.core.frame import Frame
@@ -399,13 +398,13 @@ def _in_perspective(
             else "the tracks show no perspective"
         )
         return replace(affine, affine_reason=reason)
-    agreeing = perspective.agrees(places, weights)
-    tied = tied_frames(agreeing)
-    if np.count_nonzero(tied) < FEWEST_FRAMES:
-        return replace(affine, affine_reason="too few points tie its frames together")
-    agreeing &= tied[:, None]
+    known = perspective.known(places, weights)
+    if np.count_nonzero(known) < FEWEST_FRAMES:
+        reason = "halves of their points place its cameras elsewhere, or sides look alike"
+        return replace(affine, affine_reason=reason)
+    agreeing = perspective.agrees(places, weights) & known[:, None]
     kept = np.count_nonzero(agreeing, axis=0) >= FEWEST_VIEWS
-    perspective, observed = perspective.of_points(kept).of_frames(tied), agreeing[:, kept]
+    perspective, observed = perspective.of_points(kept).of_frames(known), agreeing[:, kept]
     residuals = np.where(observed[..., None], places[:, kept] - perspective.positions, np.nan)
     chain = replace(chain, point_of_track=np.where(kept, np.cumsum(kept) - 1, -1)[chain.point_of_track])
     return replace(

@@ -194,7 +194,7 @@ class _StructureRun:
             if alone := [frame.number for frame, is_known in known if not is_known]:
                 notes.append(
                     f"The camera is unknown in {len(alone)} of {len(frames)} frames: {listed(alone)}. "
-                    "Too few points tie them to the others."
+                    "Points that others determine are too few, or halves of them place it elsewhere."
                 )
             notes += [about_lens] if about_lens else []
         colours: NDArray[np.uint8] = point_colours(frames, result)

@@ -43,8 +43,8 @@ PERSPECTIVE_CONVENTION = (
     "position in the picture (x right, y down, px, pixel centres at whole numbers) = principal_point + "
     "focal_length * (x, y) / z with (x, y, z) = rotation @ point + translation; centre = where the camera "
     "stands; an inverse focal length (1/px) that is a few of its standard deviations from 0 or less leaves "
-    "the focal length unknown; determined: enough points that a third frame shows too tie the frame to the "
-    "others; those that are not tied lie between their neighbours"
+    "the focal length unknown; determined: halves of the points that other frames determine place the "
+    "camera where it is; those of other frames lie between their neighbours"
 )
 
 

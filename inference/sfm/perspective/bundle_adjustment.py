@@ -83,9 +83,14 @@ class StudentNoise:
         """Return the weights `(n,)` of observations in iteratively reweighted least squares."""
         return weight * (self.freedom + 2) / (self.freedom + weight * squares / self.variance)
 
+    @property
+    def reach(self) -> float:
+        """Distance px from which an observation of weight 1 is an outlier."""
+        return math.sqrt((1 / HARDLY - 1) * self.freedom * self.variance)
+
     def agrees(self, squares: Array, weight: Array) -> NDArray[np.bool_]:
         """Return which observations are inliers: of `HARDLY` or more of the weight of a perfect fit."""
-        return weight * squares <= (1 / HARDLY - 1) * self.freedom * self.variance
+        return weight * squares <= self.reach**2
 
     def log_likelihood(self, squares: Array, weight: Array) -> float:
         """Return log density of errors `(n,)` px^2."""

@@ -36,20 +36,16 @@ from .bundle_adjustment import (
     retriangulated,
     squares_of,
 )
+from .placement import LEAST_SHARED, LEAST_TYING, NARROW, SURE, WIDE, angles_between, known_frames
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
 AGREEING_DISTANCE = 2.0  # px, between an observation and where camera and point have it
-SURE = 0.999  # probability with which a sample without outlier is found
 MOST_VIEWS = 16  # frames, evenly spread, of which pairs are tried for the beginning
 MOST_PAIRS = 12  # pairs of these with most shared motion, whose essential matrix is found
-WIDE = np.radians(15.0)  # angle between rays from which a wider one makes a point no better known
-NARROW = np.radians(1.5)  # and below which its depth is not known
-LEAST_SHARED = 12  # points from which a camera is found: twice what it needs
 LEVELS = ((1, 1.0), (2 / 3, 0.5), (0.5, 0.2))
 """Shares of `LEAST_SHARED` and of `NARROW` that are enough: less, when no other frame can be added."""
-LEAST_TYING = 6  # points that tie a frame to another one: twice what a camera needs
 LEAST_AGREEING = 0.35  # share of the points that agree with a frame's camera: few, where it sees another side
 SAMPLES = math.ceil(math.log(1 - SURE) / math.log(1 - LEAST_AGREEING**4))  # of four points
 MOSTLY = 0.7  # share of the points of the frame that shows most from which another one is taken along with it
@@ -152,7 +148,7 @@ class _Growth:
         views = np.eye(3, 4), np.concatenate([rotation, translation], axis=1)
         points = cv2.triangulatePoints(*views, here.T, there.T)
         points = (points[:3] / points[3]).T
-        angles = _angles(points, points + translation[:, 0] @ rotation)
+        angles = angles_between(points, points + translation[:, 0] @ rotation)
         if np.median(angles) < NARROW:
             return None
         score = float(np.minimum(angles, WIDE).sum())
@@ -227,7 +223,9 @@ class _Growth:
         good = near.sum(axis=1) >= 2
         first, last = near.argmax(axis=1), near.shape[1] - 1 - near[:, ::-1].argmax(axis=1)
         places = self._shape[points]
-        good &= _angles(places - centres[first], places - centres[last]) > LEVELS[self._level][1] * NARROW
+        good &= (
+            angles_between(places - centres[first], places - centres[last]) > LEVELS[self._level][1] * NARROW
+        )
         self._points[:] = False
         self._points[points[good]] = True
 
@@ -265,13 +263,6 @@ class _Growth:
 
 def _float(values: ArrayLike) -> Array:
     return np.asarray(values, np.float64)
-
-
-def _angles(one: Array, other: Array) -> Array:
-    """Angles `(n,)` rad between vectors `(n, 3)`."""
-    sine = np.linalg.norm(np.cross(one, other), axis=1)
-    angles: Array = np.arctan2(sine, np.sum(one * other, axis=1))
-    return angles
 
 
 FIT_ROUNDS = 15
@@ -481,6 +472,12 @@ class PerspectiveStructure:
         """Return which positions `(n_frames, n_points)` are observed and no outliers."""
         squares = np.sum((positions - self.positions) ** 2, axis=2)
         return (weights > 0) & self.noise.agrees(np.where(weights > 0, squares, 0), weights)
+
+    def known(self, positions: Array, weights: Array) -> Mask:
+        """Return `(n_frames,)` which cameras halves of the other cameras' points find again."""
+        agreeing = self.agrees(positions, weights) & self.frame_determined[:, None]
+        bundle = Bundle(self.cameras, self.shape, self.noise, self.log_likelihood)
+        return known_frames(positions, weights > 0, agreeing, bundle)
 
     def of_points(self, points: Mask) -> Self:
         """Return the structure of some points."""
