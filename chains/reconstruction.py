@@ -18,6 +18,7 @@ from ..inference.sfm.affine_camera import euclidean
 from ..inference.sfm.depth import AS_WELL, MOST, depth, motion_of, variance_over_shape
 from ..inference.sfm.factor_analysis.factorisation import Factorisation, predicted
 from ..inference.sfm.perspective.structure import (
+    AffineFit,
     Lens,
     PerspectiveStructure,
     affine_fit,
@@ -387,20 +388,23 @@ def _in_perspective(
     places, observed = _observations_of_points(solution, chain, affine.n_points + n_alone)
     weights = observed.astype(np.float64)
     shape = np.concatenate([affine.shape, np.zeros((n_alone, 3))])
+
     in_affine = affine_fit(places, weights, affine.cameras, shape, outliers=outliers)
     perspective = perspective_structure(places, weights, in_affine, lens, outliers=outliers)
     if perspective is None:
         return replace(affine, affine_reason="no perspective camera was found")
-    if camera == "auto" and not perspective.better_than(in_affine):
-        reason = (
-            "it explains the tracks better than a perspective one with square pixels does"
-            if perspective.focal_determined
-            else "the tracks show no perspective"
-        )
-        return replace(affine, affine_reason=reason)
-    known = perspective.known(places, weights)
-    if np.count_nonzero(known) < FEWEST_FRAMES:
+    known, reason = perspective.known(places, weights), _why_affine(camera, in_affine, perspective)
+    n_known, n_fitted = np.count_nonzero(known), np.count_nonzero(in_affine.frames)
+    if FEWEST_FRAMES <= n_known < n_fitted and (not reason or 2 * n_known >= n_fitted):
+        weights *= known[:, None]  # what hangs on nothing bends the rest
+        in_affine = affine_fit(places, weights, affine.cameras, shape, outliers=outliers)
+        again = perspective_structure(places, weights, in_affine, lens, outliers=outliers)
+        if again is not None:
+            perspective, known = again, known & again.known(places, weights)
+            n_known, reason = np.count_nonzero(known), _why_affine(camera, in_affine, again)
+    if not reason and n_known < FEWEST_FRAMES:
         reason = "halves of their points place its cameras elsewhere, or sides look alike"
+    if reason:
         return replace(affine, affine_reason=reason)
     agreeing = perspective.agrees(places, weights) & known[:, None]
     kept = np.count_nonzero(agreeing, axis=0) >= FEWEST_VIEWS
@@ -422,6 +426,15 @@ def _in_perspective(
         reason="",
         perspective=perspective,
     )
+
+
+def _why_affine(camera: Camera, affine: AffineFit, perspective: PerspectiveStructure) -> str:
+    """Why affine cameras are preferred to perspective ones; empty if they are not."""
+    if camera != "auto" or perspective.better_than(affine):
+        return ""
+    if perspective.focal_determined:
+        return "it explains the tracks better than a perspective one with square pixels does"
+    return "the tracks show no perspective"
 
 
 def _without_false_depth(result: Reconstruction, from_images: bool) -> Reconstruction:

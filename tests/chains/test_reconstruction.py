@@ -9,6 +9,7 @@ from rsmcm.chains.reconstruction import lens_of
 from rsmcm.inference.sfm.factor_analysis.factorisation import factorise, predicted
 from rsmcm.inference.sfm.perspective.structure import Lens
 from rsmcm.models import Frame, frames_of_tracks
+from rsmcm.models.numerics.rotations import logarithm
 
 from ..support.perspective_films import turning
 
@@ -70,6 +71,23 @@ def test_a_near_thing_has_a_perspective_camera() -> None:
     found = reconstruct(film.tracks, association="none", lens=Lens(film.size))
     assert found.perspective is not None
     assert found.perspective.cameras.focal == pytest.approx(film.cameras.focal, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_what_hangs_on_one_camera_bends_nothing(seed: int) -> None:
+    """Of two pieces that share only one camera, the larger one's cameras are known, and right."""
+    film = turning(seed, n_frames=18, n_points=160, missing=0.2)
+    tracks, first = film.tracks.copy(), np.arange(film.tracks.shape[1]) % 2 == 0
+    tracks[11:, first] = tracks[:10, ~first] = np.nan
+    found = reconstruct(tracks, association="none", camera="perspective", lens=Lens(film.size)).perspective
+    assert found is not None
+    assert np.count_nonzero(found.frame_determined[:11]) >= 9
+    assert not found.frame_determined[11:].any()
+    known = np.flatnonzero(found.frame_determined)
+    off = film.cameras.rotations[known].transpose(0, 2, 1) @ found.cameras.rotations[known]
+    off = off @ off[0].T
+    assert np.degrees(np.linalg.norm(logarithm(off), axis=1)).max() < 2
+    assert abs(found.cameras.focal - film.cameras.focal) < 4 * found.focal_deviation
 
 
 def test_pictures_without_points_are_no_structure() -> None:
