@@ -319,11 +319,13 @@ GAIN_TRACKERS.append(Tracker(LEARNED, {"gain": LEARNED, "texels": 800}))
 
 STEADY = "constant texture"
 CHANGING = "texture that changes"
+LAMP = "lamp that moves"
 GAIN_SCENES: Mapping[str, Mapping[str, Any]] = {
     STEADY: {"n_frames": 200, "motion": "fast", "light": 0.0},
     CHANGING: {"n_frames": 200, "motion": "fast", "light": 0.0, "change": 30.0},
+    LAMP: {"n_frames": 200, "motion": "fast", "light": 1.0},
 }
-"""In even light: a lamp that moves would change what texels look like in both."""
+"""The first two are in even light: a lamp that moves changes what texels look like."""
 
 
 def gain() -> Findings:
@@ -372,7 +374,7 @@ def draw_gains(everything: Mapping[str, Measured], canvas: Figure) -> None:
     """Draw the error over the gain, on a scale of its log odds, so that both ends are seen."""
     axis = canvas.add_subplot()
     places = np.log(np.array(GAINS) / (1 - np.array(GAINS)))
-    for (scene, found), colour in zip(everything.items(), ("#1f5fa8", "#c98a2b"), strict=True):
+    for (scene, found), colour in zip(everything.items(), ("#1f5fa8", "#c98a2b", "#6cc08b"), strict=True):
         low, middle, high = np.percentile(
             [values(found[f"{gain:g}"]) for gain in GAINS], [25, 50, 75], axis=1
         )
