@@ -86,9 +86,8 @@ class _Film:
         if piece is None or np.count_nonzero(piece.frames) < LEAST_VIEWS:
             return None
         for first in np.flatnonzero(begun).tolist():
-            others = piece.frames.copy()
-            others[first] = False
-            if not self._found_again(first, *self._determined(others)):
+            this = np.arange(len(angles)) == first
+            if not self._found_again(first, *self._determined(piece.frames & ~this, this)):
                 return None
         return piece
 
@@ -96,13 +95,13 @@ class _Film:
         """Return a piece with the cameras that are found from its points."""
         tried = np.full(len(piece), LEAST_SHARED - 1)
         while True:
-            points, shape = self._determined(piece)
+            points, shape = self._determined(piece, ~piece)
             shown = np.count_nonzero(self.agreeing & points, axis=1)
             more = np.flatnonzero(~piece & (shown > tried))
             tried[more] = shown[more]
             found = [frame for frame in more.tolist() if self._found_again(frame, points, shape)]
             if not found:
-                return Piece(piece, points, shape)
+                return Piece(piece, *self._determined(piece, piece))
             piece = piece | np.isin(np.arange(len(piece)), found)
 
     def joined(self, pieces: Sequence[Piece]) -> list[Piece]:
@@ -157,10 +156,11 @@ class _Film:
         sums: Array = np.where(enough, angles.sum(axis=1), 0)
         return sums
 
-    def _determined(self, piece: Mask) -> tuple[Mask, Array]:
-        """Which points cameras of a piece determine, and where `(n_points, 3)` these have them."""
+    def _determined(self, piece: Mask, shown: Mask) -> tuple[Mask, Array]:
+        """Which points of frames `shown` a piece determines, and where `(n_points, 3)` it has them."""
         seen, shape = self.agreeing & piece[:, None], self.bundle.shape.copy()
-        points = np.flatnonzero(np.count_nonzero(seen, axis=0) > 1)
+        wanted = self.observed[shown].any(axis=0)
+        points = np.flatnonzero(wanted & (np.count_nonzero(seen, axis=0) > 1))
         frames, columns = np.nonzero(seen[:, points])
         x, y = self.places[frames, points[columns]].T.copy()
         listed = SparseObservations.sorted_by(frames, len(seen), columns, x, y, np.ones(len(x)))
