@@ -17,6 +17,7 @@ from ..inference.engine.graph import MultiChain
 from ..inference.sfm.affine_camera import euclidean
 from ..inference.sfm.depth import AS_WELL, MOST, depth, motion_of, variance_over_shape
 from ..inference.sfm.factor_analysis.factorisation import Factorisation, predicted
+from ..inference.sfm.perspective.placement import LEAST_SHARED
 from ..inference.sfm.perspective.structure import (
     AffineFit,
     Lens,
@@ -49,6 +50,7 @@ round, who shows what, moves it by half a percent to and fro. The unit of given 
 is arbitrary: of them nothing but the end of the ascent is known."""
 FEWEST_POINTS = 4
 FEWEST_FRAMES = 3  # two views of a rigid thing leave its depth open
+UNKNOWN_CAMERAS = "halves of the points that others determine place cameras elsewhere, or sides look alike"
 FEWEST_VIEWS = 2  # that agree about a point before a perspective camera
 LASTING = 0.5  # px per point: a tracker's errors, which last, move points by so much against each other
 
@@ -79,7 +81,8 @@ class Reconstruction:
         after each round of the ascent, and whether it converged.
     geometry, reason
         `"euclidean"`: `shape` is determined up to scale and reflection in depth. `"affine"`: up to an affine
-        map. `"none"`: the motion does not determine depth, and `shape` is meaningless. `reason` says why.
+        map. `"none"`: the motion does not determine depth, or no camera is known, and `shape` is meaningless.
+        `reason` says why.
     perspective
         the structure under a perspective camera, if one was fitted; all of the above then refers to it, and
         `cameras` are its affine approximations at the mean depth.
@@ -399,13 +402,14 @@ def _in_perspective(
         weights *= known[:, None]  # what hangs on nothing bends the rest
         in_affine = affine_fit(places, weights, affine.cameras, shape, outliers=outliers)
         again = perspective_structure(places, weights, in_affine, lens, outliers=outliers)
-        if again is not None:
-            perspective, known = again, known & again.known(places, weights)
-            n_known, reason = np.count_nonzero(known), _why_affine(camera, in_affine, again)
-    if not reason and n_known < FEWEST_FRAMES:
-        reason = "halves of their points place its cameras elsewhere, or sides look alike"
+        if again is not None and again.known(places, weights)[known].all():
+            perspective, reason = again, _why_affine(camera, in_affine, again)
+    if not reason and np.count_nonzero(observed, axis=1).max() < LEAST_SHARED:
+        reason = f"no frame shows {LEAST_SHARED} points"
     if reason:
         return replace(affine, affine_reason=reason)
+    if n_known < FEWEST_FRAMES:  # affine cameras, which explain less, are not known either
+        return replace(affine, geometry="none", reason=UNKNOWN_CAMERAS)
     agreeing = perspective.agrees(places, weights) & known[:, None]
     kept = np.count_nonzero(agreeing, axis=0) >= FEWEST_VIEWS
     perspective, observed = perspective.of_points(kept).of_frames(known), agreeing[:, kept]

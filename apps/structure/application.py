@@ -36,7 +36,7 @@ from ..runs.saved_run import STATE, about_of, check_source, words_of
 from ..runs.session import OVERLAY, Session
 from ..view.overlay import OverlayVideo, PointsOverlay
 from ..view.page import VIEW, listed, write_page
-from .diagnosis import Diagnosis, no_depth, no_points, standing, too_little
+from .diagnosis import Diagnosis, no_points, no_shape, standing, too_little
 from .files import point_colours, recorded_predictions, write_cameras, write_ply, write_tracks
 from .job import StructureJob
 from .page import (
@@ -143,7 +143,7 @@ class _StructureRun:
             return self._nothing(no_points(film.frames, tracks_of(solution), ""))
         lost = film.stream is not None and film.stream["lost"] is not None
         session.ended_early = lost or session.interruption.signal is not None
-        diagnosis = no_depth(found.reason, tracks_of(solution)) if found.geometry == "none" else None
+        diagnosis = no_shape(found.reason, tracks_of(solution)) if found.geometry == "none" else None
         summary = self._written(found, recorded_predictions(solution), about_lens, diagnosis)
         if not session.ended_early:
             self._save(solution, finished=summary)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...chains.reconstruction import FEWEST_FRAMES, FEWEST_POINTS, Numbers
+from ...chains.reconstruction import FEWEST_FRAMES, FEWEST_POINTS, UNKNOWN_CAMERAS, Numbers
 from ...inference.sfm.depth import Kind, Motion, motion_of, picture_motion, stands_still
 from ...models.core.frame import Frame
 from ...models.core.pictures import grey_of
@@ -161,9 +161,17 @@ ADVICE: dict[Kind, str] = {
 }
 
 
-def no_depth(reason: str, tracks: Numbers) -> Diagnosis:
-    """Diagnose a lack of depth from tracks `(n_frames, n_tracks, 2)` px, NaN where not seen."""
+def no_shape(reason: str, tracks: Numbers) -> Diagnosis:
+    """Diagnose why there is no shape, from tracks `(n_frames, n_tracks, 2)` px, NaN where not seen."""
     motion = motion_of(tracks)
+    if reason == UNKNOWN_CAMERAS:
+        return Diagnosis(
+            f"No camera is known, and no shape is given: {reason}.",
+            f"Half of {motion.tracks} tracks are in {motion.life:.3g} pictures or fewer, and points move by "
+            f"{motion.per_frame:.3g} px from one to the next.",
+            "Take pictures nearer to each other, such as every 10 degrees, of sides that differ.",
+            _figures(motion),
+        )
     parallax = ""
     if math.isfinite(motion.parallax):
         parallax = (

@@ -20,7 +20,7 @@ from ..runs.loop import Application, Columns, Engine, Start
 from ..view.film import Film, Row
 from ..view.overlay import Draw, PointsOverlay
 from ..view.page import Page
-from .diagnosis import no_depth
+from .diagnosis import no_shape
 from .files import GREY, colours_at, write_cameras, write_ply, write_tracks
 from .job import StructureJob
 from .page import facts_of, in_words, nothing_page, structure_page
@@ -82,7 +82,7 @@ class RecursiveRun(Application[StructureJob]):
         ]
         self._found: Reconstruction | None = None
         if structure is None:
-            diagnosis = no_depth("the motion of points has not determined a shape", _last_tracks(log))
+            diagnosis = no_shape("the motion of points has not determined a shape", _last_tracks(log))
             return {**diagnosis.facts(), "notes": list(diagnosis.sentences)}
         tracks, colours = _of_identities(log, structure.identities)
         self._found = result = recursive_reconstruction(

@@ -5,7 +5,7 @@ import pytest
 from rsmcm.apps.evaluation.structure import score_structure
 from rsmcm.apps.scenes import cylinder
 from rsmcm.chains import reconstruct
-from rsmcm.chains.reconstruction import lens_of
+from rsmcm.chains.reconstruction import UNKNOWN_CAMERAS, lens_of
 from rsmcm.inference.sfm.factor_analysis.factorisation import factorise, predicted
 from rsmcm.inference.sfm.perspective.structure import Lens
 from rsmcm.models import Frame, frames_of_tracks
@@ -88,6 +88,17 @@ def test_what_hangs_on_one_camera_bends_nothing(seed: int) -> None:
     off = off @ off[0].T
     assert np.degrees(np.linalg.norm(logarithm(off), axis=1)).max() < 2
     assert abs(found.cameras.focal - film.cameras.focal) < 4 * found.focal_deviation
+
+
+def test_sides_that_look_alike_are_no_structure() -> None:
+    """Some points are seen as by a camera that is a third of a turn farther."""
+    film = turning(0, n_points=120, missing=0.6, n_frames=24)
+    places, _ = film.cameras.seen(film.shape)
+    tracks = film.tracks.copy()
+    seen = np.flatnonzero(np.isfinite(tracks[15, :, 0]))[:12]
+    tracks[15, seen] = places[3, seen]
+    found = reconstruct(tracks, association="none", camera="perspective", lens=Lens(film.size))
+    assert (found.geometry, found.reason, found.perspective) == ("none", UNKNOWN_CAMERAS, None)
 
 
 def test_pictures_without_points_are_no_structure() -> None:

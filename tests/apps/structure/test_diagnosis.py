@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.structure.diagnosis import no_depth, no_points
+from rsmcm.apps.structure.diagnosis import no_points, no_shape
 from rsmcm.chains import reconstruct
+from rsmcm.chains.reconstruction import UNKNOWN_CAMERAS
 from rsmcm.models.core.frame import Frame
 
 from ...conftest import Command, names, summary_of
@@ -57,7 +58,7 @@ def track_file(folder: Path, tracks: NDArray[np.float64]) -> Path:
 @pytest.mark.parametrize("kind", WHY)
 def test_why_tracks_of_a_wall_have_no_depth(kind: str) -> None:
     tracks = tracks_on_wall(kind)
-    diagnosis = no_depth("a flat shape explains them", tracks)
+    diagnosis = no_shape("a flat shape explains them", tracks)
     assert "a flat shape explains them" in diagnosis.missing
     assert WHY[kind] in diagnosis.why
     assert "move" in diagnosis.advice.lower()
@@ -67,6 +68,12 @@ def test_why_tracks_of_a_wall_have_no_depth(kind: str) -> None:
     assert figures["motion_px_per_frame"] == pytest.approx(steps, rel=0.1)
     # the noise of two pictures, 0.2 px each: of 120 residuals less what a homography fits
     assert figures["parallax_px_per_point"] == pytest.approx(0.4, rel=0.5)
+
+
+def test_unknown_cameras_are_no_lack_of_depth() -> None:
+    diagnosis = no_shape(UNKNOWN_CAMERAS, tracks_on_wall("plane"))
+    assert diagnosis.missing.startswith("No camera is known")
+    assert "nearer to each other" in diagnosis.advice
 
 
 def test_tracks_of_a_plane_get_no_shape(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
