@@ -76,15 +76,18 @@ covariances `joints_2d (8, 2)` px, `joints_2d_covariances (8, 2, 2)`, `joints_3d
 `joints_3d_covariances (8, 3, 3)`, `angles (16,)`, `angle_covariances (16, 16)`; `samples (40, 8, 3)` px,
 joints of poses drawn from the posterior; `hypotheses (4,)`, probabilities of hypotheses that differ in where
 the hands are, the best one first, and `hypothesis_joints (4, 8, 3)` px, their means, NaN where there are
-fewer; `seen_probability (3,)` that head, left hand and right hand are visible where they are stated to be (a
-hand before the face is hardly: the face's skin may be all that is seen), and `seen (3,)`, whether it is above
+fewer; `seen_probability (3,)` that head, left hand and right hand are visible where they are stated to be
+(before the face as often as hands are: its skin may be all one sees), and `seen (3,)`, whether it is above
 one half; `stationary`, whether nothing at all was detected; `missing`, whether there was no image. Given the
 whole film: `exchanged`, the probability of exchanged hands, and `relabelled`, whether hands were exchanged at
 the end because of it. `joint_names (8,)`, `part_names (3,)` (of `seen`), `angle_names (16,)`, and the body's
 `length_names` and `lengths` px come once. x is to the right, y down, z away from the viewer, 0 at the root;
 left is the person's own."""
 
-NEAR_MEAN = 1.5  # hand radii: a hand that is farther from its stated position is elsewhere
+NEAR_MEAN = 0.5  # head heights: a hand that is farther from its stated position is elsewhere
+SPREAD = 2.5
+"""Square of the factor, typically, by which hands lie farther from the posterior's mean than its samples do.
+Measured by `rsmcm reproduce calibration`."""
 
 MOST_DECODED = 1000  # frames of a video in which calibration frames are, since all up to them are decoded
 
@@ -326,12 +329,16 @@ def lengths(body: UpperBody) -> dict[str, float]:
 def seen_probabilities(body: UpperBody, tracks: FleshTracks, smoothed: TimedSamples) -> Array:
     """`(3,)`: probability that head, left and right hand are visible, hands near the posterior's mean.
 
-    That of the head is the probability of the hypotheses in which it was detected.
+    That of the head is the probability of the hypotheses in which it was detected. Samples of a hand are
+    about as far apart as frames tell that are not independent: their scale is known up to a factor, the
+    square of which is `SPREAD` over an exponential variable. The true hand of a Gaussian posterior then has
+    Student's t distribution of two degrees of freedom.
     """
     samples, log_odds = smoothed.samples, smoothed.hand_log_odds
     probabilities = np.asarray(tracks.weights @ (tracks.since == 0), np.float64)
     if log_odds is not None:
         hands = body.parts(samples.poses)[:, 1:]
         apart = np.linalg.norm(hands - np.einsum("n,nhx->hx", samples.weights, hands), axis=2)
-        probabilities[1:] = samples.weights @ ((apart < NEAR_MEAN * body.hand) * expit(log_odds))
+        near = np.exp(-SPREAD * np.square(apart / (NEAR_MEAN * body.head_height)))
+        probabilities[1:] = samples.weights @ (near * expit(log_odds))
     return probabilities

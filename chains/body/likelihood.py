@@ -129,6 +129,10 @@ BARE_SCORES, BARE_HAND_SCORES = (14.0, -4.0, 0.2), (8.0, -1.0, 0.2)
 hand at its end. Skin counts less for that hand, since a longer forearm would show two thirds of it: otherwise
 hidden hands would be drawn to their wrists."""
 
+SEEN = 6.0
+"""Factor of a hand's nats of skin in the odds that it is seen: by the scores above a hand without skin is
+little evidence, since dependent frames have none. Measured by `rsmcm reproduce calibration`."""
+
 WORTH_THREADS = 300  # poses from which several threads are faster than one
 LEVELS = 256  # entries of tables over distances and directions
 HEAD_WINDOWS = (0.5, 1.2)  # half widths and heights of the head: standard deviations of its skin's windows
@@ -292,13 +296,18 @@ class ImageLikelihood:
     def hand_log_odds(self, poses: BodyPoses) -> Array:
         """`(n, 2)` nats: log odds that left and right hand are seen where poses have them.
 
-        Of skin, with as many hands and false ones as an image has of either, and of key points.
+        Of skin and of key points. Without them the odds are those of a detected hand as far as it is in the
+        image, or, if no clothes of a trunk are in view, of a hand among the false ones of an image.
         """
         joints = self.body.joints(poses)[:, :, :2]
         parts = joints[:, PART_JOINTS]
-        log_odds = np.full((len(poses), 2), np.log(HAND_DETECTED / FALSE_HANDS))
+        places, size = parts[:, 1:] + 0.5, np.array(self.image.size[::-1])
+        inside = np.minimum(places, size - places).min(axis=2) / self.body.hand
+        known = HAND_DETECTED * np.clip(0.5 + 0.5 * inside, 0, 1)
+        with np.errstate(divide="ignore"):
+            log_odds: Array = np.log(known / (FALSE_HANDS if self.image.arms is None else 1 - known))
         if self.skin is not None:
-            log_odds += self._skin_terms(self.skin, joints, poses.roots)[1]
+            log_odds += SEEN * self._skin_terms(self.skin, joints, poses.roots)[1]
         if self.image.keypoints is not None:
             none = np.zeros((0, 2))
             log_odds += self.image.keypoints.mixtures(none, none).log_values(parts)[:, 1:]

@@ -10,18 +10,28 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.body import application
 from rsmcm.apps.body import page as body_page
-from rsmcm.apps.body.application import ANGLE_NAMES, N_DRAWN, read_head
+from rsmcm.apps.body.application import (
+    ANGLE_NAMES,
+    N_DRAWN,
+    NEAR_MEAN,
+    SPREAD,
+    read_head,
+    seen_probabilities,
+)
 from rsmcm.apps.body.page import BodyRecord
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.runs import loop
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.chains.body import start as body_start
+from rsmcm.chains.body.fixed_lag import TimedSamples
+from rsmcm.chains.body.flesh_tracker import FleshTracker
 from rsmcm.chains.body.hand_labelling import HandLabels
-from rsmcm.chains.body.samples import HANDS, Hypotheses
+from rsmcm.chains.body.samples import HANDS, BodySamples, Hypotheses
 from rsmcm.chains.body.start import SavedPerson, start_from_faces, start_from_head
 from rsmcm.models import Frame
 from rsmcm.models.body.parts import HEAD_OF_BOX
 from rsmcm.models.body.upper_body import JOINTS, PARTS, UpperBody
+from scipy.stats import multivariate_t
 
 from ...conftest import Command, names, summary_of
 from ...support.body_poses import resting
@@ -408,3 +418,20 @@ def test_where_only_a_face_is_in_view_no_hand_is_seen(
     poses = poses_of(tmp_path / "out")
     assert poses["seen_probability"][:, 1:].max() < 0.5
     assert np.linalg.norm(poses["joints_2d"][:, HEAD] - (160, 110), axis=1).max() < 40
+
+
+def test_doubt_of_a_gaussian_posterior_is_that_of_students_distribution() -> None:
+    """With two degrees of freedom, of hands that are surely visible; nothing of the hidden one."""
+    body, random, n = UpperBody.from_head(80.0), np.random.default_rng(5), 20_000
+    poses, near = resting(np.full((n, 2), 150.0)), NEAR_MEAN * body.head_height
+    tracks = FleshTracker(body).initial(Frame(np.zeros((360, 640, 3), np.uint8), 0.0, 1))
+    odds = np.tile([50.0, -np.inf], (n, 1))
+    for std in (0.1 * near, 0.4 * near, near):
+        apart = std * random.standard_normal((n, 2))
+        samples = BodySamples.even(replace(poses, roots=poses.roots + apart), (360, 640), random)
+        stated = seen_probabilities(body, tracks, TimedSamples(1, 0.0, samples, hand_log_odds=odds))
+        reach = near / std / np.sqrt(SPREAD)
+        within = multivariate_t(df=2, shape=np.eye(2)).rvs(n, random_state=random)
+        expected = np.mean(np.square(within).sum(axis=1) < reach**2)
+        assert stated[1] == pytest.approx(expected, abs=5 / np.sqrt(2 * n))
+        assert stated[2] == 0

@@ -2,7 +2,17 @@
 
 import numpy as np
 import pytest
-from rsmcm.apps.experiments.calibration import ENOUGH, LEVELS, TURN, Reliability, wrong_by
+from rsmcm.apps.experiments.calibration import (
+    ENOUGH,
+    LEVELS,
+    PRIOR,
+    TRIED,
+    TURN,
+    Reliability,
+    best_constants,
+    reliability,
+    wrong_by,
+)
 from scipy.spatial.transform import Rotation
 
 N = 20_000
@@ -43,3 +53,13 @@ def test_rotations_are_compared_whatever_the_axes_of_the_world() -> None:
     angles[[2, 5]] = 2 * TURN, TURN / 2
     found = Rotation.from_rotvec(np.radians(angles)[:, None] * [0, 0, 1]) * true * world
     np.testing.assert_allclose(wrong_by(found.as_matrix(), true.as_matrix()), angles, atol=1e-6)
+
+
+def test_constants_are_found_with_which_statements_were_made() -> None:
+    random = np.random.default_rng(6)
+    apart, nats = random.uniform(0, 1.2, (N, 1, 2)), random.uniform(-1.5, 1.5, (N, 1, 2))
+    for true in ((1.5, 6.0), (3.0, 3.0)):
+        stated = np.exp(-true[0] * apart**2) / (1 + np.exp(-PRIOR - true[1] * nats))
+        right = random.uniform(size=(N, 2)) < stated[:, 0]
+        made = {each: [reliability(each, (apart, nats, right))] for each in TRIED}
+        np.testing.assert_allclose(best_constants(made, [0]), true, atol=1)

@@ -485,3 +485,5 @@ def test_a_hand_is_seen_where_its_skin_is() -> None:
     assert right < -1.5
     bare = BodyLikelihood(BODY)(replace(seen(signing()), bare=1.0)).hand_log_odds(signing())
     assert bare.min() > 2
+    outside = replace(signing(), roots=signing().roots + np.array([800.0, 0.0]))
+    assert np.all(both.hand_log_odds(outside) == -np.inf)
