@@ -404,12 +404,11 @@ def _in_perspective(
         again = perspective_structure(places, weights, in_affine, lens, outliers=outliers)
         if again is not None and again.known(places, weights)[known].all():
             perspective, reason = again, _why_affine(camera, in_affine, again)
-    if not reason and np.count_nonzero(observed, axis=1).max() < LEAST_SHARED:
-        reason = f"no frame shows {LEAST_SHARED} points"
-    if reason:
-        return replace(affine, affine_reason=reason)
-    if n_known < FEWEST_FRAMES:  # affine cameras, which explain less, are not known either
+    enough = np.count_nonzero(observed, axis=1).max() >= LEAST_SHARED
+    if enough and n_known < (n_fitted / 2 if reason else FEWEST_FRAMES):
         return replace(affine, geometry="none", reason=UNKNOWN_CAMERAS)
+    if reason or not enough:
+        return replace(affine, affine_reason=reason or f"no frame shows {LEAST_SHARED} points")
     agreeing = perspective.agrees(places, weights) & known[:, None]
     kept = np.count_nonzero(agreeing, axis=0) >= FEWEST_VIEWS
     perspective, observed = perspective.of_points(kept).of_frames(known), agreeing[:, kept]
