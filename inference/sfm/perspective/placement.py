@@ -34,7 +34,7 @@ SPLITS = 5  # into halves: a rival that every second one prefers is missed once 
 TURN = np.radians(2.0)  # between the placement of a half and the camera
 SURE, SAMPLES = 0.999, 300  # probability of a sample without outlier, and samples at most
 LEAST_REACH = 0.1  # px: nearer than that is no outlier, but may be rounding of a placement by four points
-ALIKE = 0.1  # share of a camera's points from which others place it on another side
+ALIKE = 0.1  # of a camera's agreeing points: from so many others a rival placement, by WIDE or more, counts
 
 
 class Piece(NamedTuple):
@@ -49,7 +49,7 @@ def known_frames(places: Array, observed: Mask, agreeing: Mask, bundle: Bundle) 
     """Return `(n_frames,)` whether each camera of the bundle is known in relation to most others that are.
 
     Of places `(n_frames, n_points, 2)` px some are `observed` `(n_frames, n_points)`, and some of these are
-    `agreeing` with the bundle.
+    `agreeing` with the bundle. None is where sides look alike.
     """
     film = _Film(places - bundle.cameras.principal, observed, agreeing, bundle, np.random.default_rng(0))
     left, pieces = np.count_nonzero(agreeing, axis=1), []
