@@ -17,7 +17,7 @@ from ..inference.engine.graph import MultiChain
 from ..inference.sfm.affine_camera import euclidean
 from ..inference.sfm.depth import AS_WELL, MOST, depth, motion_of, variance_over_shape
 from ..inference.sfm.factor_analysis.factorisation import Factorisation, predicted
-from ..inference.sfm.perspective.placement import LEAST_SHARED
+from ..inference.sfm.perspective.placement import LEAST_SHARED, WIDE
 from ..inference.sfm.perspective.structure import (
     AffineFit,
     Lens,
@@ -405,6 +405,8 @@ def _in_perspective(
         if again is not None and again.known(places, weights)[known].all():
             perspective, reason = again, _why_affine(camera, in_affine, again)
     enough = np.count_nonzero(observed, axis=1).max() >= LEAST_SHARED
+    if reason and enough and 2 * n_known < n_fitted:  # they may be uncertain, but on no other side
+        n_known = np.count_nonzero(perspective.known(places, weights, within=WIDE))
     if enough and n_known < (n_fitted / 2 if reason else FEWEST_FRAMES):
         return replace(affine, geometry="none", reason=UNKNOWN_CAMERAS)
     if reason or not enough:

@@ -112,6 +112,8 @@ class Reader:
         if program == "make":
             targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
             assert arguments[-1] in targets, f"{where}: {line}"
+        elif program == ".":
+            assert arguments == [".venv/bin/activate"], f"{where}: {line}"
         elif program == "rsmcm" and (not run or line.startswith(ONLY_PARSED)):
             app.parse_args(arguments, exit_on_error=False, print_error=False)
         elif program == "rsmcm":

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binom
 
 from ....models.core.short_repr import short_repr
 from ....models.numerics.rotations import exponential, logarithm
@@ -33,6 +34,7 @@ LEAST_VIEWS = 3  # of a piece: two agree about any points
 SPLITS = 5  # into halves: a rival that every second one prefers is missed once in 1000 times
 TURN = np.radians(2.0)  # between the placement of a half and the camera
 SURE, SAMPLES = 0.999, 300  # probability of a sample without outlier, and samples at most
+SAMPLED = 4  # points of a sample
 LEAST_REACH = 0.1  # px: nearer than that is no outlier, but may be rounding of a placement by four points
 ALIKE = 0.1  # of a camera's agreeing points: from so many others a rival placement, by WIDE or more, counts
 
@@ -45,13 +47,15 @@ class Piece(NamedTuple):
     shape: Array  # (n_points, 3): where its cameras have them
 
 
-def known_frames(places: Array, observed: Mask, agreeing: Mask, bundle: Bundle) -> Mask:
+def known_frames(places: Array, observed: Mask, agreeing: Mask, bundle: Bundle, within: float = TURN) -> Mask:
     """Return `(n_frames,)` whether each camera of the bundle is known in relation to most others that are.
 
-    Of places `(n_frames, n_points, 2)` px some are `observed` `(n_frames, n_points)`, and some of these are
-    `agreeing` with the bundle. None is where sides look alike.
+    Halves of points have to place it `within` an angle, rad, of where it is. Of places
+    `(n_frames, n_points, 2)` px some are `observed` `(n_frames, n_points)`, and some of these are `agreeing`
+    with the bundle.
     """
-    film = _Film(places - bundle.cameras.principal, observed, agreeing, bundle, np.random.default_rng(0))
+    places = places - bundle.cameras.principal
+    film = _Film(places, observed, agreeing, bundle, within, np.random.default_rng(0))
     left, pieces = np.count_nonzero(agreeing, axis=1), []
     while left.max(initial=0) >= LEAST_SHARED:
         seed = int(left.argmax())
@@ -73,6 +77,7 @@ class _Film:
     observed: Mask
     agreeing: Mask
     bundle: Bundle
+    within: float  # rad: between the placement of a half and the camera
     generator: np.random.Generator
 
     def piece(self, seed: int) -> Piece | None:
@@ -136,13 +141,23 @@ class _Film:
         for frame in np.flatnonzero(piece.frames).tolist():
             shown = self.observed[frame] & piece.points
             rest = np.flatnonzero(shown & ~self.agreeing[frame])
-            least = max(LEAST_TYING, ALIKE * (np.count_nonzero(shown) - len(rest)))
-            found = (
-                self._placement(piece.shape[rest], self.places[frame, rest]) if len(rest) >= least else None
-            )
+            alike = ALIKE * (np.count_nonzero(shown) - len(rest))
+            least = max(LEAST_TYING, alike, self._more_than_chance(frame, rest))
+            if len(rest) < least:
+                continue
+            found = self._placement(piece.shape[rest], self.places[frame, rest])
             if found is not None and len(found[1]) >= least and self._off(frame, found[0]) > WIDE:
                 return True
         return False
+
+    def _more_than_chance(self, frame: int, points: Indices) -> int:
+        """Number of points that hardly agree with the best of `SAMPLES` placements if they lie anywhere."""
+        if not len(points):
+            return 0
+        width, height = np.ptp(self.places[frame, points], axis=0)
+        share = min(1.0, np.pi * max(self.bundle.noise.reach, LEAST_REACH) ** 2 / max(width * height, 1.0))
+        beyond = binom.isf((1 - SURE) / SAMPLES, max(len(points) - SAMPLED, 0), share)
+        return SAMPLED + 1 + int(beyond)
 
     def _angles_to(self, frame: int) -> Array:
         """Sums over shared points of angles between the rays of a frame and others `(n_frames,)`."""
@@ -186,7 +201,7 @@ class _Film:
     def _placed(self, frame: int, points: Indices, shape: Array) -> bool:
         """Whether these points place a camera where it is."""
         found = self._placement(shape[points], self.places[frame, points])
-        return found is not None and self._off(frame, found[0]) <= TURN
+        return found is not None and self._off(frame, found[0]) <= self.within
 
     def _off(self, frame: int, rotation: Array) -> float:
         """Angle rad between a rotation and a camera's."""

@@ -36,7 +36,7 @@ from .bundle_adjustment import (
     retriangulated,
     squares_of,
 )
-from .placement import LEAST_SHARED, LEAST_TYING, NARROW, SURE, WIDE, angles_between, known_frames
+from .placement import LEAST_SHARED, LEAST_TYING, NARROW, SURE, TURN, WIDE, angles_between, known_frames
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
@@ -473,11 +473,11 @@ class PerspectiveStructure:
         squares = np.sum((positions - self.positions) ** 2, axis=2)
         return (weights > 0) & self.noise.agrees(np.where(weights > 0, squares, 0), weights)
 
-    def known(self, positions: Array, weights: Array) -> Mask:
-        """Return `(n_frames,)` which cameras halves of the other cameras' points find again."""
+    def known(self, positions: Array, weights: Array, within: float = TURN) -> Mask:
+        """Return `(n_frames,)` which cameras halves of the others' points find again `within` rad."""
         agreeing = self.agrees(positions, weights) & self.frame_determined[:, None]
         bundle = Bundle(self.cameras, self.shape, self.noise, self.log_likelihood)
-        return known_frames(positions, weights > 0, agreeing, bundle)
+        return known_frames(positions, weights > 0, agreeing, bundle, within)
 
     def of_points(self, points: Mask) -> Self:
         """Return the structure of some points."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rsmcm.inference.sfm.perspective.bundle_adjustment import Bundle, StudentNoise
-from rsmcm.inference.sfm.perspective.placement import known_frames
+from rsmcm.inference.sfm.perspective.placement import TURN, WIDE, known_frames
 from rsmcm.models.camera.perspective_camera import PerspectiveCameras
 from scipy.spatial.transform import Rotation
 
@@ -15,12 +15,18 @@ NOISE = 0.3  # px
 SEEDS = range(4)
 
 
-def known(film: PerspectiveFilm, cameras: PerspectiveCameras, shape: np.ndarray) -> np.ndarray:
-    noise = StudentNoise(NOISE**2, 10.0)
+def known(
+    film: PerspectiveFilm,
+    cameras: PerspectiveCameras,
+    shape: np.ndarray,
+    deviation: float = NOISE,
+    within: float = TURN,
+) -> np.ndarray:
+    noise = StudentNoise(deviation**2, 10.0)
     off = np.sum((film.tracks - cameras.seen(shape)[0]) ** 2, axis=2)
     seen = np.isfinite(off)
     agreeing = seen & noise.agrees(np.where(seen, off, 0), film.weights)
-    return known_frames(film.tracks, seen, agreeing, Bundle(cameras, shape, noise, 0.0))
+    return known_frames(film.tracks, seen, agreeing, Bundle(cameras, shape, noise, 0.0), within)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -72,3 +78,15 @@ def test_no_camera_is_known_where_sides_look_alike(seed: int) -> None:
     wrong[20, shown] = np.random.default_rng(seed).permutation(places[8, shown])
     assert not known(replace(film, tracks=alike), film.cameras, film.shape).any()
     assert known(replace(film, tracks=wrong), film.cameras, film.shape).all()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_lies_anywhere_makes_no_sides_alike(seed: int) -> None:
+    """A quarter of the places are anywhere: of many, some agree with some camera where noise is large."""
+    film = turning(seed, n_frames=16, n_points=120, missing=0.0, noise=NOISE)
+    tracks, rng = film.tracks.copy(), np.random.default_rng(seed)
+    anywhere = np.isfinite(tracks[:, :, 0]) & (rng.random(tracks.shape[:2]) < 0.25)
+    ends = np.nanmin(tracks, axis=(0, 1)), np.nanmax(tracks, axis=(0, 1))
+    tracks[anywhere] = rng.uniform(*ends, (np.count_nonzero(anywhere), 2))
+    scattered = replace(film, tracks=tracks)
+    assert known(scattered, film.cameras, film.shape, deviation=20 * NOISE, within=WIDE).all()
