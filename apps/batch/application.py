@@ -34,7 +34,7 @@ from ..runs.saved_run import STATE, about_of, check_source
 from ..view.film import FILM
 from .job import APPLICATIONS, INDEX, OWN, SUMMARY, Batch, Typed, job_of, typed, words_of
 from .sources import TRACKS, FilmSource, find_films, folder_names
-from .summary import FilmStatus, Line, State, Summary
+from .summary import NUMBERS, FilmStatus, Line, State, Summary
 
 THUMBNAIL = (160, 120)
 """Largest width and height, px."""
@@ -44,7 +44,7 @@ LOCKED = 10.0
 
 FAILED = 1
 
-COUNTED = {"frames": int, "missing": list, "tracks": int, "seconds": float, "frames_per_second": float}
+COUNTED = {**NUMBERS, "missing": list}
 """What a batch says of a film, and what it is in the summary of a run that has it."""
 
 _log = logging.getLogger(__name__)

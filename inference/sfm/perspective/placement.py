@@ -141,10 +141,10 @@ class _Film:
         for frame in np.flatnonzero(piece.frames).tolist():
             shown = self.observed[frame] & piece.points
             rest = np.flatnonzero(shown & ~self.agreeing[frame])
-            alike = ALIKE * (np.count_nonzero(shown) - len(rest))
-            least = max(LEAST_TYING, alike, self._more_than_chance(frame, rest))
+            least = max(LEAST_TYING, ALIKE * (np.count_nonzero(shown) - len(rest)))
             if len(rest) < least:
                 continue
+            least = max(least, self._more_than_chance(frame, rest))
             found = self._placement(piece.shape[rest], self.places[frame, rest])
             if found is not None and len(found[1]) >= least and self._off(frame, found[0]) > WIDE:
                 return True
@@ -152,12 +152,15 @@ class _Film:
 
     def _more_than_chance(self, frame: int, points: Indices) -> int:
         """Number of points that hardly agree with the best of `SAMPLES` placements if they lie anywhere."""
-        if not len(points):
-            return 0
         width, height = np.ptp(self.places[frame, points], axis=0)
-        share = min(1.0, np.pi * max(self.bundle.noise.reach, LEAST_REACH) ** 2 / max(width * height, 1.0))
-        beyond = binom.isf((1 - SURE) / SAMPLES, max(len(points) - SAMPLED, 0), share)
+        share = min(1.0, np.pi * self._reach**2 / max(width * height, 1.0))
+        beyond = binom.isf((1 - SURE) / SAMPLES, len(points) - SAMPLED, share)
         return SAMPLED + 1 + int(beyond)
+
+    @property
+    def _reach(self) -> float:
+        """Distance px from a placement's points beyond which places do not agree with it."""
+        return max(self.bundle.noise.reach, LEAST_REACH)
 
     def _angles_to(self, frame: int) -> Array:
         """Sums over shared points of angles between the rays of a frame and others `(n_frames,)`."""
@@ -210,11 +213,11 @@ class _Film:
 
     def _placement(self, shape: Array, seen: Array) -> tuple[Array, Indices] | None:
         """Rotation `(3, 3)` of a camera that sees points `(n, 3)` at `(n, 2)` px, and which of them agree."""
-        noise, curvature = self.bundle.noise, self.bundle.cameras.curvature
+        curvature = self.bundle.cameras.curvature
         try:
             found, turn, translation, agreeing = cv2.solvePnPRansac(
                 shape, seen * curvature, np.eye(3), None, confidence=SURE, iterationsCount=SAMPLES,
-                reprojectionError=max(noise.reach, LEAST_REACH) * curvature, flags=cv2.SOLVEPNP_AP3P,
+                reprojectionError=self._reach * curvature, flags=cv2.SOLVEPNP_AP3P,
             )  # fmt: skip
             if not found or agreeing is None:
                 return None
