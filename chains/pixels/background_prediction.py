@@ -88,12 +88,12 @@ def fast_update(distance, light, variance, noise, fast):
 
 
 @compiled
-def fast_rows_of_colour(first, end, pixels, before, light_field, fast, rounding, to, after, log_odds):
+def fast_rows_of_colour(first, end, pixels, before, light_field, fast, rounding, after, log_odds):
     """Compare and update rows `first` to `end` of a colour picture where they surely show the background.
 
-    Their `log_odds` are `_UNSURE` where they do not; what follows for the Gaussians, in `after` from pixel
-    `to` on, holds only where they do. (A loop over rows that is a function of its own keeps the constants of
-    the inner one from being spilled: a third of the time.)
+    Their `log_odds` are `_UNSURE` where they do not; what follows for the Gaussians holds only where they do.
+    (A loop over rows that is a function of its own keeps the constants of the inner one from being spilled: a
+    third of the time.)
     """
     luma, red, blue = before.mean[0], before.mean[1], before.mean[2]
     new_luma, new_red, new_blue = after.mean[0], after.mean[1], after.mean[2]
@@ -102,10 +102,9 @@ def fast_rows_of_colour(first, end, pixels, before, light_field, fast, rounding,
     for y in range(first, end):
         upper, lower, below_share = light_beside(light_field, y)
         cut = rounding_along(rounding, y)
-        own = (y - first) * width
-        base, base_after, base_odds = np.uint64(y * width), np.uint64(to + own), np.uint64(own)
+        base, base_odds = np.uint64(y * width), np.uint64((y - first) * width)
         for x in range(np.uint64(width)):
-            i, j = base + x, base_after + x
+            i = base + x
             k = _THREE * i
             c0, c1, c2 = planes_of(pixels[k], pixels[k + _ONE], pixels[k + _TWO])
             light = upper[x] + below_share * (lower[x] - upper[x])
@@ -115,16 +114,16 @@ def fast_rows_of_colour(first, end, pixels, before, light_field, fast, rounding,
             distance = (d0 * d0 + d1 * d1 + d2 * d2) * _f4(VARIANCE_STEPS / 3)
             known, grain = _f4(variance[i]), _f4(noise[i])
             step, narrower, noisier, sure = fast_update(distance, light, known + fast.drift, grain, fast)
-            new_luma[j] = whole_steps(m0 + step * d0, cut[x])
-            new_red[j] = whole_steps(m1 + step * d1, cut[x])
-            new_blue[j] = whole_steps(m2 + step * d2, cut[x])
-            new_variance[j] = np.uint16(_i4(narrower + cut[x]))
-            new_noise[j] = np.uint16(_i4(noisier + cut[x]))
+            new_luma[i] = whole_steps(m0 + step * d0, cut[x])
+            new_red[i] = whole_steps(m1 + step * d1, cut[x])
+            new_blue[i] = whole_steps(m2 + step * d2, cut[x])
+            new_variance[i] = np.uint16(_i4(narrower + cut[x]))
+            new_noise[i] = np.uint16(_i4(noisier + cut[x]))
             log_odds[base_odds + x] = SURE if sure & (known <= _f4(_HIGHEST)) else _UNSURE
 
 
 @compiled
-def fast_rows_of_grey(first, end, pixels, before, light_field, fast, rounding, to, after, log_odds):
+def fast_rows_of_grey(first, end, pixels, before, light_field, fast, rounding, after, log_odds):
     """Compare and update rows `first` to `end` of a grey picture, as `fast_rows_of_colour`."""
     luma, new_luma = before.mean[0], after.mean[0]
     variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
@@ -132,24 +131,23 @@ def fast_rows_of_grey(first, end, pixels, before, light_field, fast, rounding, t
     for y in range(first, end):
         upper, lower, below_share = light_beside(light_field, y)
         cut = rounding_along(rounding, y)
-        own = (y - first) * width
-        base, base_after, base_odds = np.uint64(y * width), np.uint64(to + own), np.uint64(own)
+        base, base_odds = np.uint64(y * width), np.uint64((y - first) * width)
         for x in range(np.uint64(width)):
-            i, j = base + x, base_after + x
+            i = base + x
             light = upper[x] + below_share * (lower[x] - upper[x])
             m0 = _f4(luma[i])
             d0 = _f4(pixels[i]) - light * _f4(1 / MEAN_STEPS) * m0
             known, grain = _f4(variance[i]), _f4(noise[i])
             distance = d0 * d0 * _f4(VARIANCE_STEPS)
             step, narrower, noisier, sure = fast_update(distance, light, known + fast.drift, grain, fast)
-            new_luma[j] = whole_steps(m0 + step * d0, cut[x])
-            new_variance[j] = np.uint16(_i4(narrower + cut[x]))
-            new_noise[j] = np.uint16(_i4(noisier + cut[x]))
+            new_luma[i] = whole_steps(m0 + step * d0, cut[x])
+            new_variance[i] = np.uint16(_i4(narrower + cut[x]))
+            new_noise[i] = np.uint16(_i4(noisier + cut[x]))
             log_odds[base_odds + x] = SURE if sure & (known <= _f4(_HIGHEST)) else _UNSURE
 
 
 @compiled
-def slow_rows(first, end, pixels, before, light_field, model, rounding, to, after, log_odds):
+def slow_rows(first, end, pixels, before, light_field, model, rounding, after, log_odds):
     """Compare and update those spans of rows `first` to `end` in which not all is sure background.
 
     Gives the greatest variance there, as it is stored. A span is worked on in one array of its own: loops
@@ -168,8 +166,7 @@ def slow_rows(first, end, pixels, before, light_field, model, rounding, to, afte
             here = slice(start, y * width + right)
             most = max(most, _load_state(before, here, work))
             _posteriors(model, _f4(channels), work)
-            there = slice(to + own + left, to + own + right)
-            _store_state(work, rounding_along(rounding, y)[left:right], before, here, after, there)
+            _store_state(work, rounding_along(rounding, y)[left:right], before, after, here)
             odds = log_odds[own + left : own + right]
             for x in range(odds.size):
                 odds[x] = np.int8(work[_ODDS + np.uint64(x)] * _f4(ODDS_STEPS))
@@ -231,14 +228,14 @@ def _posteriors(model, channels, work):
 
 
 @compiled
-def _store_state(work, cut, before, here, after, there):
+def _store_state(work, cut, before, after, here):
     """What follows for the Gaussians of a span."""
     for channel in range(before.mean.shape[0]):
-        old, new = before.mean[channel, here], after.mean[channel, there]
+        old, new = before.mean[channel, here], after.mean[channel, here]
         away = work[(2 + channel) * SPAN : (3 + channel) * SPAN]
         for x in range(new.size):
             new[x] = mean_steps(mean_of(old[x]) + work[x] * away[x], cut[x])
-    variance, noise = after.variance[there], after.noise[there]
+    variance, noise = after.variance[here], after.noise[here]
     for x in range(np.uint64(variance.size)):
         variance[x] = variance_steps(work[_VARIANCES + x], cut[x])
     for x in range(np.uint64(noise.size)):
@@ -255,15 +252,13 @@ def compare_rows(first, end, pixels, before, light_field, model, fast, rounding,
     channels, width = before.mean.shape[0], light_field.rows.shape[1]
     most = _i4(0)
     for start in range(first, end, BLOCK):
-        stop, to = min(start + BLOCK, end), start * width
+        stop = min(start + BLOCK, end)
         odds = log_odds[(start - first) * width : (stop - first) * width]
         if channels == 3:
-            fast_rows_of_colour(start, stop, pixels, before, light_field, fast, rounding, to, after, odds)
+            fast_rows_of_colour(start, stop, pixels, before, light_field, fast, rounding, after, odds)
         else:
-            fast_rows_of_grey(start, stop, pixels, before, light_field, fast, rounding, to, after, odds)
-        most = max(
-            most, slow_rows(start, stop, pixels, before, light_field, model, rounding, to, after, odds)
-        )
+            fast_rows_of_grey(start, stop, pixels, before, light_field, fast, rounding, after, odds)
+        most = max(most, slow_rows(start, stop, pixels, before, light_field, model, rounding, after, odds))
     return most
 
 
