@@ -28,7 +28,7 @@ from ...models.core.identities import find
 from ...models.numerics.compiled import compiled, exponential, logarithm, put
 from ...models.numerics.threads import side_by_side, thread_count
 from ...models.objects.box_message import HEIGHT, WIDTH, BoxMessage
-from ...models.pixels.background import ODDS_STEPS, SPAN, StoredPlanes, foreground_spans
+from ...models.pixels.background import ODDS_STEPS, SPAN, StoredPlanes, blocks_along, foreground_spans
 from ...models.pixels.layers import LayerStack
 from ...models.pixels.pixel_labels import PixelMessage
 from .blob_records import (
@@ -660,12 +660,12 @@ def count_in_blocks(log_odds, blobs, pools, scale, counts):
     `counts` `(block_rows, block_columns)` int64 are 0 before.
     """
     (height, width), (block_rows, block_columns) = log_odds.shape, counts.shape
-    spans = np.empty(width // SPAN + 1, np.int64)
+    spans, blocks = np.empty(width // SPAN + 1, np.int64), blocks_along(block_columns * scale, block_columns)
     for y in range(height):
         odds, row = log_odds[y], counts[y // scale]
         for span in range(foreground_spans(odds, spans)):
             for x in range(spans[span], min(spans[span] + SPAN, width)):
-                row[x // scale] += odds[x] < 0
+                row[blocks[x]] += odds[x] < 0
     covered = np.zeros(counts.shape, np.uint8)
     for k in range(blobs.size):
         mask, (top, left) = mask_of(blobs[k], pools), corner_of(blobs[k])
@@ -674,7 +674,7 @@ def count_in_blocks(log_odds, blobs, pools, scale, counts):
             row = covered[(top + y) // scale]
             for x in range(start, stop):
                 if mask[y, x] > _f4(COVERED):
-                    row[(left + x) // scale] = 1
+                    row[blocks[left + x]] = 1
     for row in range(block_rows):
         for column in range(block_columns):
             if counts[row, column] > 0:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.numerics.compiled import compiled, inlined, logarithm
-from ...models.pixels.background import ODDS_STEPS, SPAN, foreground_spans
+from ...models.pixels.background import ODDS_STEPS, SPAN, blocks_along, foreground_spans
 from ...models.pixels.colour import planes_of
 from .gaussians import MOST_RECALLED, light_beside, mean_of, noise_of
 
@@ -159,12 +159,12 @@ def recall_mirrored(pixels, before, light_field, model, axes, shares, log_odds, 
     """
     height, width = light_field.positions.size, light_field.rows.shape[1]
     channels, spans = before.mean.shape[0], np.empty(width // SPAN + 1, np.int64)
-    any_colour = model.log_prior_odds - model.label_odds
+    any_colour, blocks = model.log_prior_odds - model.label_odds, blocks_along(width, axes.size)
     for y in range(height):
         odds = log_odds[y * width : (y + 1) * width]
         for span in range(foreground_spans(odds, spans)):
             for x in range(spans[span], min(spans[span] + SPAN, width)):
-                block = x * axes.size // width
+                block = blocks[x]
                 up = axes[block] - y
                 if odds[x] >= 0 or not 0 <= up < y or log_odds[up * width + x] >= 0:
                     continue

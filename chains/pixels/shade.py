@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.numerics.compiled import compiled, sigmoid
-from ...models.pixels.background import ODDS_STEPS, SPAN, foreground_spans
+from ...models.pixels.background import ODDS_STEPS, SPAN, blocks_along, foreground_spans
 from ...models.pixels.colour import planes_of
 from .gaussians import MOST_RECALLED, SURE, light_beside, mean_of, noise_of, variance_of
 
@@ -121,7 +121,7 @@ def recall_shaded(first, end, halo, pixels, before, light_field, model, shade, l
     """
     height, width = light_field.positions.size, light_field.rows.shape[1]
     (block_rows, block_columns), around = shade.log_odds.shape, shade.around
-    evidence, reach = _f4(INDEPENDENT * np.log(3)), around.max()
+    evidence, reach, blocks = _f4(INDEPENDENT * np.log(3)), around.max(), blocks_along(width, block_columns)
     top, bottom = max(first - halo, 0), min(end + halo, height)
     start, stop = max(top - reach, 0), min(bottom + reach, height)
     gains, spans = np.empty((stop - start) * width, np.float32), np.empty(width // SPAN + 1, np.int64)
@@ -133,7 +133,7 @@ def recall_shaded(first, end, halo, pixels, before, light_field, model, shade, l
             for x in range(spans[span], min(spans[span] + SPAN, width)):
                 if odds[x] >= 0:
                     continue
-                block = x * block_columns // width
+                block = blocks[x]
                 counts[0, block_row, block] += step
                 gain = gains[(y - start) * width + x]
                 if gain == 0:

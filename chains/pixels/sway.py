@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.numerics.compiled import compiled, inlined, logarithm
-from ...models.pixels.background import ODDS_STEPS, SPAN, foreground_spans
+from ...models.pixels.background import ODDS_STEPS, SPAN, blocks_along, foreground_spans
 from ...models.pixels.colour import planes_of
 from .gaussians import MOST_RECALLED, SURE, Gaussians, Light, light_beside, mean_of, noise_of, variance_of
 
@@ -42,7 +42,7 @@ def recall_moved(first, pixels, before, light_field, model, sway, log_odds):
     mean, channels = before.mean, _f4(before.mean.shape[0])
     height, width = light_field.positions.size, light_field.rows.shape[1]
     block_rows, block_columns = sway.rates.shape
-    spans = np.empty(width // SPAN + 1, np.int64)
+    spans, blocks = np.empty(width // SPAN + 1, np.int64), blocks_along(width, block_columns)
     work = np.empty(8 * SPAN + 18 * max(sway.reach // 3, 1), np.float32)
     light, least = work[:SPAN], work[SPAN : 2 * SPAN]
     for row in range(log_odds.size // width):
@@ -53,12 +53,12 @@ def recall_moved(first, pixels, before, light_field, model, sway, log_odds):
         odds_here = log_odds[row * width : (row + 1) * width]
         for span in range(foreground_spans(odds_here, spans)):
             left, right = spans[span], min(spans[span] + SPAN, width)
-            left, right = _swaying_foreground(odds_here, left, right, rates)
+            left, right = _swaying_foreground(odds_here, left, right, rates, blocks)
             if left == right:
                 continue
             _least_gaps(pixels, mean, y, left, right, sway.reach, light_field, work)
             for x in range(left, right):
-                rate, i = rates[x * block_columns // width], y * width + x
+                rate, i = rates[blocks[x]], y * width + x
                 if odds_here[x] >= 0 or rate < _f4(LEAST_RATE):
                     continue
                 glow = light[x - left]
@@ -79,14 +79,11 @@ def _any_sways(rates):
 
 
 @inlined
-def _swaying_foreground(log_odds, left, right, rates):
+def _swaying_foreground(log_odds, left, right, rates, blocks):
     """The part of a span that its foreground in swaying blocks lies in; empty where there is none."""
-    width, columns = log_odds.size, rates.size
-    while left < right and (log_odds[left] >= 0 or rates[left * columns // width] < _f4(LEAST_RATE)):
+    while left < right and (log_odds[left] >= 0 or rates[blocks[left]] < _f4(LEAST_RATE)):
         left += 1
-    while left < right and (
-        log_odds[right - 1] >= 0 or rates[(right - 1) * columns // width] < _f4(LEAST_RATE)
-    ):
+    while left < right and (log_odds[right - 1] >= 0 or rates[blocks[right - 1]] < _f4(LEAST_RATE)):
         right -= 1
     return left, right
 
@@ -150,11 +147,10 @@ def count_moved(pixels, before, light_field, log_odds, covered, reach, counts):
     mean = before.mean
     size = height, width = light_field.positions.size, light_field.rows.shape[1]
     block_rows, block_columns = counts.shape[:2]
-    columns = np.empty(width, np.int64)
+    columns = blocks_along(width, block_columns)
     per_column = np.zeros(block_columns, np.float32)
-    for x in range(width):
-        columns[x] = x * block_columns // width
-        per_column[columns[x]] += x % SAMPLED == SAMPLED // 2
+    for x in range(SAMPLED // 2, width, SAMPLED):
+        per_column[columns[x]] += _f4(1)
     for y in range(SAMPLED // 2, height, SAMPLED):
         row = counts[y * block_rows // height]
         for column in range(block_columns):  # numba's own sum of arrays takes two seconds to compile

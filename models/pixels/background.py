@@ -49,6 +49,17 @@ def foreground_spans(log_odds, spans):
     return count
 
 
+@compiled
+def blocks_along(n_pixels, n_blocks):
+    """Return `x * n_blocks // n_pixels` for all pixels x, without the divisions, which are slow."""
+    blocks, block, end = np.empty(n_pixels, np.int64), 0, n_pixels
+    for x in range(n_pixels):
+        while x * n_blocks >= end:
+            block, end = block + 1, end + n_pixels
+        blocks[x] = block
+    return blocks
+
+
 @short_repr
 @dataclass(frozen=True, eq=False)
 class EmptyScene:
