@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.numerics.compiled import compiled, sigmoid
+from ...models.numerics.compiled import compiled, inlined, sigmoid
 from ...models.pixels.background import ODDS_STEPS, SPAN, blocks_along, foreground_spans
 from ...models.pixels.colour import planes_of
 from .gaussians import MOST_RECALLED, SURE, light_beside, mean_of, noise_of, variance_of
@@ -111,6 +111,15 @@ def _find_gains(first, end, pixels, before, light_field, model, log_odds, gains)
                     out[x] = gain
 
 
+@inlined
+def _vote(odds, gain, own_gain):
+    """In halves: 2 for the same gain, 1 for the usual light, -2 for others, 0 for what is recalled."""
+    # no branches, which cannot be predicted; a gain of background means nothing
+    alike = 2 if abs(gain - own_gain) < _f4(SAME_GAIN) * own_gain else -2
+    usual = 1 if odds == SURE else 0  # its own Gaussian, and nothing recalled
+    return usual if odds >= 0 else alike
+
+
 @compiled
 def recall_shaded(first, end, halo, pixels, before, light_field, model, shade, log_odds, shaded, counts):
     """Turn foreground of rows `first` to `end` that shade explains into background.
@@ -122,6 +131,9 @@ def recall_shaded(first, end, halo, pixels, before, light_field, model, shade, l
     height, width = light_field.positions.size, light_field.rows.shape[1]
     (block_rows, block_columns), around = shade.log_odds.shape, shade.around
     evidence, reach, blocks = _f4(INDEPENDENT * np.log(3)), around.max(), blocks_along(width, block_columns)
+    steps = np.empty(around.shape[0], np.int64)
+    for k in range(steps.size):
+        steps[k] = around[k, 0] * width + around[k, 1]
     top, bottom = max(first - halo, 0), min(end + halo, height)
     start, stop = max(top - reach, 0), min(bottom + reach, height)
     gains, spans = np.empty((stop - start) * width, np.float32), np.empty(width // SPAN + 1, np.int64)
@@ -138,19 +150,16 @@ def recall_shaded(first, end, halo, pixels, before, light_field, model, shade, l
                 gain = gains[(y - start) * width + x]
                 if gain == 0:
                     continue
-                asked = agree = 0  # in halves: 2 for the same gain, 1 for the usual light, -2 for others
-                inside = reach <= y < height - reach and reach <= x < width - reach
-                for k in range(len(around)):
-                    down, right = y + around[k, 0], x + around[k, 1]
-                    if not inside and not (0 <= down < height and 0 <= right < width):
-                        continue
-                    asked += 2
-                    other = log_odds[down * width + right]
-                    # no branches, which cannot be predicted; a gain of background means nothing
-                    near = abs(gains[(down - start) * width + right] - gain) < _f4(SAME_GAIN) * gain
-                    alike = 2 if near else -2
-                    usual = 1 if other == SURE else 0  # its own Gaussian, and nothing recalled
-                    agree += usual if other >= 0 else alike
+                here, off, asked, agree = y * width + x, start * width, 0, 0
+                if reach <= y < height - reach and reach <= x < width - reach:
+                    asked = 2 * steps.size
+                    for k in range(steps.size):
+                        agree += _vote(log_odds[here + steps[k]], gains[here + steps[k] - off], gain)
+                else:
+                    for k in range(steps.size):
+                        if 0 <= y + around[k, 0] < height and 0 <= x + around[k, 1] < width:
+                            asked += 2
+                            agree += _vote(log_odds[here + steps[k]], gains[here + steps[k] - off], gain)
                 counts[2, block_row, block] += step if agree > 0 else 0
                 ratio = shade.log_odds[block_row, block] + evidence * _f4(agree) / _f4(asked)
                 counts[1, block_row, block] += int(_f4(step) * sigmoid(ratio))
