@@ -37,6 +37,7 @@ PARTS = {
     "structure": "points:structure",
     "faces": "people:faces",
     "bodies": "people:bodies",
+    "streams": "streams:streams",
     CURVES: "curves:curves",
 }
 """Module and function of each."""

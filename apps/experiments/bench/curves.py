@@ -1,10 +1,10 @@
-"""Cost as curves: over pixels, objects, points, samples, experts, texels and frames."""
+"""Cost as curves: over pixels, what happens in them, objects, points, samples, experts, texels and frames."""
 
 import itertools
 import math
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -42,6 +42,7 @@ N_WATCHED, GROWN = 1500, 32.0
 SIZES = ((320, 240), (640, 480), (1280, 720), (1920, 1080), (3840, 2160))
 OF_CROWD = (1920, 1080)
 OBJECTS = (1, 3, 10, 30, 100, 300)
+ACTIVE, OF_NOISE, SQUARE = (0.01, 0.03, 0.1, 0.3, 1.0), (768, 576), 32  # shares that change; px
 POINTS = (100, 1000, 10_000, 100_000)
 SAMPLES = (250, 1000, 4000, 16_000)
 EXPERTS = (1, 5, 20, 80)
@@ -88,11 +89,11 @@ def curves() -> Findings:
     set_threads(1)
     over_time, grown = over_frames_of_a_film(N_WATCHED)
     found = [
-        *over_pixels(), *over_objects(), over_time, over_points(), over_samples(),
+        *over_pixels(), *over_active_share(), *over_objects(), over_time, over_points(), over_samples(),
         of_face("experts", EXPERTS), of_face("texels", TEXELS),
     ]  # fmt: skip
     expectations = [
-        each.expectation(None if each.name == PEER else CONSTANT if each is over_time else LINEAR)
+        each.expectation(None if each.name.startswith(PEER) else CONSTANT if each is over_time else LINEAR)
         for each in found
     ]
     what = f"memory grown over the last four fifths of {N_WATCHED} frames, MB"
@@ -134,16 +135,42 @@ def _draw(panels: Mapping[str, Sequence[Curve]], canvas: "Figure") -> None:
 
 
 def over_pixels() -> list[Curve]:
-    """Measure the background alone, all chains, and MOG2, with four objects in pictures of any size."""
+    """Measure with four objects in pictures of any size."""
+    films = ((w * h, list(crowd(4, WARM_UP + ROUNDS * TURN, (h, w)))) for w, h in SIZES)
+    return _beside_mog2("", "pixels", films)
+
+
+def over_active_share() -> list[Curve]:
+    """Measure where a share of the picture changes all the time, all over."""
+    films = ((100 * share, _changing(share)) for share in ACTIVE)
+    return _beside_mog2(", noise that changes", "% of the picture", films)
+
+
+def _changing(share: float) -> list[Frame]:
+    """A film of squares of noise that stand still at first; then a share of them changes in every frame."""
+    rng, size = np.random.default_rng(0), OF_NOISE[::-1]
+    scene = rng.uniform(40, 215, (*size, 3)).astype(np.float32)
+    squares = rng.random((size[0] // SQUARE, size[1] // SQUARE))
+    active = np.kron(squares <= np.quantile(squares, share), np.ones((SQUARE, SQUARE))) > 0
+    frames = []
+    for number in range(1, 1 + WARM_UP + ROUNDS * TURN):
+        image = scene + rng.standard_normal(scene.shape, np.float32)
+        if number > WARM_UP // 2:
+            image[active] = rng.uniform(0, 255, (np.count_nonzero(active), 3))
+        frames.append(Frame(image.clip(0, 255).astype(np.uint8), number / 10, number))
+    return frames
+
+
+def _beside_mog2(what: str, unit: str, films: Iterable[tuple[float, Sequence[Frame]]]) -> list[Curve]:
+    """The background alone, all chains and MOG2 on films by a size."""
     rounds: dict[str, dict[float, list[float]]] = {"background alone": {}, "all chains": {}, PEER: {}}
-    for width, height in SIZES:
-        frames = list(crowd(4, WARM_UP + ROUNDS * TURN, (height, width)))
+    for size, frames in films:
         mog2 = subtracting(cv2.createBackgroundSubtractorMOG2(), 1)
         methods = (in_steps(build_model("stand-alone")), in_steps(build_model()), mog2)
         steps = dict(zip(rounds, methods, strict=True))
         for name, seconds in over_frames(steps, frames, TURN, WARM_UP).items():
-            rounds[name][width * height] = seconds
-    return [Curve.of(name, "pixels", each) for name, each in rounds.items()]
+            rounds[name][size] = seconds
+    return [Curve.of(name + what, unit, each) for name, each in rounds.items()]
 
 
 def over_objects() -> list[Curve]:
