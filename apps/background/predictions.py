@@ -100,7 +100,7 @@ class PixelScores:
         among = _covered(layers, seen.size)
         if seen.view is not None:
             among &= ~seen.view.hidden
-        count = int(among.sum())
+        count = np.count_nonzero(among)
         if not count:
             return
         self._last = frame.time

@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,6 @@ from ..io.sources.open_source import Source, describe, open_source
 from ..options.job import FilmJob, read_address
 from ..view.film import ROWS as FILM_ROWS
 from ..view.film import Film, FilmWriter, Row, read_film
-from ..view.live import Running, live_page
 from ..view.overlay import Draw, OverlayVideo
 from ..view.page import VIEW, FrameRecord, Line, Page, Plot, write_page
 from .interruption import Interrupted, Outcome
@@ -39,6 +38,9 @@ from .memory import check_memory
 from .progress import Progress
 from .saved_run import STATE, SavedRun, check_source, save_run, words_of
 from .session import OVERLAY, Session
+
+if TYPE_CHECKING:
+    from ..view.live import Running
 
 __all__ = [
     "Application",
@@ -384,6 +386,8 @@ def run_film(application: Application[Any]) -> Outcome:
     with session.running():
         if job.live is None:
             return _FilmRun(application, session).run()
+        from ..view.live import Running, live_page  # and a server of HTTP
+
         live = Running(job.out)
         with live_page(read_address(job.live), live) as where:
             print(f"live: {where}", flush=True)
@@ -395,7 +399,9 @@ def run_film(application: Application[Any]) -> Outcome:
 class _FilmRun:
     """One run: `run` from the source to the summary, `_answer_all` is the loop."""
 
-    def __init__(self, application: Application[Any], session: Session, live: Running | None = None) -> None:
+    def __init__(
+        self, application: Application[Any], session: Session, live: "Running | None" = None
+    ) -> None:
         self._application, self._session, self._live = application, session, live
         self._job: FilmJob = application.job
         self._start: Start

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.numerics.compiled import compiled, exponential, inlined, logarithm, sigmoid
-from ...models.pixels.background import ODDS_STEPS
+from ...models.pixels.background import NEVER, ODDS_STEPS
 from ...models.pixels.colour import planes_of
 
 Planes = NDArray[np.float32]
@@ -204,36 +204,44 @@ def smooth_log_odds(first, end, height, width, log_odds, prior, share, smoothed)
 
 @compiled
 def log_evidence(pixels, before, light_field, model, shift):
-    """Return the sum over pixels of log(exp(log odds + shift) + 1), neither rounded nor saturated."""
+    """Return the sum over pixels of log(exp(log odds + shift) + 1), neither rounded nor saturated.
+
+    In each row, pixels before and after all those that may show background, by their shift, are left out.
+    """
     mean = before.mean
     channels, (height, width) = mean.shape[0], (light_field.positions.size, light_field.rows.shape[1])
     distance, light = np.empty(width, np.float32), np.empty(width, np.float32)
     added = np.full(width, shift[0])
     total = 0.0
     for y in range(height):
+        row, first, end = slice(y * width, (y + 1) * width), 0, width
+        if shift.size > 1:
+            own = shift[row]
+            while first < end and own[first] <= _f4(NEVER):
+                first += 1
+            while first < end and own[end - 1] <= _f4(NEVER):
+                end -= 1
+            for x in range(first, end):
+                added[x] = own[x]
         upper, lower, below_share = light_beside(light_field, y)
-        row = slice(y * width, (y + 1) * width)
         shown, luma = pixels[channels * y * width : channels * (y + 1) * width], mean[0, row]
-        for x in range(width):
+        for x in range(first, end):
             light[x] = upper[x] + below_share * (lower[x] - upper[x])
         if channels == 3:
             red, blue = mean[1, row], mean[2, row]
-            for x in range(width):
+            for x in range(first, end):
                 c0, c1, c2 = planes_of(shown[3 * x], shown[3 * x + 1], shown[3 * x + 2])
                 d0 = c0 - light[x] * mean_of(luma[x])
                 d1 = c1 - light[x] * mean_of(red[x])
                 d2 = c2 - light[x] * mean_of(blue[x])
                 distance[x] = d0 * d0 + d1 * d1 + d2 * d2
         else:
-            for x in range(width):
+            for x in range(first, end):
                 d0 = _f4(shown[x]) - light[x] * mean_of(luma[x])
                 distance[x] = d0 * d0
         variance, noise = before.variance[row], before.noise[row]
-        if shift.size > 1:
-            for x in range(width):
-                added[x] = shift[y * width + x]
         in_row = _f4(0)
-        for x in range(width):
+        for x in range(first, end):
             known = variance_of(variance[x])
             expected = light[x] * light[x] * (known + model.drift) + noise_of(noise[x])
             odds = model.log_prior_odds - _f4(0.5) * (

@@ -12,6 +12,7 @@ from ..numerics.compiled import compiled, inlined
 Planes = NDArray[np.float32]
 
 ODDS_STEPS = 20.0  # steps of the stored log odds per nat; they saturate at +-6 nats
+NEVER = -80.0  # log odds of background that leave nothing of it
 SPAN = 64  # pixels that are looked at together for whether any of them needs more than most pixels do
 
 _SIGNS = np.uint64(0x8080808080808080)

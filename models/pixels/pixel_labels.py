@@ -16,13 +16,12 @@ from ..camera.moving_camera import View
 from ..core.checks import checked, made, shown
 from ..core.frame import Frame
 from ..core.short_repr import short_repr
-from .background import ODDS_STEPS, BackgroundFactor, Subtraction
+from .background import NEVER, ODDS_STEPS, BackgroundFactor, Subtraction
 from .layers import NO_LAYERS, ComposedLayers, LayerStack, Region
 
 Map = NDArray[np.float32]
 
 EVEN = 0.5  # probability of being covered above which a pixel shows no scene
-NEVER = -80.0  # log odds of background that leave nothing of it
 
 Window = tuple[slice, slice]
 
@@ -214,8 +213,8 @@ class PixelMessage:
             seen = part.explained if hidden is None else part.explained[~hidden[part.window]]
             explained += float(np.log(seen, dtype=np.float64).sum())
         if hidden is not None:
-            shift[hidden] = NEVER
-            explained -= int(hidden.sum()) * float(np.log1p(-background.prior))
+            np.copyto(shift, np.float32(NEVER), where=hidden)
+            explained -= np.count_nonzero(hidden) * float(np.log1p(-background.prior))
         return background.log_likelihood(image, shift.reshape(-1)) + explained
 
     @checked
@@ -247,11 +246,11 @@ class PixelMessage:
             total -= float(np.log(mass[among[part.window]], dtype=np.float64).sum())
         if self.background is not None:
             total += self._log_mass_of_seen(self.background, self.image, ~among)
-            return total - uniform * int((~among).sum())
+            return total - uniform * np.count_nonzero(~among)
         for part in self.composed_layers:
             mass = 0.5 * part.clear + 0.5 * part.explained
             total += float(np.log(mass[among[part.window]], dtype=np.float64).sum())
-        return total + uniform * int(among.sum())
+        return total + uniform * np.count_nonzero(among)
 
     def _log_odds(self) -> NDArray[np.int8]:
         """`(height, width)` int8 log odds of background without the layers."""

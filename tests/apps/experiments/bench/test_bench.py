@@ -70,9 +70,10 @@ def test_a_power_is_found_and_its_error_is_that_of_a_regression() -> None:
 def test_what_is_done_once_counts_for_the_whole_film_only() -> None:
     frames = background.LONG - background.SHORT
     spent = {"short": 0.75, "long": 0.75 + 0.01 * frames, "begun": 0.3, "engine": 0.3 + 0.008 * frames}
-    rate, whole, engine, over = (each.measured for each in background.of_commands(spent))
+    rate, whole, engine, over, whole_over = (each.measured for each in background.of_commands(spent))
     assert (rate, engine, over) == pytest.approx((100, 8, 1.25))
     assert whole == pytest.approx(background.LONG / spent["long"])
+    assert whole_over == pytest.approx(spent["long"] / spent["engine"])
 
 
 @pytest.mark.slow
