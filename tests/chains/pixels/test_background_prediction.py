@@ -184,7 +184,7 @@ def test_likelihood_with_what_others_say(channels):
     shift = np.random.default_rng(5).normal(0, 3, odds.size).astype(np.float32)
     hidden = np.where(np.arange(odds.size) % 7 < 5, np.float32(-80), shift)
     for added in (None, shift, hidden):
-        expected = np.logaddexp(0, odds + (0 if added is None else shift)).sum()
+        expected = np.logaddexp(0, odds + (0 if added is None else added)).sum()
         expected += odds.size * (np.log1p(-prediction.prior) - channels * np.log(256))
         # float32 sums over rows: 1e-3 nat a pixel
         assert prediction.log_likelihood(image, added) == pytest.approx(expected, abs=1e-3 * odds.size)
