@@ -1,12 +1,13 @@
 """The graph of chains, feature nodes and the image, and the order of messages that follows from it."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Never, Protocol, Self, TypeVar
+from typing import Any, Never, Protocol, Self, TypeVar
 
+import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,14 +27,9 @@ from .protocols import (
     require,
 )
 
-if TYPE_CHECKING:
-    import networkx as nx
-
 IMAGE = "image"  # name of the observation in the graph
 
 Step = tuple[str, str]  # one message of a time slice: its sender (a chain, or `IMAGE`) and the feature
-
-Node = TypeVar("Node")
 
 Method = TypeVar("Method", bound=Callable[..., Any], covariant=True)
 
@@ -64,11 +60,16 @@ class MultiChain:
 
     >>> model = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)
 
+    Attributes
+    ----------
+    graph
+        undirected `networkx` graph; its nodes are names with `kind` ("chain", "feature", "observation") and
+        `node` (the object), the edges of chains carry `feedback`.
     """
 
     def __init__(self) -> None:
-        self._nodes: dict[str, dict[str, Any]] = {"chain": {}, "feature": {}, "observation": {IMAGE: None}}
-        self._edges: dict[tuple[str, str], tuple[Port, bool]] = {}  # of chain and feature: port and feedback
+        self.graph: nx.Graph[str] = nx.Graph()
+        self.graph.add_node(IMAGE, kind="observation", node=None)
 
     @checked
     def connect(
@@ -104,15 +105,15 @@ class MultiChain:
         """
         require("chain", chain, Chain, BatchChain)
         require("feature", feature, FeatureNode)
-        taken = {name: node for nodes in self._nodes.values() for name, node in nodes.items()}
         for node in (chain, feature):
             if not (isinstance(node.name, str) and node.name):
                 raise TypeError(f"name of {type(node).__name__}: got {node.name!r}, expected a text")
-            if taken.get(node.name, node) is not node or chain.name == feature.name:
+            is_taken = self.graph.nodes[node.name]["node"] is not node if node.name in self.graph else False
+            if is_taken or chain.name == feature.name:
                 raise ValueError(
                     f"name: {node.name!r} is taken by another node of the model, expected a new one"
                 )
-        if (chain.name, feature.name) in self._edges:
+        if self.graph.has_edge(chain.name, feature.name):
             raise ValueError(f"connect: {chain.name!r} and {feature.name!r} are connected already")
         port = self._free_port(chain, feature)
         if feedback and port.sole is not None:
@@ -122,10 +123,11 @@ class MultiChain:
                         f"connect: got {chain.name!r} for the {port.sole} of {feature.name!r}, which "
                         f"{other!r} sends already, expected one chain to send it"
                     )
-        self._nodes["chain"][chain.name] = chain
-        self._nodes["feature"][feature.name] = feature
-        self._edges[chain.name, feature.name] = port, feedback
-        for derived in ("graph", "chains", "features", "features_of", "senders", "cavities", "message_kinds"):
+        self.graph.add_node(chain.name, kind="chain", node=chain)
+        self.graph.add_node(feature.name, kind="feature", node=feature)
+        self.graph.add_edge(IMAGE, feature.name)
+        self.graph.add_edge(chain.name, feature.name, feedback=feedback, port=port)
+        for derived in ("chains", "features", "features_of", "senders", "cavities", "message_kinds"):
             self.__dict__.pop(derived, None)
         return self
 
@@ -149,62 +151,46 @@ class MultiChain:
         return f"{', '.join(self.chains)} on {', '.join(self.features)}"
 
     @cached_property
-    def graph(self) -> "nx.Graph[str]":
-        """The undirected `networkx` graph.
-
-        Its nodes are names with `kind` ("chain", "feature", "observation") and `node` (the object), the edges
-        of chains carry `feedback`.
-        """
-        import networkx as nx  # slow to import
-
-        graph: nx.Graph[str] = nx.Graph()
-        for kind, nodes in self._nodes.items():
-            for name, node in nodes.items():
-                graph.add_node(name, kind=kind, node=node)
-        graph.add_edges_from((IMAGE, feature) for feature in self._nodes["feature"])
-        for (chain, feature), (_, feedback) in self._edges.items():
-            graph.add_edge(chain, feature, feedback=feedback)
-        return graph
-
-    @cached_property
     def chains(self) -> dict[str, Any]:
         """Chains by name, in the order in which they are updated.
 
         Sorted by their cavities, those without feedback last, then by name.
         """
-        chains = self._nodes["chain"]
+        chains = self._nodes("chain")
 
         def turn(name: str) -> tuple[Cavity, bool, str]:
-            edges = [
-                (self.cavities[edge], not self._edges[edge][1]) for edge in self._edges if edge[0] == name
-            ]
-            return max(cavity for cavity, _ in edges), any(cut for _, cut in edges), name
+            cut = not all(edge["feedback"] for edge in self.graph[name].values())
+            return max(self.cavities[name, feature] for feature in self.graph[name]), cut, name
 
         return {name: chains[name] for name in sorted(chains, key=turn)}
 
     @cached_property
     def features(self) -> dict[str, Any]:
         """Feature nodes by name, in the order of names."""
-        return dict(sorted(self._nodes["feature"].items()))
+        return dict(sorted(self._nodes("feature").items()))
 
     @cached_property
     def features_of(self) -> dict[str, tuple[str, ...]]:
         """Names of the features that each chain reads, in order."""
-        return {name: tuple(sorted(f for chain, f in self._edges if chain == name)) for name in self.chains}
+        return {name: tuple(sorted(self.graph[name])) for name in self.chains}
 
     @cached_property
     def senders(self) -> dict[str, tuple[str, ...]]:
         """Names of the chains that send messages to each feature, in the order of sending."""
         senders = {}
         for feature in self.features:
-            speaking = [name for (name, of), (_, speaks) in self._edges.items() if speaks and of == feature]
+            speaking = [name for name, edge in self.graph[feature].items() if edge.get("feedback")]
             senders[feature] = tuple(sorted(speaking, key=lambda name: (self.cavities[name, feature], name)))
         return senders
 
     @cached_property
     def cavities(self) -> dict[tuple[str, str], Cavity]:
         """Cavity of each chain at each of its features."""
-        return {edge: port.cavity for edge, (port, _) in self._edges.items()}
+        return {
+            (name, feature): self._port(name, feature).cavity
+            for name in self._nodes("chain")
+            for feature in self.graph[name]
+        }
 
     @cached_property
     def message_kinds(self) -> dict[str, type]:
@@ -214,8 +200,7 @@ class MultiChain:
     def copy(self) -> "MultiChain":
         """Return a copy of the model with the same chains and features."""
         other = MultiChain()
-        other._nodes = {kind: dict(nodes) for kind, nodes in self._nodes.items()}
-        other._edges = dict(self._edges)
+        other.graph = self.graph.copy()
         return other
 
     def parameters(self) -> dict[str, Any]:
@@ -224,17 +209,9 @@ class MultiChain:
 
     def components(self) -> list[list[str]]:
         """Return the groups of features that remain connected without the cut edges."""
-        shared: dict[str, set[str]] = {
-            feature: {
-                other
-                for name in self.senders[feature]
-                for other in self.features
-                if name in self.senders[other]
-            }
-            for feature in self.features
-        }
-        parts = {tuple(sorted(_reached(shared, feature))) for feature in self.features if shared[feature]}
-        return sorted(map(list, parts))
+        edges = [(name, feature) for feature in self.features for name in self.senders[feature]]
+        parts = nx.connected_components(nx.Graph(edges))
+        return sorted([name for name in self.features if name in part] for part in parts)
 
     def wrong_message(self, sender: str, feature: str, message: object) -> TypeError:
         """Return the error about a message of another class than the feature's."""
@@ -251,7 +228,7 @@ class MultiChain:
     def check_complete(self) -> None:
         """Raise a `ValueError` unless every required port of every chain is connected."""
         for name, chain in self.chains.items():
-            met = [self._port(name, feature) for feature in self.features_of[name]]
+            met = [self._port(name, feature) for feature in self.graph[name]]
             for port in chain.ports:
                 if not port.optional and port not in met:
                     raise ValueError(
@@ -265,8 +242,7 @@ class MultiChain:
 
         An edge without feedback (`feedback=False`) opens a loop.
         """
-        leads_to = self._dependencies()
-        return any(step in _reached(leads_to, step) for step in leads_to)
+        return not nx.is_directed_acyclic_graph(self._dependencies())
 
     def schedule(self) -> list[tuple[Step, ...]]:
         """Return every message to a feature once, in an order that makes sum-product exact on forests.
@@ -275,7 +251,8 @@ class MultiChain:
         by `Cavity`: first chains that need nothing, then the image (whose likelihood is computed where the
         predictions have mass), then chains that need the image, then those that need the others, by name.
         """
-        leads_to, has_loops = self._dependencies(), self.has_loops
+        needs = self._dependencies()
+        has_loops = not nx.is_directed_acyclic_graph(needs)
         for feature in self.features:
             senders = self.senders[feature]
             early = [(name, feature) for name in senders if self.cavities[name, feature] == Cavity.NOTHING]
@@ -285,29 +262,21 @@ class MultiChain:
             wanted += [(step, then) for then in late for step in before]
             wanted += pairwise(late)
             for first, then in wanted:
-                if first not in _reached(leads_to, then):
-                    leads_to[first].add(then)
+                if not nx.has_path(needs, then, first):
+                    needs.add_edge(first, then)
 
         def speaks(step: Step) -> tuple[Cavity, Step]:
             return self.cavities.get(step, Cavity.NOTHING), step
 
-        after = {step: _reached(leads_to, step) for step in leads_to}
-        groups = {
-            tuple(sorted({step, *(other for other in after[step] if step in after[other])}, key=speaks))
-            for step in after
-        }
+        groups = nx.condensation(needs)
+        steps = {group: tuple(sorted(groups.nodes[group]["members"], key=speaks)) for group in groups}
 
-        def turn(group: tuple[Step, ...]) -> tuple[bool, tuple[Step, ...]]:
+        def turn(group: int) -> tuple[bool, tuple[Step, ...]]:
             # beside a loop, the image is searched when as much as possible is known of where to look
-            sender, feature = group[0]
-            return has_loops and sender == IMAGE and self.features[feature].searches, group
+            sender, feature = steps[group][0]
+            return has_loops and sender == IMAGE and self.features[feature].searches, steps[group]
 
-        order: list[tuple[Step, ...]] = []
-        while groups:
-            waiting = set[Step]().union(*(after[group[0]] - {*group} for group in groups))
-            order.append(min((group for group in groups if group[0] not in waiting), key=turn))
-            groups.remove(order[-1])
-        return order
+        return [steps[group] for group in nx.lexicographical_topological_sort(groups, key=turn)]
 
     def draw(self, path: str | Path) -> None:
         """Draw the graph to an SVG or PNG file (by its suffix)."""
@@ -336,28 +305,27 @@ class MultiChain:
         return ports[0]
 
     def _port(self, chain: str, feature: str) -> Port:
-        return self._edges[chain, feature][0]
+        port: Port = self.graph.edges[chain, feature]["port"]
+        return port
 
-    def _dependencies(self) -> dict[Step, set[Step]]:
-        """Which messages need each: a chain's message needs those to its other features."""
-        leads_to: dict[Step, set[Step]] = {
-            (name, feature): set() for feature in self.features for name in (IMAGE, *self.senders[feature])
-        }
-        for sender, other in leads_to:
-            for chain, feature in leads_to:
-                if chain not in (IMAGE, sender) and feature != other and other in self.features_of[chain]:
-                    leads_to[sender, other].add((chain, feature))
-        return leads_to
+    def _nodes(self, kind: str) -> dict[str, Any]:
+        return {name: data["node"] for name, data in self.graph.nodes.items() if data["kind"] == kind}
 
-
-def _reached(edges: Mapping[Node, Collection[Node]], start: Node) -> set[Node]:
-    """Nodes that there is a way to, by one edge or more."""
-    found, waiting = set[Node](), [start]
-    while waiting:
-        new = set(edges[waiting.pop()]) - found
-        found |= new
-        waiting += new
-    return found
+    def _dependencies(self) -> "nx.DiGraph[Step]":
+        """Which messages depend on which: a chain's message depends on those to its other features."""
+        needs: nx.DiGraph[Step] = nx.DiGraph()
+        for feature in self.features:
+            needs.add_node((IMAGE, feature))
+            needs.add_nodes_from((name, feature) for name in self.senders[feature])
+        for chain, feature in list(needs):
+            if chain != IMAGE:
+                for other in self.features_of[chain]:
+                    if other != feature:
+                        senders = [IMAGE, *self.senders[other]]
+                        needs.add_edges_from(
+                            ((sender, other), (chain, feature)) for sender in senders if sender != chain
+                        )
+        return needs
 
 
 @parameters_of.register
