@@ -11,7 +11,17 @@ from ...models.body.kernels import lean
 from ...models.body.upper_body import BodyPoses, UpperBody, arm_at
 from ...models.core.checks import NotNegative, Positive, Shape, checked
 from ...models.core.short_repr import short_repr
-from .kernels import RAISED, draw_terms, least_squares_to_rows, mixture_values
+from .kernels import (
+    RAISED,
+    arm_steps,
+    crossings,
+    draw_terms,
+    least_squares_to_rows,
+    mixture_values,
+    scaled_poses,
+    squared_steps,
+    walk,
+)
 
 Array = NDArray[np.float64]
 
@@ -104,16 +114,12 @@ class BodyDynamics:
         """Draw each pose `dt` seconds ahead."""
         n = len(poses)
         place, concentrations, jump = self._rates(dt)
-        decay, std = self.turn_step(dt)
-        roots = poses.roots + place * random.standard_normal((n, 2))
-        torsos = decay[:3] * poses.torsos + std[:3] * random.standard_normal((n, 3))
-        necks = decay[3:] * poses.necks + std[3:] * random.standard_normal((n, 3))
-        arms = np.stack(
-            [draw_directions(poses.arms[:, :, part], concentrations[part], random) for part in (0, 1)], axis=2
-        )
+        drawn = BodyPoses.made(each.copy() for each in poses.arrays)
+        evens, normals = random.random((n, 8)), random.standard_normal((n, 8))
+        walk(*drawn.arrays, normals, evens, place, *self.turn_step(dt), concentrations)
         jumping = np.nonzero(random.random((n, 2)) < jump)
-        arms[jumping] = draw_usual_arms(jumping[1], random)
-        return BodyPoses(roots, torsos, necks, arms)
+        drawn.arms[jumping] = draw_usual_arms(jumping[1], random)
+        return drawn
 
     def log_density(self, poses: BodyPoses, ancestors: Ancestors) -> Array:
         """`(n,)` nats: log of the mixture of p(x | ancestor) over ancestors, plus `log_posture`.
@@ -122,33 +128,53 @@ class BodyDynamics:
         directions. Terms are relative to the largest Gaussian, and an arm's factor has a floor, so that
         nothing underflows. The cost is the number of poses times that of ancestors.
         """
-        terms, log_scales = self._terms(poses, ancestors)
-        values = np.empty(len(poses), np.float32)
-        mixture_values(*terms, values)
-        return np.asarray(
-            log_scales
-            + np.log(values.astype(np.float64))
-            - RAISED
-            + self.log_posture(poses, ancestors.elapsed)
-        )
+        return self.prediction(ancestors).log_density(poses)
+
+    def prediction(self, ancestors: Ancestors) -> "Prediction":
+        """Return the mixture over ancestors, whose densities at several sets of poses are wanted."""
+        place, concentrations, _ = self._rates(ancestors.elapsed)
+        std, origin = self.turn_step(ancestors.elapsed)[1], ancestors.poses.roots.mean(axis=0)
+        gaussian = -4 * np.log(2 * np.pi) - 2 * np.log(place) - np.log(std).sum()
+        rows, arms, _ = self._scaled(ancestors.poses, ancestors.elapsed, origin, past=True)
+        peak = np.log(self._heights(ancestors.elapsed)[0])
+        return Prediction(
+            self, ancestors, origin, float(gaussian + 2 * peak),
+            np.ascontiguousarray(rows.T), np.ascontiguousarray(arms.T),
+            ancestors.weights.astype(np.float32), concentrations.astype(np.float32),
+        )  # fmt: skip
+
+    def _scaled(self, poses: BodyPoses, elapsed: float, origin: Array, *, past: bool) -> tuple[Any, Any, Any]:
+        """Return poses as `mixture_values` takes them; those of the `past` turn back meanwhile."""
+        n, (decay, std) = len(poses), self.turn_step(elapsed)
+        scaled = np.empty((n, 8), np.float32), np.empty((n, 12), np.float32), np.empty((n, 2), np.float32)
+        peak, jump, _ = self._heights(elapsed)
+        stds = np.append(self._rates(elapsed)[0], std)
+        scaled_poses(
+            *poses.arrays, origin, stds, decay if past else np.ones(6), peak, jump, LEAST_FLOOR, USUAL_ARM,
+            *scaled,
+        )  # fmt: skip
+        return scaled
+
+    def _heights(self, dt: float) -> Array:
+        """`(3,)`: peak of an arm's density without a jump, probability of one, least exponent."""
+        _, concentrations, jump = self._rates(dt)
+        return np.array([(1 - jump) * _peak(concentrations).prod(), jump, LEAST_EXPONENT])
 
     def log_step(self, poses: BodyPoses, before: BodyPoses, dt: float) -> Array:
         """`(n,)` nats: log p(x | x') of each pose given its own one `dt` seconds before, as `log_density`."""
         place = self._rates(dt)[0]
         decay, std = self.turn_step(dt)
-        steps = [(poses.roots - before.roots) / place, (poses.turns - decay * before.turns) / std]
-        squares = np.square(np.concatenate(steps, axis=1)).sum(axis=1)
+        squares = np.empty(len(poses))
+        squared_steps(*poses.arrays[:3], *before.arrays[:3], place, decay, std, squares)
         gaussian = -4 * np.log(2 * np.pi) - 2 * np.log(place) - np.log(std).sum()
         arms = self.log_arm_steps(poses, before, dt).sum(axis=1)
         return np.asarray(gaussian - 0.5 * squares + arms + self.log_posture(poses, dt))
 
     def log_arm_steps(self, poses: BodyPoses, before: BodyPoses, dt: float) -> Array:
         """`(n, 2)` nats: the factors of left and right arm in `log_step`."""
-        _, concentrations, jump = self._rates(dt)
-        peak = (1 - jump) * _peak(concentrations).prod()
-        turned = (((poses.arms * before.arms).sum(axis=3) - 1) * concentrations).sum(axis=2)
-        turned = np.maximum(turned, LEAST_EXPONENT)
-        return np.asarray(np.log(peak * np.exp(turned) + jump * np.exp(_log_usual(poses.arms))))
+        steps = np.empty((len(poses), 2))
+        arm_steps(poses.arms, before.arms, self._rates(dt)[1], self._heights(dt), USUAL_ARM, steps)
+        return steps
 
     def log_returns(self, dt: float) -> tuple[float, float]:
         """Return the log probabilities that after `dt` s the body is anywhere, or near its prediction."""
@@ -159,38 +185,14 @@ class BodyDynamics:
         self, poses: BodyPoses, ancestors: Ancestors, random: np.random.Generator
     ) -> NDArray[np.int64]:
         """Draw an ancestor of each pose, `(n,)` indices, from p(ancestor | pose) ~ weight p(x | ancestor)."""
-        chosen = np.empty(len(poses), np.int64)
-        draw_terms(*self._terms(poses, ancestors)[0], random.random(len(poses)), chosen)
-        return chosen
-
-    def _terms(self, poses: BodyPoses, ancestors: Ancestors) -> tuple[tuple[Any, ...], Array]:
-        """Return the arguments of `mixture_values`, and the `(n,)` nats that its values lack."""
-        place, concentrations, jump = self._rates(ancestors.elapsed)
-        decay, std = self.turn_step(ancestors.elapsed)
-        past = ancestors.poses
-        origin = past.roots.mean(axis=0)
-        here = np.concatenate([(poses.roots - origin) / place, poses.turns / std], axis=1)
-        there = np.concatenate([(past.roots - origin) / place, decay * past.turns / std], axis=1)
-        peak = (1 - jump) * _peak(concentrations).prod()
-        jumped = jump * np.exp(_log_usual(poses.arms))
-        floors = np.maximum(jumped / peak, LEAST_FLOOR).astype(np.float32)
-        body, rows = here.astype(np.float32), np.ascontiguousarray(there.T, np.float32)
-        least = np.empty(len(poses), np.float32)
-        least_squares_to_rows(body, rows, least)
-        terms = (
-            body, rows, least,
-            poses.arms.reshape(-1, 12).astype(np.float32),
-            np.ascontiguousarray(past.arms.reshape(-1, 12).T, np.float32),
-            ancestors.weights.astype(np.float32), concentrations.astype(np.float32), floors,
-        )  # fmt: skip
-        gaussian = -4 * np.log(2 * np.pi) - 2 * np.log(place) - np.log(std).sum()
-        return terms, gaussian + 2 * np.log(peak) - 0.5 * least
+        return self.prediction(ancestors).draw_ancestors(poses, random)
 
     def log_posture(self, poses: BodyPoses, dt: float = CROSSED_TIME) -> Array:
         """`(n,)` nats, at most 0: penalty of `dt` seconds with crossed hands."""
-        hands = self.body.parts(poses)[:, 1:, 0]
-        across = (hands[:, 1] - hands[:, 0]) / self.body.head_height
-        return np.asarray(-CROSSED * min(dt, CROSSED_TIME) * np.clip(across, 0, 1))
+        body, across = self.body, np.empty(len(poses))
+        lengths = np.array([body.shoulder_width / 2, body.upper_arm, body.forearm])
+        crossings(poses.torsos, poses.arms, lengths, across)
+        return np.asarray(-CROSSED * min(dt, CROSSED_TIME) * np.clip(across / body.head_height, 0, 1))
 
     def with_exchanged(self, ancestors: Ancestors, random: np.random.Generator) -> Ancestors:
         """Add a copy of each pose with exchanged hands, if that is possible; both share its weight.
@@ -255,9 +257,46 @@ class BodyDynamics:
     def _rates(self, dt: float) -> tuple[float, Array, float]:
         """Return standard deviation of the position (px), concentrations of the arms, jump probability."""
         place = self.place * self.body.head_height * float(np.sqrt(dt))
-        concentrations = _concentrations(self.upper_arm, self.forearm, dt)
+        concentrations = arm_concentrations(self.upper_arm, self.forearm, dt)
         jump = min(float(-np.expm1(-self.jumps * dt)), MOST_JUMPS)
         return place, concentrations, jump
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Mixture of p(x | ancestor) over weighted ancestors."""
+
+    dynamics: BodyDynamics
+    ancestors: Ancestors
+    origin: Array  # `(2,)` px: of the roots below
+    log_peak: float  # nats: of the density of a pose whose arms have not jumped
+    # of the k ancestors, as of `mixture_values`
+    rows: NDArray[np.float32]
+    arms: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    concentrations: NDArray[np.float32]
+
+    def log_density(self, poses: BodyPoses) -> Array:
+        """`(n,)` nats, as `BodyDynamics.log_density`."""
+        terms, least = self._terms(poses)
+        values = np.empty(len(poses), np.float32)
+        mixture_values(*terms, values)
+        posture = self.dynamics.log_posture(poses, self.ancestors.elapsed)
+        log_values = np.log(values.astype(np.float64)) - 0.5 * least.astype(np.float64)
+        return np.asarray(self.log_peak - RAISED + log_values + posture)
+
+    def draw_ancestors(self, poses: BodyPoses, random: np.random.Generator) -> NDArray[np.int64]:
+        """`(n,)` indices, as `BodyDynamics.draw_ancestors`."""
+        chosen = np.empty(len(poses), np.int64)
+        draw_terms(*self._terms(poses)[0], random.random(len(poses)), chosen)
+        return chosen
+
+    def _terms(self, poses: BodyPoses) -> tuple[tuple[Any, ...], NDArray[np.float32]]:
+        """Return the arguments of `mixture_values`, and the least squared distances `(n,)`."""
+        body, arms, floors = self.dynamics._scaled(poses, self.ancestors.elapsed, self.origin, past=False)
+        least = np.empty(len(poses), np.float32)
+        least_squares_to_rows(body, self.rows, least)
+        return (body, self.rows, least, arms, self.arms, self.weights, self.concentrations, floors), least
 
 
 def concentration(elapsed: Array) -> Array:
@@ -274,8 +313,8 @@ def concentration(elapsed: Array) -> Array:
     return np.asarray(kappa)
 
 
-@lru_cache(maxsize=64)
-def _concentrations(upper_arm: float, forearm: float, dt: float) -> Array:
+@lru_cache(maxsize=256)
+def arm_concentrations(upper_arm: float, forearm: float, dt: float) -> Array:
     """`(2,)` of both segments after `dt` s; cached, since films have few different steps."""
     concentrations = concentration(np.array([upper_arm, forearm]) ** 2 * dt)
     concentrations.flags.writeable = False
@@ -318,3 +357,7 @@ def draw_any_directions(shape: tuple[int, ...], random: np.random.Generator) -> 
     drawn = random.standard_normal((*shape, 3))
     drawn /= np.sqrt(np.einsum("...x,...x->...", drawn, drawn))[..., None]
     return drawn
+
+
+USUAL_ARM = np.array([*USUAL_UPPER_ARMS[0], USUAL, float(np.log(_peak(USUAL)) - np.log(SPHERE))])
+"""The same density as of a left arm, for compiled loops."""

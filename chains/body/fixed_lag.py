@@ -26,9 +26,10 @@ from ...models.body.upper_body import BodyPoses
 from ...models.core.checks import CountFrom0, at_least, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
-from .dynamics import Ancestors, BodyDynamics, concentration, draw_directions
+from .dynamics import Ancestors, BodyDynamics, Prediction, arm_concentrations
 from .flesh_state import FleshTracks
 from .hand_labelling import NO_EVIDENCE, ExchangeEvidence, Labelling, exchange_evidence, label_hands
+from .kernels import choose_arms, chosen_arms
 from .likelihood import BodyLikelihood, ImageLikelihood, PoseLikelihood
 from .samples import LONGEST, BodySamples
 from .tempering import LogDensity, perturb
@@ -64,43 +65,43 @@ class ArmProposal:
     @classmethod
     def of(cls, dynamics: BodyDynamics, elapsed: float, centres: Array, near: Array) -> "ArmProposal":
         """Return the proposal of arms `elapsed` s before `near`."""
-        rates = np.array([dynamics.upper_arm, dynamics.forearm]) ** 2 * elapsed
-        walk = _log_kernels(near, centres, concentration(rates))
+        upper, fore = dynamics.upper_arm, dynamics.forearm
+        walk = _log_kernels(near, centres, arm_concentrations(upper, fore, elapsed))
         shares = np.exp(np.maximum(walk - walk.max(axis=1, keepdims=True), -20.0))
         shares /= shares.sum(axis=1, keepdims=True)
-        scaled = concentration(SCALES[:, None] ** 2 * rates)
-        return cls(centres, near, shares, concentration(BREADTH**2 * rates), scaled)
+        about = arm_concentrations(BREADTH * upper, BREADTH * fore, elapsed)
+        scaled = np.array([arm_concentrations(scale * upper, scale * fore, elapsed) for scale in SCALES])
+        return cls(centres, np.ascontiguousarray(near), shares, about, scaled)
 
     def draw(self, random: np.random.Generator) -> Array:
         """Draw `(n, 2, 3)`: one arm for each of the next frame."""
-        n = len(self.near)
-        ends = np.cumsum(self.shares, axis=1)
-        chosen = (random.random((n, 1)) * ends[:, -1:] >= ends[:, :-1]).sum(axis=1)
-        follows = random.random(n) < NEXT
-        middles = np.where(follows[:, None, None], self.near, self.centres[chosen])
-        kappas = np.where(
-            follows[:, None], self.scaled[random.integers(len(SCALES), size=n)], self.concentrations
-        )
-        arms = [draw_directions(middles[:, part], kappas[:, part], random) for part in (0, 1)]
-        return np.stack(arms, axis=1)
+        drawn, n = np.empty_like(self.near), len(self.near)
+        choose_arms(
+            self.shares, random.random(n), self.near, self.centres, random.random(n) < NEXT,
+            random.integers(len(SCALES), size=n), self.scaled, self.concentrations, random.random((n, 4)),
+            drawn,
+        )  # fmt: skip
+        return drawn
 
     def log_density(self, arms: Array) -> Array:
         """`(n,)` nats, of one arm for each of the next frame."""
-        about = (self.shares * np.exp(_log_kernels(arms, self.centres, self.concentrations))).sum(axis=1)
-        cosines = (arms * self.near).sum(axis=2) - 1
-        near = np.einsum("nk,k->n", np.exp(cosines @ self.scaled.T), self._peaks) / len(self.scaled)
-        return np.asarray(np.log(NEXT * near + (1 - NEXT) * about + LEAST_DENSITY))
+        values = np.empty(len(arms))
+        chosen_arms(
+            np.ascontiguousarray(arms), self.shares, self.near, self.centres, self.scaled,
+            self.concentrations, self._peaks, NEXT, LEAST_DENSITY, values,
+        )  # fmt: skip
+        return values
 
     @cached_property
     def _peaks(self) -> Array:
-        """`(4,)`: of the densities about the next frame's."""
-        return _peak(self.scaled)
+        """`(5,)`: of the densities about the next frame's, and about the filter's."""
+        return _peak(np.vstack([self.scaled, self.concentrations]))
 
 
 def move_between(
     dynamics: BodyDynamics,
     poses: BodyPoses,
-    past: Ancestors,
+    past: Prediction,
     samples: BodySamples,
     later: BodyPoses,
     elapsed: float,
@@ -112,13 +113,14 @@ def move_between(
 
     Half of the moves are of whole arms, half are those of `perturb`.
 
-    `poses`: n of them; `past`: of the frame before; `samples`: the filter's, of this frame; `later`: n poses
-    of the next frame, `elapsed` s later; `log_likelihood`: of this frame's image; `moves`: of every pose.
+    `poses`: n of them; `past`: from the frame before; `samples`: the filter's, of this frame; `later`: n
+    poses of the next frame, `elapsed` s later; `log_likelihood`: of this frame's image; `moves`: of every
+    pose.
     """
     n = len(poses)
 
     def log_target(tried: BodyPoses) -> Array:
-        total = dynamics.log_density(tried, past) + dynamics.log_step(later, tried, elapsed)
+        total = past.log_density(tried) + dynamics.log_step(later, tried, elapsed)
         allowed = np.flatnonzero(dynamics.body.allowed(tried))
         if len(allowed):
             total[allowed] += log_likelihood(tried.take(allowed))
@@ -126,8 +128,8 @@ def move_between(
         possible[allowed] = total[allowed]
         return possible
 
-    centres = samples.poses.arms[systematic(samples.log_weights, CENTRES, random)]
-    proposals = [ArmProposal.of(dynamics, elapsed, centres[:, side], later.arms[:, side]) for side in (0, 1)]
+    centres = samples.poses.arms[systematic(samples.log_weights, CENTRES, random)].swapaxes(0, 1).copy()
+    proposals = [ArmProposal.of(dynamics, elapsed, centres[side], later.arms[:, side]) for side in (0, 1)]
     value = np.maximum(log_target(poses), IMPOSSIBLE)
     for move in range(moves):
         if move % 2:
@@ -153,7 +155,7 @@ def _propose_arms(
         changes = which != 1 - side
         arms[changes, side] = drawn[changes]
         correction[changes] += ratio[changes]
-    return replace(poses, arms=arms), correction
+    return BodyPoses.made((*poses.arrays[:3], arms)), correction
 
 
 def _log_kernels(arms: Array, centres: Array, concentrations: Array) -> Array:
@@ -339,9 +341,9 @@ class FixedLag:
         for index in range(newest, first - 1, -1):
             cloud, later, elapsed = clouds[index], poses, 0.0
             if past is not None:
-                poses = past.poses.take(self.dynamics.draw_ancestors(later, past, random))
-                elapsed = past.elapsed
-            past = clouds[index - 1].ancestors(cloud.time) if index else None
+                poses = past.ancestors.poses.take(past.draw_ancestors(later, random))
+                elapsed = past.ancestors.elapsed
+            past = self.dynamics.prediction(clouds[index - 1].ancestors(cloud.time)) if index else None
             likelihood = self._likelihoods.get(cloud.number)
             if index < newest and past is not None and likelihood is not None:
                 moves = MOVES if index < stop else MOVES_AHEAD

@@ -13,7 +13,7 @@ each frame, Viterbi's algorithm the best sequence (Rabiner, "A tutorial on hidde
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from ...inference.smc import log_sum, systematic
 from ...models.body.upper_body import (
     ANGLES,
     JOINTS,
+    REFERENCE,
     BodyPoses,
     UpperBody,
     arm_at,
@@ -32,7 +33,8 @@ from ...models.body.upper_body import (
 from ...models.core.short_repr import short_repr
 from ...models.numerics.rotations import logarithm
 from .dynamics import BodyDynamics
-from .proposals import half_range
+from .kernels import redraw_arms
+from .proposals import LEAST_DEPTH
 from .samples import BodySamples, weighted_moments
 from .tempering import LogDensity
 
@@ -132,16 +134,15 @@ def exchange_evidence(
     ]  # of different poses: uncertain hands are apart
     squares = np.square(hands[:PAIRS, 0] - hands[PAIRS:, 1]).sum(axis=1)
     near = float((squares < (NEAR * body.hand) ** 2).mean())
-    few = some.take(random.permutation(2 * PAIRS)[:POSES].repeat(ARMS))
+    few = some.take(random.permutation(2 * PAIRS)[:POSES])
     own, other = (_draw_arms(body, few, swap, random) for swap in (False, True))
     # trajectories go through these: hands keep their depths if they can
-    poses = _draw_arms(body, few, True, random, deep=True) or other
-    if log_likelihood is None or not (len(own) or len(other)):
+    poses = _first(_draw_arms(body, few, True, random, deep=True), COMPARED) or _first(other, COMPARED)
+    if log_likelihood is None or not (len(own[1]) or len(other[1])):
         return ExchangeEvidence(0.0, near), poses.take(slice(PAIRS))
-    compared = min(len(own), len(other), COMPARED) or COMPARED
+    compared = min(len(own[1]), len(other[1]), COMPARED) or COMPARED
     kept, exchanged = (_log_mean(each, compared, log_likelihood) for each in (own, other))
     if len(poses):
-        poses = poses.take(slice(COMPARED))
         poses = poses.take(systematic(log_likelihood(poses), PAIRS, random))
     if np.isneginf([kept, exchanged]).all():
         return ExchangeEvidence(0.0, near), poses
@@ -199,28 +200,36 @@ def _keep_sure(exchanged: Mask, probabilities: Array) -> Mask:
     return np.asarray(exchanged & np.isin(stretches, certain))
 
 
+Draws = tuple[BodyPoses, NDArray[np.intp]]  # and which of them are possible, in random order
+
+
 def _draw_arms(
     body: UpperBody, poses: BodyPoses, swap: bool, random: np.random.Generator, *, deep: bool = False
-) -> BodyPoses:
-    """Draw elbows, and depths unless `deep`, with hands in place or swapped; return possible poses."""
-    n, joints = len(poses), body.joints(poses)
-    arms, within = np.empty_like(poses.arms), np.ones(n, np.bool_)
-    for side in (0, 1):
-        offsets = joints[:, 4 + 3 * (1 - side if swap else side)] - joints[:, 2 + 3 * side]
-        if not deep:
-            offsets[:, 2] = half_range(body, offsets) * random.uniform(-1, 1, n)
-        arms[:, side], reached = arm_at(body, side, offsets, random.uniform(-np.pi, np.pi, n))
-        within &= reached
-    posed = replace(poses, arms=arms)
-    return posed.take(random.permutation(np.flatnonzero(within & body.allowed(posed))))
+) -> Draws:
+    """Draw elbows, and depths unless `deep`, `ARMS` times for each pose, with hands in place or swapped."""
+    rows = np.arange(len(poses)).repeat(ARMS)
+    arms, possible = np.empty((len(rows), 2, 2, 3)), np.empty(len(rows), np.bool_)
+    evens = random.uniform(-1, 1, (len(rows), 4))
+    redraw_arms(
+        rows, body.joints(poses), poses.torsos, poses.necks, swap, deep, evens, REFERENCE, LEAST_DEPTH,
+        *body.limits, arms, possible,
+    )  # fmt: skip
+    drawn = BodyPoses.made((*(each.take(rows, 0) for each in poses.arrays[:3]), arms))
+    return drawn, random.permutation(np.flatnonzero(possible))
 
 
-def _log_mean(poses: BodyPoses, n: int, log_likelihood: LogDensity) -> float:
+def _first(draws: Draws, n: int) -> BodyPoses:
+    """Return the first of the possible poses."""
+    return draws[0].take(draws[1][:n])
+
+
+def _log_mean(draws: Draws, n: int, log_likelihood: LogDensity) -> float:
     """Estimate the log of the mean likelihood over all draws from `n` of the possible poses."""
-    if not len(poses):
+    possible = len(draws[1])
+    if not possible:
         return -np.inf
-    few = poses.take(slice(n))
-    return log_sum(log_likelihood(few)) + float(np.log(len(poses) / (POSES * ARMS * len(few))))
+    few = _first(draws, n)
+    return log_sum(log_likelihood(few)) + float(np.log(possible / (len(draws[0]) * len(few))))
 
 
 Row = Mapping[str, NDArray[Any]]

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.body.kernels import rotation
-from ...models.numerics.compiled import compiled, exponential, helper, logarithm
+from ...models.body.kernels import arm_to, elbow_of, is_within, leant_from, rotation
+from ...models.numerics.compiled import compiled, exponential, falling, helper, logarithm
 
 _f4 = np.float32
 
@@ -37,6 +37,92 @@ def least_squares_to_rows(points, rows, least):
         for j in range(len(squares)):
             best = min(best, squares[j])
         least[i] = best
+
+
+@helper
+def _usual(arms, k, side, usual):
+    """Log density of an arm's prior.
+
+    `usual` `(5,)`: middle of left upper arms, concentration, log of the density there.
+    """
+    away = (1.0 - 2.0 * side) * usual[0] * arms[k, side, 0, 0]
+    away += usual[1] * arms[k, side, 0, 1] + usual[2] * arms[k, side, 0, 2] - 1.0
+    return usual[3] * away + usual[4]
+
+
+@compiled
+def arm_steps(arms, before, concentrations, heights, usual, out):
+    """Write the log densities `(n, 2)` of arms `(n, 2, 2, 3)` given those `before`.
+
+    `concentrations` `(2,)` of upper arms and forearms; `heights` `(3,)`: density of an arm that has not
+    jumped, at its peak; probability of a jump; least exponent; `usual` `(5,)` as of `_usual`.
+    """
+    for k in range(len(arms)):
+        for side in range(2):
+            turned = 0.0
+            for part in range(2):
+                cosine = arms[k, side, part, 0] * before[k, side, part, 0]
+                cosine += arms[k, side, part, 1] * before[k, side, part, 1]
+                cosine += arms[k, side, part, 2] * before[k, side, part, 2]
+                turned += concentrations[part] * (cosine - 1.0)
+            jumped = heights[1] * np.exp(_usual(arms, k, side, usual))
+            out[k, side] = np.log(heights[0] * np.exp(max(turned, heights[2])) + jumped)
+
+
+@compiled
+def crossings(torsos, arms, lengths, out):
+    """Write by how many px the hands are crossed into `out` `(n,)`; `lengths` `(3,)` as of `move_blocks`."""
+    for k in range(len(torsos)):
+        right, _, _ = rotation(torsos[k, 0], torsos[k, 1], torsos[k, 2])
+        across = lengths[1] * (arms[k, 1, 0, 0] - arms[k, 0, 0, 0])
+        across += lengths[2] * (arms[k, 1, 1, 0] - arms[k, 0, 1, 0])
+        out[k] = across - 2.0 * lengths[0] * right[0]
+
+
+@compiled
+def squared_steps(roots, torsos, necks, old_roots, old_torsos, old_necks, place, decay, stds, out):
+    """Write the squared steps `(n,)` from old positions and turns, in standard deviations.
+
+    `place` px of the position; `decay`, `stds` `(6,)` of the turns: as of `BodyDynamics.turn_step`.
+    """
+    for k in range(len(roots)):
+        right, down = roots[k, 0] - old_roots[k, 0], roots[k, 1] - old_roots[k, 1]
+        total = (right * right + down * down) / (place * place)
+        for axis in range(3):
+            torso = (torsos[k, axis] - decay[axis] * old_torsos[k, axis]) / stds[axis]
+            neck = (necks[k, axis] - decay[3 + axis] * old_necks[k, axis]) / stds[3 + axis]
+            total += torso * torso + neck * neck
+        out[k] = total
+
+
+@compiled
+def scaled_poses(
+    roots, torsos, necks, arms, origin, stds, decay, peak, jump, least, usual, body, row, floors
+):
+    """Write what `mixture_values` takes: `body` `(n, 8)`, `row` `(n, 12)`, `floors` `(n, 2)`; float32.
+
+    `origin` `(2,)` px; `stds` `(7,)`: of the position and of the turns, by which they are divided; `decay`
+    `(6,)`: factor of the turns; `peak`, `jump`: density of an arm that has not jumped, at its peak, and
+    probability of a jump; `least` floor; `usual` as of `_usual`.
+    """
+    for k in range(len(roots)):
+        for axis in range(2):
+            body[k, axis] = _f4((roots[k, axis] - origin[axis]) / stds[0])
+        for axis in range(3):
+            body[k, 2 + axis] = _f4(decay[axis] * torsos[k, axis] / stds[1 + axis])
+            body[k, 5 + axis] = _f4(decay[3 + axis] * necks[k, axis] / stds[4 + axis])
+        for side in range(2):
+            for part in range(2):
+                for axis in range(3):
+                    row[k, 6 * side + 3 * part + axis] = _f4(arms[k, side, part, axis])
+            floors[k, side] = _f4(max(jump * np.exp(_usual(arms, k, side, usual)) / peak, least))
+
+
+@helper
+def von_mises_fisher(concentration, share, turn):
+    """Cosine from the mean, by its inverse distribution function, and turn about it, of numbers in 0 to 1."""
+    least = np.exp(-2.0 * concentration)
+    return 1.0 + np.log(share + (1.0 - share) * least + 1e-300) / concentration, 2.0 * np.pi * turn
 
 
 RAISED = 40.0  # nats by which sums over ancestors are raised: subnormal products would take six times as long
@@ -195,8 +281,8 @@ def guided_values(hands, chosen, walks, completions, sides, means, precisions, h
         for i in range(n):
             x, y = xs[side, i] - x0, ys[side, i] - y0
             square = xx * x * x + 2 * xy * x * y + yy * y * y
-            if square < limits[i]:
-                totals[i] += gains[side, i] * heights[k] * closeness[k, chosen[i]] * np.exp(-0.5 * square)
+            near = falling(-0.5 * square) if square < limits[i] else 0.0
+            totals[i] += gains[side, i] * heights[k] * closeness[k, chosen[i]] * near
     for i in range(n):
         values[i] = 0.5 * limits[i] - 45.0 + np.log(totals[i]) + walks[i, 0] + walks[i, 1]
 
@@ -255,6 +341,218 @@ def cut(points, narrow, rounds, variances, numbers):
             if numbers[i] == widest and points[i, axis] > middle:
                 numbers[i] = count
         _spread(points, numbers, widest, variances[widest])
+
+
+@compiled
+def redraw_arms(
+    rows,
+    joints,
+    torsos,
+    necks,
+    swap,
+    deep,
+    evens,
+    reference,
+    least,
+    half,
+    upper,
+    fore,
+    limits,
+    torso,
+    arms,
+    possible,
+):
+    """Write `arms` `(n, 2, 2, 3)` with the hands of some poses, and whether they are `possible` `(n,)`.
+
+    `rows` `(n,)` of the poses; `joints` `(k, 8, 3)` px, `torsos`, `necks` of these; `swap`: whether hands
+    change places in the image; `deep`: whether they keep their depths; `evens` `(n, 4)`: numbers from -1 to 1
+    that choose swivels and depths, of which the range is `least` px at least; `reference` as of `arm_to`, the
+    rest as of `within_limits`.
+    """  # fmt: skip
+    for i in range(len(rows)):
+        k, reachable = rows[i], True
+        for side in range(2):
+            hand, shoulder = 4 + 3 * (1 - side if swap else side), 2 + 3 * side
+            x, y = joints[k, hand, 0] - joints[k, shoulder, 0], joints[k, hand, 1] - joints[k, shoulder, 1]
+            z = joints[k, hand, 2] - joints[k, shoulder, 2]
+            if not deep:
+                square = (upper + fore) * (upper + fore) - x * x - y * y
+                z = np.sqrt(max(square, least * least)) * evens[i, side]
+            ux, uy, uz, fx, fy, fz, there = arm_to(
+                x, y, z, np.pi * evens[i, 2 + side], upper, fore, 1.0 - 2.0 * side, reference
+            )
+            arms[i, side, 0, 0], arms[i, side, 0, 1], arms[i, side, 0, 2] = ux, uy, uz
+            arms[i, side, 1, 0], arms[i, side, 1, 1], arms[i, side, 1, 2] = fx, fy, fz
+            reachable &= there
+        possible[i] = reachable and is_within(torsos, necks, k, arms, i, half, upper, fore, limits, torso)
+
+
+@compiled
+def walk(roots, torsos, necks, arms, normals, evens, place, decay, stds, concentrations):
+    """Move poses, in place, by one step of a random walk.
+
+    `normals`, `evens` `(n, 8)`: random numbers, standard normal ones, and from 0 to 1; `place` px: standard
+    deviation of the position; `decay`, `stds` `(6,)` of the turns; `concentrations` `(2,)` of upper arms and
+    forearms.
+    """
+    for k in range(len(roots)):
+        for axis in range(2):
+            roots[k, axis] += place * normals[k, axis]
+        for axis in range(3):
+            torsos[k, axis] = decay[axis] * torsos[k, axis] + stds[axis] * normals[k, 2 + axis]
+            necks[k, axis] = decay[3 + axis] * necks[k, axis] + stds[3 + axis] * normals[k, 5 + axis]
+        for side in range(2):
+            for part in range(2):
+                column = 4 * side + 2 * part
+                x, y, z = arms[k, side, part, 0], arms[k, side, part, 1], arms[k, side, part, 2]
+                cosine, turn = von_mises_fisher(concentrations[part], evens[k, column], evens[k, column + 1])
+                x, y, z = leant_from(x, y, z, cosine, turn)
+                arms[k, side, part, 0], arms[k, side, part, 1], arms[k, side, part, 2] = x, y, z
+
+
+@compiled
+def completion_terms(
+    joints, arms, chosen, depths, swivels, step, concentration, anywhere, lengths, least, reference, out
+):
+    """Write log densities `(n, 2)` of arms, over directions, that were completed given the hands' places.
+
+    `joints` `(n, 8, 3)` px; `arms` as in `BodyPoses`; `chosen` `(n,)`: ancestors, of which `depths`,
+    `swivels` `(k, 2)` are those of the hands, px, and of the elbows, rad; `step` px, `concentration` about
+    these; `anywhere`: share that ignores them; `lengths` `(2,)` px of upper arm and forearm; `least` px: half
+    the range of a depth; `reference` as of `arm_to`.
+    """
+    upper, fore = lengths[0], lengths[1]
+    # of the Gaussian, and of von Mises' density with its peak as 1
+    normal = np.sqrt(2.0 * np.pi) * step * concentration[1]
+    for k in range(len(joints)):
+        for side in range(2):
+            x = joints[k, 4 + 3 * side, 0] - joints[k, 2 + 3 * side, 0]
+            y = joints[k, 4 + 3 * side, 1] - joints[k, 2 + 3 * side, 1]
+            z = joints[k, 4 + 3 * side, 2] - joints[k, 2 + 3 * side, 2]
+            ux, uy, uz = arms[k, side, 0, 0], arms[k, side, 0, 1], arms[k, side, 0, 2]
+            upright, level = elbow_of(ux, uy, uz, x, y, z, 1.0 - 2.0 * side, reference)
+            away = (z - depths[chosen[k], side]) / step
+            turned = np.cos(np.arctan2(upright, level) - swivels[chosen[k], side]) - 1.0
+            near = np.exp(concentration[0] * turned - 0.5 * away * away) / normal
+            half = np.sqrt(max((upper + fore) * (upper + fore) - x * x - y * y, least * least))
+            density = (1.0 - anywhere) * near + anywhere / (4.0 * np.pi * half)
+            square = max(x * x + y * y + z * z, 1e-300)
+            out[k, side] = np.log(density * upper * fore * np.sqrt(square))
+
+
+@compiled
+def choose_arms(shares, points, near, centres, follows, scales, scaled, about, evens, drawn):
+    """Draw arms `(n, 2, 3)` about `near` `(n, 2, 3)` where `follows` `(n,)`, else about one of the centres.
+
+    `shares` `(n, k)` of the centres `(k, 2, 3)`, with sums 1; `points` `(n,)`: numbers from 0 to 1 that
+    choose one; `scales` `(n,)`: which concentrations of `scaled` `(m, 2)` are those about `near`; `about`
+    `(2,)`: those about centres; `evens` `(n, 4)`: numbers from 0 to 1 that choose cosines and turns.
+    """
+    for k in range(len(near)):
+        centre, rest = 0, points[k]
+        while rest >= shares[k, centre] and centre < len(centres) - 1:
+            rest -= shares[k, centre]
+            centre += 1
+        for part in range(2):
+            if follows[k]:
+                x, y, z = near[k, part, 0], near[k, part, 1], near[k, part, 2]
+                kappa = scaled[scales[k], part]
+            else:
+                x, y, z = centres[centre, part, 0], centres[centre, part, 1], centres[centre, part, 2]
+                kappa = about[part]
+            cosine, turn = von_mises_fisher(kappa, evens[k, 2 * part], evens[k, 2 * part + 1])
+            x, y, z = leant_from(x, y, z, cosine, turn)
+            drawn[k, part, 0], drawn[k, part, 1], drawn[k, part, 2] = x, y, z
+
+
+@compiled
+def chosen_arms(arms, shares, near, centres, scaled, about, heights, follows, least, out):
+    """Write log densities `(n,)` of `choose_arms`.
+
+    `heights` `(m + 1,)`: peaks of the densities about `near`, and at last about centres; `follows`: share of
+    the former; `least` floor; the rest is as of `choose_arms`.
+    """
+    n_scales = len(scaled)
+    for k in range(len(arms)):
+        ux, uy, uz = arms[k, 0, 0], arms[k, 0, 1], arms[k, 0, 2]
+        fx, fy, fz = arms[k, 1, 0], arms[k, 1, 1], arms[k, 1, 2]
+        total = 0.0
+        for j in range(len(centres)):
+            upper = ux * centres[j, 0, 0] + uy * centres[j, 0, 1] + uz * centres[j, 0, 2] - 1.0
+            fore = fx * centres[j, 1, 0] + fy * centres[j, 1, 1] + fz * centres[j, 1, 2] - 1.0
+            total += shares[k, j] * np.exp(about[0] * upper + about[1] * fore)
+        total *= (1.0 - follows) * heights[n_scales]
+        upper = ux * near[k, 0, 0] + uy * near[k, 0, 1] + uz * near[k, 0, 2] - 1.0
+        fore = fx * near[k, 1, 0] + fy * near[k, 1, 1] + fz * near[k, 1, 2] - 1.0
+        for j in range(n_scales):
+            total += follows / n_scales * heights[j] * np.exp(scaled[j, 0] * upper + scaled[j, 1] * fore)
+        out[k] = np.log(total + least)
+
+
+NEVER = -1e300  # nats of what is impossible
+
+
+@compiled
+def move_blocks(
+    blocks, scales, normals, evens, rates, lengths, reference, roots, torsos, necks, arms, correction
+):
+    """Change each pose, in place, in one block of coordinates: see `tempering.BLOCKS`.
+
+    `blocks`, `scales` `(n,)` of the changes; `normals`, `evens` `(n, 5)` and `(n, 4)`: random numbers,
+    standard normal ones, and from 0 to 1; `rates` `(9,)`: standard deviations at scale 1 of the position, px,
+    of the neck, of the torso (3), of the directions of upper arms and forearms, rad, of a hand's depth, px,
+    and of a swivel, rad; `lengths` `(3,)` px: half the shoulders, upper arm, forearm; `reference` as of
+    `arm_to`; poses as in `BodyPoses`; `correction` `(n,)` written: log of the Hastings ratio.
+    """
+    half, upper, fore = lengths[0], lengths[1], lengths[2]
+    for k in range(len(blocks)):
+        block, scale = blocks[k], scales[k]
+        correction[k] = 0.0
+        if block == 0:
+            for axis in range(2):
+                roots[k, axis] += scale * rates[0] * normals[k, axis]
+            for axis in range(3):
+                necks[k, axis] += scale * rates[1] * normals[k, 2 + axis]
+        elif block <= 2:
+            for part in range(2):
+                x, y, z = (
+                    arms[k, block - 1, part, 0],
+                    arms[k, block - 1, part, 1],
+                    arms[k, block - 1, part, 2],
+                )
+                kappa = 1.0 / (scale * rates[5 + part]) ** 2
+                cosine, turn = von_mises_fisher(kappa, evens[k, 2 * part], evens[k, 2 * part + 1])
+                x, y, z = leant_from(x, y, z, cosine, turn)
+                arms[k, block - 1, part, 0], arms[k, block - 1, part, 1] = x, y
+                arms[k, block - 1, part, 2] = z
+        else:
+            leaning = block == 5
+            right, _, _ = rotation(torsos[k, 0], torsos[k, 1], torsos[k, 2])
+            if leaning:
+                for axis in range(3):
+                    torsos[k, axis] += scale * rates[2 + axis] * normals[k, axis]
+            after, _, _ = rotation(torsos[k, 0], torsos[k, 1], torsos[k, 2])
+            size = 0.0 if leaning else scale
+            for side in range(2):
+                if leaning or side == block - 3:
+                    sign = 1.0 - 2.0 * side
+                    ux, uy, uz = arms[k, side, 0, 0], arms[k, side, 0, 1], arms[k, side, 0, 2]
+                    x = upper * ux + fore * arms[k, side, 1, 0]
+                    y = upper * uy + fore * arms[k, side, 1, 1]
+                    z = upper * uz + fore * arms[k, side, 1, 2]
+                    upright, level = elbow_of(ux, uy, uz, x, y, z, sign, reference)
+                    angle = np.arctan2(upright, level) + size * rates[8] * normals[k, 0]
+                    before = x * x + y * y + z * z
+                    x += sign * half * (right[0] - after[0])
+                    y += sign * half * (right[1] - after[1])
+                    z += sign * half * (right[2] - after[2]) + size * rates[7] * normals[k, 1]
+                    ux, uy, uz, fx, fy, fz, there = arm_to(x, y, z, angle, upper, fore, sign, reference)
+                    arms[k, side, 0, 0], arms[k, side, 0, 1], arms[k, side, 0, 2] = ux, uy, uz
+                    arms[k, side, 1, 0], arms[k, side, 1, 1], arms[k, side, 1, 2] = fx, fy, fz
+                    # the ratio of volumes, as of `log_volume`
+                    tiny = 1e-300
+                    volume = 0.5 * np.log(max(before, tiny) / max(x * x + y * y + z * z, tiny))
+                    correction[k] = correction[k] + volume if there else NEVER
 
 
 NECK = 0.62  # of the way from the head's centre to the root: middle of the neck's skin
@@ -990,17 +1288,18 @@ def trace(roots, torsos, necks, arms, pose, solid, shapes, bounds, lines, least)
 
 
 @compiled
-def outline_terms(roots, torsos, necks, arms, solid, ratios, worth, directions, hidden, out):
+def outline_terms(roots, torsos, necks, arms, solid, ratios, scales, worth, directions, hidden, out):
     """Log likelihood ratios of outlines against edges, added to `out` `(n,)`.
 
     `roots`, `torsos`, `necks`, `arms`: as of `trace`. What of an outline is hidden or outside of the picture
     says nothing. `ratios` `(height, width, 3)` float32: how much more likely an edge is so near to an outline
-    than anywhere, and cosine and sine of twice the angle of that edge's normal; `worth`: number of
-    independent points that each is worth; `directions`: twice the angle scatters about the outline's by a von
-    Mises density; its concentration and I_0 of it; `hidden`: probability that a point shows no edge.
+    than anywhere, and cosine and sine of twice the angle of that edge's normal; `scales` `(2,)` are its
+    entries a px, along x and y; `worth`: number of independent points that each is worth; `directions`: twice
+    the angle scatters about the outline's by a von Mises density; its concentration and I_0 of it; `hidden`:
+    probability that a point shows no edge.
     """
     height, width = _f4(ratios.shape[0]), _f4(ratios.shape[1])
-    flat = ratios.reshape(-1)
+    across, down, flat = _f4(scales[0]), _f4(scales[1]), ratios.reshape(-1)
     kappa, none = _f4(directions[0]), _f4(hidden)
     scale = (_f4(1) - none) / _f4(directions[1])
     n_rows, tolerance = len(solid.counted), solid.tolerance
@@ -1013,7 +1312,8 @@ def outline_terms(roots, torsos, necks, arms, solid, ratios, worth, directions, 
         products[:] = _f4(1)
         for row in range(n_rows):
             for k in range(places.shape[1]):
-                x, y = np.floor(lines[row, 0, k] + _f4(0.5)), np.floor(lines[row, 1, k] + _f4(0.5))
+                x = np.floor((lines[row, 0, k] + _f4(0.5)) * across)
+                y = np.floor((lines[row, 1, k] + _f4(0.5)) * down)
                 counts = solid.counted[row, k] if least[row, k] >= lines[row, 2, k] - tolerance else _f4(0)
                 counts = counts if (x >= _f4(0)) & (y >= _f4(0)) & (x < width) & (y < height) else _f4(0)
                 places[row, k] = np.int32(y * width + x) if counts > _f4(0) else np.int32(-1)

@@ -225,11 +225,11 @@ class ImageLikelihood:
 
     def rest(self, poses: BodyPoses) -> Array:
         """`(n,)` nats of the outline's edges, up to a constant."""
-        total, solid = np.zeros(len(poses)), solid_of(self.body)
+        total, solid, scales = np.zeros(len(poses)), solid_of(self.body), _scales(self.edges, self.image)
 
         def work(first: int, end: int) -> None:
             outline_terms(
-                *(each[first:end] for each in poses.arrays), solid, self.edges,
+                *(each[first:end] for each in poses.arrays), solid, self.edges, scales,
                 EDGE_POINTS / N_POINTS, EDGE_DIRECTIONS, NO_EDGE, total[first:end],
             )  # fmt: skip
 
@@ -324,18 +324,21 @@ class ImageLikelihood:
         else:  # weighted by the probability that a blob is a hand
             places, costs = image.blobs, BLOB_COST / (1 + np.exp(-image.blob_log_weights))
         reach = body.head_height * np.array(BLOB_REACH)
-        ratios, nats = np.full((2, len(parts)), -np.inf), np.zeros((2, len(parts), 2))
-        for bare, probability in enumerate((1 - image.bare, image.bare)):
+        found = []
+        for bare, probability in ((False, 1 - image.bare), (True, image.bare)):
             if probability > 0:
-                ratio = np.full(len(parts), np.log(probability))
-                hand = hand_model(body, neck_radius, bool(bare), image.faces)
-                hand_terms(parts, roots, elbows, *skin, scales, hand, bool(bare), ratio, nats[bare])
-                unexplained_terms(joints, places, costs, reach, bool(bare), ratio)
+                ratio, nats = np.full(len(parts), np.log(probability)), np.empty((len(parts), 2))
+                hand = hand_model(body, neck_radius, bare, image.faces)
+                hand_terms(parts, roots, elbows, *skin, scales, hand, bare, ratio, nats)
+                unexplained_terms(joints, places, costs, reach, bare, ratio)
                 if bare:
                     forearm_terms(parts, roots, elbows, skin[0], scales, hand, ratio)
-                ratios[bare] = ratio
+                found.append((ratio, nats))
+        if len(found) == 1:
+            return found[0]
+        ratios, by_case = (np.array(each) for each in zip(*found, strict=True))
         total = np.asarray(np.logaddexp(*ratios))
-        return total, np.einsum("bn,bnh->nh", np.exp(ratios - total), nats)
+        return total, np.einsum("bn,bnh->nh", np.exp(ratios - total), by_case)
 
 
 def hand_model(
@@ -397,7 +400,7 @@ def _share(skin: Map, shrink: float) -> Map:
 
 def _scales(coarse: Map, image: BodyImage) -> Array:
     """`(2,)`: entries of a coarse map a px of the image, along x and y."""
-    return np.divide(coarse.shape[::-1], image.size[::-1])
+    return np.divide(coarse.shape[1::-1], image.size[::-1])
 
 
 def edge_ratios(image: BodyImage, std: float, window: float) -> Map:
@@ -407,10 +410,11 @@ def edge_ratios(image: BodyImage, std: float, window: float) -> Map:
     across its boards much. The density of directions is taken to its first harmonic.
 
     `std` px: standard deviation of edges about an outline; `window` px: standard deviation of the window of
-    the density. Returns `(height, width, 3)` float32: the ratio, cosine and sine of twice the angle of the
-    edge's normal.
+    the density. Returns `(rows, columns, 3)` float32 of the maps of edges: the ratio, cosine and sine of
+    twice the angle of the edge's normal.
     """
-    height, width = image.size
+    height, width = image.edges.shape
+    window *= height / image.size[0]
     reach = max(float(image.edges.max()), 1.0)
     levels = np.linspace(0, 1, LEVELS)
     near = np.exp(-0.5 * (levels * reach / std) ** 2)

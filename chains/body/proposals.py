@@ -18,10 +18,18 @@ from numpy.typing import NDArray
 from scipy.special import i0e, logsumexp
 
 from ...inference.smc import normalised, systematic
-from ...models.body.upper_body import PART_JOINTS, BodyPoses, UpperBody, arm_at, log_volume, swivels
+from ...models.body.upper_body import (
+    PART_JOINTS,
+    REFERENCE,
+    BodyPoses,
+    UpperBody,
+    arm_at,
+    log_volume,
+    swivels,
+)
 from ...models.core.gaussian_mixtures import GaussianMixtures
 from .dynamics import Ancestors, BodyDynamics
-from .kernels import choose, closeness_to, guided_values
+from .kernels import choose, closeness_to, completion_terms, guided_values
 from .tempering import Strata
 
 Array = NDArray[np.float64]
@@ -317,12 +325,12 @@ def _log_drawn(
     """`(n,)` nats: log density of the arms of a draw given its ancestor, up to factors that all share."""
     joints = body.joints(poses)
     completions = np.empty((len(poses), 2))
+    completion_terms(
+        joints, poses.arms, chosen, hidden.depths, hidden.swivels, hidden.step,
+        np.array([hidden.concentration, 2 * np.pi * i0e(hidden.concentration)]), ANYWHERE,
+        np.array([body.upper_arm, body.forearm]), LEAST_DEPTH, REFERENCE, completions,
+    )  # fmt: skip
     for side in (0, 1):
-        offsets = joints[:, HANDS[side]] - joints[:, HANDS[side] - 2]
-        angles = swivels(side, poses.arms[:, side], body)
-        near = hidden.log_density(chosen, side, offsets[:, 2], angles)
-        evenly = np.log(ANYWHERE / (4 * np.pi)) - np.log(half_range(body, offsets))
-        completions[:, side] = np.logaddexp(np.log1p(-ANYWHERE) + near, evenly) + log_volume(body, offsets)
         if targets.at_elbows > 0 and (targets.sides == side).any():
             elbows = targets.log_mean_density(side, joints[:, HANDS[side] - 1, :2])
             completions[:, side] = _or_through(
@@ -359,13 +367,6 @@ class _HiddenCoordinates:
         # an elbow turns about the line to the hand, from which it is about half an upper arm away
         turn = scale * 2 * dynamics.upper_arm
         return cls(joints[:, [4, 7], 2] - joints[:, [2, 5], 2], angles, float(step), 1 / turn**2)
-
-    def log_density(self, rows: NDArray[np.int64], side: int, depths: Array, angles: Array) -> Array:
-        """`(n,)` nats: log density of depths and swivels about those of the poses `rows`."""
-        away = (depths - self.depths[rows, side]) / self.step
-        turned = self.concentration * (np.cos(angles - self.swivels[rows, side]) - 1)
-        normal = np.sqrt(2 * np.pi) * self.step * 2 * np.pi * i0e(self.concentration)
-        return np.asarray(-0.5 * away**2 + turned - np.log(normal))
 
 
 def _chosen(

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.smc import log_sum, normalised, systematic
-from ...models.body.upper_body import BodyPoses, UpperBody, arm_at, log_volume, swivels
-from .dynamics import BodyDynamics, draw_directions
-from .kernels import cut
+from ...models.body.upper_body import REFERENCE, BodyPoses, UpperBody
+from .dynamics import BodyDynamics
+from .kernels import NEVER, cut, move_blocks
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -95,7 +95,9 @@ def temper(
     """Draw samples of the posterior from weighted samples of the prior, by a few steps of tempering.
 
     Each step raises the likelihood's power b towards 1, as far as enough effective samples are left;
-    resamples over all `Strata`; and applies Metropolis moves that leave prior x likelihood^b invariant.
+    resamples over all `Strata`; and applies Metropolis moves that leave prior x likelihood^b invariant. A
+    move is accepted by one term of the likelihood after the other, so that the second one is computed for
+    few (Christen and Fox, "Markov chain Monte Carlo using an approximation", 2005).
 
     `poses`, `log_weights`: m samples of the prior, with weights of sum 1; `log_prior`: of poses and the
     indices, 0 to m - 1, of the samples that they descend from: up to a constant of each index, minus infinity
@@ -103,38 +105,45 @@ def temper(
     samples of the prior for which the second term of a `StagedLikelihood` is computed, chosen by the first
     one (`preselect`); `None` for all.
     """
-    owners = np.arange(len(poses))
-    if preselected is not None and isinstance(log_likelihood, StagedLikelihood):
-        first = log_likelihood.first(poses)
-        owners, log_weights = preselect(dynamics.body, poses, log_weights, first, preselected, random)
-        poses = poses.take(owners)
-        likelihood = first[owners] + log_likelihood.rest(poses)
-    else:
-        likelihood = log_likelihood(poses)
+    owners, stages = np.arange(len(poses)), [log_likelihood]
+    if isinstance(log_likelihood, StagedLikelihood):
+        stages = [log_likelihood.first, log_likelihood.rest]
+    terms = [stages[0](poses)]
+    if preselected is not None and len(stages) > 1:
+        owners, log_weights = preselect(dynamics.body, poses, log_weights, terms[0], preselected, random)
+        poses, terms = poses.take(owners), [terms[0][owners]]
+    if len(stages) > 1:
+        _, firsts, copies = np.unique(owners, return_index=True, return_inverse=True)  # many are alike
+        terms.append(stages[1](poses.take(firsts))[copies])
     power = 0.0
     for step in range(MOST_STEPS):
         rest = 1 - power
+        likelihood = np.asarray(sum(terms))
         rise = rest if step == MOST_STEPS - 1 else _rise(log_weights, likelihood, rest)
         power += rise
         log_weights = log_weights + rise * likelihood
         total = log_sum(log_weights)
         choice = Strata.of(dynamics.body, poses).balanced(log_weights)
         chosen = systematic(choice, n, random)
-        poses, likelihood, owners = poses.take(chosen), likelihood[chosen], owners[chosen]
+        poses, terms, owners = poses.take(chosen), [term[chosen] for term in terms], owners[chosen]
         log_weights = normalised(log_weights[chosen] - choice[chosen]) + total
         prior = log_prior(poses, owners)
         for _ in range(MOVES):
             moved, correction = perturb(dynamics, poses, random)
             new_prior = log_prior(moved, owners)
             gain = new_prior - prior + correction
-            thresholds = np.log(random.random(n))
             rows = np.flatnonzero(np.isfinite(gain))
-            moved = moved.take(rows)
-            new = log_likelihood(moved)
-            takes = thresholds[rows] < gain[rows] + power * (new - likelihood[rows])
-            rows = rows[takes]
-            poses = poses.with_rows(rows, moved.take(takes))
-            likelihood[rows], prior[rows] = new[takes], new_prior[rows]
+            gain, moved, new = gain[rows], moved.take(rows), []
+            for stage, old in zip(stages, terms, strict=True):
+                new.append(stage(moved))
+                gain = gain + power * (new[-1] - old[rows])
+                takes = np.flatnonzero(np.log(random.random(len(rows))) < gain)
+                rows, moved, new = rows[takes], moved.take(takes), [each[takes] for each in new]
+                gain = np.zeros(len(rows))
+            poses = poses.with_rows(rows, moved)
+            prior[rows] = new_prior[rows]
+            for old, of_rows in zip(terms, new, strict=True):
+                old[rows] = of_rows
         if power >= 1:
             break
     return Tempered(poses, normalised(log_weights), log_sum(log_weights))
@@ -181,33 +190,20 @@ def _rise(log_weights: Array, likelihood: Array, most: float) -> float:
 def perturb(dynamics: BodyDynamics, poses: BodyPoses, random: np.random.Generator) -> tuple[BodyPoses, Array]:
     """Propose a change of each pose in one of the `BLOCKS`, with the log of its Hastings ratio `(n,)`."""
     n, body = len(poses), dynamics.body
-    block = random.integers(BLOCKS, size=n)
-    scale = np.array(SCALES)[random.integers(len(SCALES), size=n)]
-    pace = np.sqrt(MOVE_TIME)
-    roots, torsos, necks, arms = (each.copy() for each in poses.arrays)
-    correction = np.zeros(n)
-    whole = np.flatnonzero(block == 0)
-    size = scale[whole, None]
-    roots[whole] += size * dynamics.place * body.head_height * pace * random.standard_normal((len(whole), 2))
-    necks[whole] += size * dynamics.neck * pace * random.standard_normal((len(whole), 3))
-    leaning = np.flatnonzero(block == 5)
-    steps = dynamics.turn_stds[:3] * random.standard_normal((len(leaning), 3))
-    torsos[leaning] += scale[leaning, None] * pace * steps
-    shifts = body.shoulders(poses) - body.shoulders(BodyPoses(roots, torsos, necks, arms))
-    for side in (0, 1):
-        free = np.flatnonzero(block == 1 + side)
-        for part, rate in enumerate((dynamics.upper_arm, dynamics.forearm)):
-            std = scale[free] * rate * pace
-            arms[free, side, part] = draw_directions(arms[free, side, part], 1 / std**2, random)
-        kept = np.flatnonzero((block == 3 + side) | (block == 5))
-        size = np.where(block[kept] == 5, 0.0, scale[kept] * pace)
-        offsets = body.upper_arm * arms[kept, side, 0] + body.forearm * arms[kept, side, 1]
-        angles = swivels(side, arms[kept, side], body)
-        angles = angles + 2 * dynamics.upper_arm * size * random.standard_normal(len(kept))
-        before = log_volume(body, offsets)
-        reach = np.hypot(body.upper_arm * dynamics.upper_arm, body.forearm * dynamics.forearm)
-        offsets += shifts[kept, side]
-        offsets[:, 2] += reach * size * random.standard_normal(len(kept))
-        arms[kept, side], within = arm_at(body, side, offsets, angles)
-        correction[kept] += np.where(within, before - log_volume(body, offsets), -np.inf)
-    return BodyPoses(roots, torsos, necks, arms), correction
+    changed = BodyPoses.made(each.copy() for each in poses.arrays)
+    reach = np.hypot(body.upper_arm * dynamics.upper_arm, body.forearm * dynamics.forearm)
+    rates = np.array(
+        [
+            dynamics.place * body.head_height, dynamics.neck, *dynamics.turn_stds[:3],
+            dynamics.upper_arm, dynamics.forearm, reach, 2 * dynamics.upper_arm,
+        ]
+    )  # fmt: skip
+    correction = np.empty(n)
+    move_blocks(
+        random.integers(BLOCKS, size=n), np.array(SCALES)[random.integers(len(SCALES), size=n)],
+        random.standard_normal((n, 5)), random.random((n, 4)), np.sqrt(MOVE_TIME) * rates,
+        np.array([body.shoulder_width / 2, body.upper_arm, body.forearm]), REFERENCE,
+        *changed.arrays, correction,
+    )  # fmt: skip
+    correction[correction <= NEVER] = -np.inf
+    return changed, correction

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.checks import Shape
+from ..core.checks import Shape, SizesOf
 from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.pictures import grey_of
 from ..core.short_repr import short_repr
@@ -158,6 +158,7 @@ def _centres(weights: Array, steps: NDArray[np.int64]) -> Array:
     return np.asarray(sums / total[:, None], np.float64)
 
 
+REACH = 8.0  # entries of the maps of edges: bound of distances to them, at least
 BLUR = 1.2  # px: of the image before edge detection
 
 STEEPEST, OVER_MEDIAN, LEAST, WEAK = 0.9, 3.5, 12.0, 0.4
@@ -171,13 +172,14 @@ stays below twice its median, and soft shades go by steps of one level."""
 class BodyImage:
     """Features of an image that poses of a body are compared with."""
 
+    size: Annotated[tuple[int, int], SizesOf("height", "width")]  # px
     # nats, from -4 to 4: log odds of skin; `None` without colour
     skin: OfPixels | None
     moving_skin: OfPixels | None  # the same less the static skin: for hands
     # px: distance to the nearest edge, capped at a sixth of the head's height
-    edges: OfPixels
+    edges: Annotated[NDArray[np.float32], Shape("rows", "columns")]
     # rad, between 0 and pi: the normal of the nearest edge, as angle from x to y
-    edge_directions: OfPixels
+    edge_directions: Annotated[NDArray[np.float32], Shape("rows", "columns")]
     blobs: Annotated[NDArray[np.float64], Shape("m", 2)]  # px: centres of `SkinBlobs`
     # log odds of a hand against clutter, up to a constant
     blob_log_weights: Annotated[NDArray[np.float64], Shape("m")]
@@ -197,12 +199,6 @@ class BodyImage:
         made: Made = self._made[key]
         return made
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """Height and width, px."""
-        height, width = self.edges.shape
-        return height, width
-
 
 def edge_distances(image: NDArray[np.uint8], reach: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return distance and direction of the nearest edge.
@@ -210,25 +206,28 @@ def edge_distances(image: NDArray[np.uint8], reach: float) -> tuple[NDArray[np.f
     The threshold depends on the image's own gradients: dim and soft images have edges, too.
 
     `image` `(height, width)` or `(height, width, 3)` BGR; `reach` px: cap of the distances. Returns
-    `distances`, `directions`, both `(height, width)` float32: px; rad from 0 to pi, the angle from x to y of
-    the edge's normal (the gradient's). Without any edge, the cap and 0.
+    `distances`, `directions`, both `(rows, columns)` float32: px; rad from 0 to pi, the angle from x to y of
+    the edge's normal (the gradient's). Without any edge, the cap and 0. These maps have an entry a px, or so
+    few that the reach is `REACH` entries at least.
     """
     smooth = cv2.GaussianBlur(grey_of(image), (0, 0), BLUR)
     right, down = (cv2.Sobel(smooth, cv2.CV_16S, *order, ksize=3) for order in ((1, 0), (0, 1)))
     some = np.hypot(right[::3, ::3].astype(np.float32), down[::3, ::3].astype(np.float32))
     steep = max(float(np.quantile(some, STEEPEST)), OVER_MEDIAN * float(np.median(some)), LEAST)
     edges = cv2.Canny(right, down, _off_ties(WEAK * steep), _off_ties(steep), L2gradient=True)
-    if not edges.any():
-        return np.full(edges.shape, reach, np.float32), np.zeros(edges.shape, np.float32)
-    distances, nearest = cv2.distanceTransformWithLabels(
-        cv2.bitwise_not(edges), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    places, step = np.nonzero(edges), max(int(reach / REACH), 1)
+    free = np.full([max(length // step, 1) for length in edges.shape], 255, np.uint8)
+    if not len(places[0]):
+        return np.full(free.shape, reach, np.float32), np.zeros(free.shape, np.float32)
+    rows, columns = (
+        place * some // every for place, some, every in zip(places, free.shape, edges.shape, strict=True)
     )
-    rows, columns = np.nonzero(edges)
+    free[rows, columns] = 0
+    distances, nearest = cv2.distanceTransformWithLabels(free, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     angles = np.zeros(len(rows) + 1, np.float32)
     # in float64: the angle of float32 differs between CPUs
-    normals = np.arctan2(down[rows, columns], right[rows, columns], dtype=np.float64)
-    angles[nearest[rows, columns]] = normals % np.pi
-    return np.minimum(distances, np.float32(reach)), angles[nearest]
+    angles[nearest[rows, columns]] = np.arctan2(down[places], right[places], dtype=np.float64) % np.pi
+    return np.minimum(np.float32(step) * distances, np.float32(reach)), angles[nearest]
 
 
 def _off_ties(threshold: float) -> float:

@@ -108,6 +108,48 @@ def _in_torso(x, y, z, torso):
     return (abs(x) < 0.4 * width) & (y > 0.0) & (y < torso[2]) & (z > -torso[3])
 
 
+@helper
+def is_within(torsos, necks, k, arms, row, half, upper, fore, limits, torso):
+    """Whether pose k with the arms of a row is within the limits; parameters as of `within_limits`."""
+    cx, cy, cz, cone = limits[2], limits[3], limits[4], limits[5]
+    middle_sine, middle_cosine = _sine_cosine(limits[6])
+    _, edge = _sine_cosine(limits[7])
+    folded, straight = limits[8], limits[9]
+    x, y, z = torsos[k, 0], torsos[k, 1], torsos[k, 2]
+    axes = rotation(x, y, z)
+    right, down, away = rotation(necks[k, 0], necks[k, 1], necks[k, 2])
+    trace = (
+        axes[0][0] * right[0] + axes[0][1] * right[1] + axes[0][2] * right[2]
+        + axes[1][0] * down[0] + axes[1][1] * down[1] + axes[1][2] * down[2]
+        + axes[2][0] * away[0] + axes[2][1] * away[1] + axes[2][2] * away[2]
+    )  # fmt: skip
+    # of a rotation the trace is 1 and twice the cosine
+    good = (x * x + y * y + z * z <= limits[0] * limits[0]) & (0.5 * (trace - 1.0) >= limits[1])
+    for side in range(2):
+        sign = 1.0 - 2.0 * side
+        ux, uy, uz = _along(axes, arms[row, side, 0, 0], arms[row, side, 0, 1], arms[row, side, 0, 2])
+        fx, fy, fz = _along(axes, arms[row, side, 1, 0], arms[row, side, 1, 1], arms[row, side, 1, 2])
+        bend = ux * fx + uy * fy + uz * fz
+        good &= (sign * ux * cx + uy * cy + uz * cz >= cone) & (bend >= folded)
+        x, y, z = sign * half + upper * ux, upper * uy, upper * uz
+        good &= not _in_torso(x, y, z, torso)
+        good &= not _in_torso(x + fore * fx, y + fore * fy, z + fore * fz, torso)
+        # the turn about the arm that `transport` leaves out; 1 / (1 + y) loses its digits near the top
+        square = ux * ux + uz * uz
+        over = (square < 1e-28) & (uy < 0.0)
+        shrink = (1.0 - uy) / max(square, 1e-28) if uy < 0.0 else 1.0 / (1.0 + uy)
+        shrink = 0.0 if over else shrink
+        ax, ay, az = fy * uz - fz * uy, fz * ux - fx * uz, fx * uy - fy * ux
+        shared = shrink * (ux * ax + uz * az) + ay
+        first, third = ax - ux * shared, az - uz * shared
+        sine = sign * (third if over else -third)
+        # an angle is within a range if its cosine from the middle is that of the end or more
+        near = first * middle_cosine + sine * middle_sine
+        within = near >= edge * np.sqrt(first * first + sine * sine)
+        good &= within | (bend > straight)
+    return good
+
+
 @compiled
 def within_limits(torsos, necks, arms, half, upper, fore, limits, torso, allowed):
     """Write into `allowed` `(n,)` whether every joint is within its limits and no arm is in the torso.
@@ -118,44 +160,8 @@ def within_limits(torsos, necks, arms, half, upper, fore, limits, torso, allowed
     elbow's greatest flexion and of the one below which the turn is not tested. Angles in rad. `torso` `(4,)`
     px: width at the shoulders and at the lower end, height, and how far it reaches to the viewer.
     """
-    cx, cy, cz, cone = limits[2], limits[3], limits[4], limits[5]
-    middle_sine, middle_cosine = np.sin(limits[6]), np.cos(limits[6])
-    edge, folded, straight = np.cos(limits[7]), limits[8], limits[9]
-    widest = limits[0] * limits[0]
     for k in range(len(necks)):
-        x, y, z = torsos[k, 0], torsos[k, 1], torsos[k, 2]
-        axes = rotation(x, y, z)
-        right, down, away = rotation(necks[k, 0], necks[k, 1], necks[k, 2])
-        trace = (
-            axes[0][0] * right[0] + axes[0][1] * right[1] + axes[0][2] * right[2]
-            + axes[1][0] * down[0] + axes[1][1] * down[1] + axes[1][2] * down[2]
-            + axes[2][0] * away[0] + axes[2][1] * away[1] + axes[2][2] * away[2]
-        )  # fmt: skip
-        # of a rotation the trace is 1 and twice the cosine
-        good = (x * x + y * y + z * z <= widest) & (0.5 * (trace - 1.0) >= limits[1])
-        for side in range(2):
-            sign = 1.0 - 2.0 * side
-            ux, uy, uz = _along(axes, arms[k, side, 0, 0], arms[k, side, 0, 1], arms[k, side, 0, 2])
-            fx, fy, fz = _along(axes, arms[k, side, 1, 0], arms[k, side, 1, 1], arms[k, side, 1, 2])
-            bend = ux * fx + uy * fy + uz * fz
-            good &= (sign * ux * cx + uy * cy + uz * cz >= cone) & (bend >= folded)
-            x, y, z = sign * half + upper * ux, upper * uy, upper * uz
-            good &= not _in_torso(x, y, z, torso)
-            good &= not _in_torso(x + fore * fx, y + fore * fy, z + fore * fz, torso)
-            # the turn about the arm that `transport` leaves out; 1 / (1 + y) loses its digits near the top
-            square = ux * ux + uz * uz
-            over = (square < 1e-28) & (uy < 0.0)
-            shrink = (1.0 - uy) / max(square, 1e-28) if uy < 0.0 else 1.0 / (1.0 + uy)
-            shrink = 0.0 if over else shrink
-            ax, ay, az = fy * uz - fz * uy, fz * ux - fx * uz, fx * uy - fy * ux
-            shared = shrink * (ux * ax + uz * az) + ay
-            first, third = ax - ux * shared, az - uz * shared
-            sine = sign * (third if over else -third)
-            # an angle is within a range if its cosine from the middle is that of the end or more
-            near = first * middle_cosine + sine * middle_sine
-            within = near >= edge * np.sqrt(first * first + sine * sine)
-            good &= within | (bend > straight)
-        allowed[k] = good
+        allowed[k] = is_within(torsos, necks, k, arms, k, half, upper, fore, limits, torso)
 
 
 @helper
@@ -180,6 +186,25 @@ def _from_reference(x, y, z, sign, reference):
     return ox / length, oy / length, oz / length
 
 
+@helper
+def arm_to(hx, hy, hz, swivel, upper, fore, sign, reference):
+    """Upper arm and forearm, unit vectors, of an arm with its hand there, and whether it reaches there."""
+    x, y, z, distance = _towards(hx, hy, hz)
+    reachable = (distance <= upper + fore) & (distance >= abs(upper - fore)) & (distance > 0.0)
+    safe = distance if distance > 0.0 else 1.0
+    cosine = (upper * upper + distance * distance - fore * fore) / (2.0 * upper * safe)
+    cosine = min(max(cosine, -1.0), 1.0)
+    sine = np.sqrt(1.0 - cosine * cosine)
+    ox, oy, oz = _from_reference(x, y, z, sign, reference)
+    turn, level = _sine_cosine(swivel)
+    level, turn = sine * level, sine * sign * turn
+    ux = cosine * x + level * ox + turn * (y * oz - z * oy)
+    uy = cosine * y + level * oy + turn * (z * ox - x * oz)
+    uz = cosine * z + level * oz + turn * (x * oy - y * ox)
+    fx, fy, fz, _ = _towards(hx - upper * ux, hy - upper * uy, hz - upper * uz)
+    return ux, uy, uz, fx, fy, fz, reachable
+
+
 @compiled
 def reach(offsets, swivels, upper, fore, sign, reference, arms, reachable):
     """Write arms `(n, 2, 3)` with hands at `offsets` `(n, 3)`, and whether they reach there, `(n,)`.
@@ -189,21 +214,19 @@ def reach(offsets, swivels, upper, fore, sign, reference, arms, reachable):
     """
     for k in range(len(offsets)):
         hx, hy, hz = offsets[k, 0], offsets[k, 1], offsets[k, 2]
-        x, y, z, distance = _towards(hx, hy, hz)
-        reachable[k] = (distance <= upper + fore) & (distance >= abs(upper - fore)) & (distance > 0.0)
-        safe = distance if distance > 0.0 else 1.0
-        cosine = (upper * upper + distance * distance - fore * fore) / (2.0 * upper * safe)
-        cosine = min(max(cosine, -1.0), 1.0)
-        sine = np.sqrt(1.0 - cosine * cosine)
-        ox, oy, oz = _from_reference(x, y, z, sign, reference)
-        turn, level = _sine_cosine(swivels[k])
-        level, turn = sine * level, sine * sign * turn
-        ux = cosine * x + level * ox + turn * (y * oz - z * oy)
-        uy = cosine * y + level * oy + turn * (z * ox - x * oz)
-        uz = cosine * z + level * oz + turn * (x * oy - y * ox)
+        ux, uy, uz, fx, fy, fz, there = arm_to(hx, hy, hz, swivels[k], upper, fore, sign, reference)
         arms[k, 0, 0], arms[k, 0, 1], arms[k, 0, 2] = ux, uy, uz
-        fx, fy, fz, _ = _towards(hx - upper * ux, hy - upper * uy, hz - upper * uz)
         arms[k, 1, 0], arms[k, 1, 1], arms[k, 1, 2] = fx, fy, fz
+        reachable[k] = there
+
+
+@helper
+def elbow_of(ux, uy, uz, hx, hy, hz, sign, reference):
+    """Sine and cosine of the swivel of an upper arm, a unit vector, with the hand there, up to a factor."""
+    x, y, z, _ = _towards(hx, hy, hz)
+    ox, oy, oz = _from_reference(x, y, z, sign, reference)
+    across = ux * (y * oz - z * oy) + uy * (z * ox - x * oz) + uz * (x * oy - y * ox)
+    return sign * across, ux * ox + uy * oy + uz * oz
 
 
 @compiled
@@ -211,39 +234,39 @@ def elbows(arms, upper, fore, sign, reference, upright, level):
     """Write sine and cosine, `(n,)`, of the swivels of `arms` `(n, 2, 3)`, up to a factor; as `reach`."""
     for k in range(len(arms)):
         ux, uy, uz = arms[k, 0, 0], arms[k, 0, 1], arms[k, 0, 2]
-        x, y, z, _ = _towards(
-            upper * ux + fore * arms[k, 1, 0],
-            upper * uy + fore * arms[k, 1, 1],
-            upper * uz + fore * arms[k, 1, 2],
-        )
-        ox, oy, oz = _from_reference(x, y, z, sign, reference)
-        level[k] = ux * ox + uy * oy + uz * oz
-        across = ux * (y * oz - z * oy) + uy * (z * ox - x * oz) + uz * (x * oy - y * ox)
-        upright[k] = sign * across
+        hx, hy, hz = upper * ux + fore * arms[k, 1, 0], upper * uy + fore * arms[k, 1, 1], arms[k, 1, 2]
+        upright[k], level[k] = elbow_of(ux, uy, uz, hx, hy, upper * uz + fore * hz, sign, reference)
+
+
+@helper
+def leant_from(x, y, z, cosine, turn):
+    """Unit vector at an angle, given by its cosine, from a unit vector; `turn` rad about it.
+
+    The two vectors across a direction are those of Duff et al., "Building an orthonormal basis,
+    revisited", JCGT 2017.
+    """
+    sign = np.copysign(1.0, z)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    upright, level = _sine_cosine(turn)
+    sine = np.sqrt(max(1.0 - cosine * cosine, 0.0))
+    one, other = sine * level, sine * upright
+    dx = cosine * x + one * (1.0 + sign * x * x * a) + other * b
+    dy = cosine * y + one * sign * b + other * (sign + y * y * a)
+    dz = cosine * z - one * sign * x - other * y
+    shrink = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+    return shrink * dx, shrink * dy, shrink * dz
 
 
 @compiled
 def lean(directions, cosines, turns, leant):
     """Write unit vectors at given angles from unit vectors `directions` `(n, 3)` into `leant` `(n, 3)`.
 
-    `cosines` `(n,)` of the angles; `turns` `(n,)` rad about the directions, from an arbitrary zero. The two
-    vectors across a direction are those of Duff et al., "Building an orthonormal basis,
-    revisited", JCGT 2017.
+    `cosines` `(n,)` of the angles; `turns` `(n,)` rad about the directions, from an arbitrary zero.
     """
     for k in range(len(directions)):
         x, y, z = directions[k, 0], directions[k, 1], directions[k, 2]
-        sign = np.copysign(1.0, z)
-        a = -1.0 / (sign + z)
-        b = x * y * a
-        upright, level = _sine_cosine(turns[k])
-        cosine = cosines[k]
-        sine = np.sqrt(max(1.0 - cosine * cosine, 0.0))
-        one, other = sine * level, sine * upright
-        dx = cosine * x + one * (1.0 + sign * x * x * a) + other * b
-        dy = cosine * y + one * sign * b + other * (sign + y * y * a)
-        dz = cosine * z - one * sign * x - other * y
-        shrink = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
-        leant[k, 0], leant[k, 1], leant[k, 2] = shrink * dx, shrink * dy, shrink * dz
+        leant[k, 0], leant[k, 1], leant[k, 2] = leant_from(x, y, z, cosines[k], turns[k])
 
 
 _f4 = np.float32

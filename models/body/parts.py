@@ -146,10 +146,10 @@ HEAD_ELLIPSE, NECK_ELLIPSE = (0.0, 0.0, 0.38, 0.49), (0.0, 0.62, 0.26, 0.32)
 
 HEAD_BLOB = 0.42  # head heights: radius of the disc of skin that stands for a head without a detected face
 KNOWN = 0.35  # head heights: standard deviation below which the chains' prediction of the head is used
-SEARCHED = 1.25  # head heights to each side of a predicted head in which its face is searched for first
+SEARCHED = 1.25  # head heights to each side of a predicted head in which its face is searched for
 
 ANYWHERE = 5
-"""In one of so many frames, faces are searched for in the whole image, wherever the head is predicted: so a
+"""In one of so many frames, cascades search the whole image for faces, wherever the head is predicted: so a
 chain that tracks something else recovers."""
 
 FACE_DETECTED, FALSE_FACES = 0.8, 0.05  # detection probability of a face, and false ones in an image
@@ -368,14 +368,14 @@ class BodyParts:
         if points is not None:
             mixtures = mixtures * points.mixtures(hands.means, heads.means)
         seen = BodyImage(
-            skin, moving, edges, directions,
+            image.shape[:2], skin, moving, edges, directions,
             hands.means, hands.log_weights, mixtures, points, self.bare, arms,
             face_ellipses(faces[near] if len(known_head) else faces),
         )  # fmt: skip
         return PartMessage(self.uniform().stacked, seen)
 
     def _faces(self, frame: Frame, known_head: Array) -> Array:
-        """Detect faces: boxes `(k, 4)` px, largest first. Cascades search about a predicted head first."""
+        """Detect faces: boxes `(k, 4)` px, largest first. Cascades search about a predicted head."""
         image = frame.image
         if self.detector is None or image is None:
             return np.zeros((0, 4))
@@ -390,8 +390,7 @@ class BodyParts:
                     boxes = self.detector(
                         replace(frame, image=about, boxes=None, points=None, keypoints=None)
                     )
-                    if len(boxes):
-                        return np.asarray(np.add(boxes, (left, top, 0, 0)))
+                    return np.asarray(np.add(boxes, (left, top, 0, 0)))
         return self.detector(frame)
 
     def _moving(self, skin: NDArray[np.float32], faces: Array) -> NDArray[np.float32]:

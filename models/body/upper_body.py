@@ -377,12 +377,14 @@ class UpperBody:
     def allowed(self, poses: BodyPoses) -> Mask:
         """`(n,)`: whether every joint is within its limits and no arm is in or behind the torso."""
         allowed = np.empty(len(poses), np.bool_)
-        torso = np.array([self.shoulder_width, self.torso_width, self.torso_height, 0.45 * self.head_height])
-        within_limits(
-            poses.torsos, poses.necks, poses.arms,
-            self.shoulder_width / 2, self.upper_arm, self.forearm, LIMITS.numbers, torso, allowed,
-        )  # fmt: skip
+        within_limits(poses.torsos, poses.necks, poses.arms, *self.limits, allowed)
         return allowed
+
+    @property
+    def limits(self) -> tuple[float, float, float, Array, Array]:
+        """Half the shoulders' width, lengths of the arm, limits and torso, as `within_limits` takes them."""
+        torso = np.array([self.shoulder_width, self.torso_width, self.torso_height, 0.45 * self.head_height])
+        return self.shoulder_width / 2, self.upper_arm, self.forearm, LIMITS.numbers, torso
 
 
 PROPORTIONS = {

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.compiled import compiled, inlined
+from ..numerics.compiled import compiled, falling
 from ..numerics.threads import over_bands
-from .checks import Shape, checked
+from .checks import Shape, checked, made
 from .short_repr import short_repr
 
 Array = NDArray[np.float64]
@@ -226,12 +226,12 @@ class GaussianMixtures:
 
     def _each(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Self:
         """With all arrays changed alike."""
-        return type(self)(*(change(getattr(self, field.name)) for field in fields(self)))
+        return made(type(self), *(change(getattr(self, field.name)) for field in fields(self)))
 
     @classmethod
     def _joined(cls, mixtures: "Sequence[GaussianMixtures]", axis: int) -> Self:
         arrays = ([getattr(each, field.name) for each in mixtures] for field in fields(cls))
-        return cls(*(np.concatenate(each, axis=axis) for each in arrays))
+        return made(cls, *(np.concatenate(each, axis=axis) for each in arrays))
 
     def _filled(self, most: int) -> Self:
         """With fillers up to `most` components a part."""
@@ -281,23 +281,6 @@ def log_sums(values: Array, axis: int = -1) -> Array:
 _BLOCK = 64  # points that are looked at together
 
 
-@inlined
-def _falling(x):
-    """exp(x) for float64 x <= 0, error below 1e-13 (libm's is no vector code)."""
-    # to the 256th part, where a short series is enough, and back by squaring
-    small = max(x, -80.0) * (1 / 256)
-    power = 1 / 24 + small * (1 / 120 + small / 720)
-    power = 1.0 + small * (1.0 + small * (0.5 + small * (1 / 6 + small * power)))
-    power *= power
-    power *= power
-    power *= power
-    power *= power
-    power *= power
-    power *= power
-    power *= power
-    return power * power
-
-
 @compiled
 def sums_of_densities(points, heights, means, precisions, peaks, sums):
     """Sums over components of exp(height) times an unnormalised Gaussian, by their largest term.
@@ -323,7 +306,7 @@ def sums_of_densities(points, heights, means, precisions, peaks, sums):
                 best = max(best, value)
             total = 0.0
             for j in range(m):
-                total += _falling(logs[j] - best)
+                total += falling(logs[j] - best)
             peaks[k, part], sums[k, part] = best, total
 
 
@@ -364,13 +347,13 @@ def sums_over_hypotheses(points, log_weights, heights, means, precisions, logs):
                 for j in range(m):
                     value = values[j]
                     for k in range(_BLOCK):
-                        total[k] += _falling(value[k] - high[k])
+                        total[k] += falling(value[k] - high[k])
                 for k in range(_BLOCK):
                     peak[k] += high[k]
                     product[k] *= total[k]
             for k in range(_BLOCK):
                 higher = max(best[k], peak[k])
-                sums[k] = sums[k] * _falling(best[k] - higher) + product[k] * _falling(peak[k] - higher)
+                sums[k] = sums[k] * falling(best[k] - higher) + product[k] * falling(peak[k] - higher)
                 best[k] = higher
         for k in range(count):
             logs[first + k] = best[k] + np.log(sums[k])

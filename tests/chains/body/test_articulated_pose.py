@@ -21,7 +21,7 @@ FRAME = Frame(np.zeros((*SIZE, 3), np.uint8), 0.0, 1)
 def picture(mixtures):
     """An image that says of the parts what the mixtures say."""
     flat = np.zeros(SIZE, np.float32)
-    return BodyImage(None, None, flat, flat, np.zeros((0, 2)), np.zeros(0), mixtures)
+    return BodyImage(flat.shape, None, None, flat, flat, np.zeros((0, 2)), np.zeros(0), mixtures)
 
 
 def seen(places, spread, chance=0.9):

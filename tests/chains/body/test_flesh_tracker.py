@@ -45,7 +45,7 @@ def at(*heads: Sequence[float]) -> Array:
 def picture(mixtures: GaussianMixtures) -> PartMessage:
     """An image that says this of parts, and nothing else that the tracker asks for."""
     flat = np.zeros(IMAGE.shape[:2], np.float32)
-    image = BodyImage(None, None, flat, flat, np.zeros((0, 2)), np.zeros(0), mixtures)
+    image = BodyImage(flat.shape, None, None, flat, flat, np.zeros((0, 2)), np.zeros(0), mixtures)
     return PartMessage(GaussianMixtures.uniform(3), image)
 
 

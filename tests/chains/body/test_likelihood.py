@@ -87,7 +87,7 @@ def seen(poses: BodyPoses, *, without: tuple[int, ...] = (), discs: Array | None
         np.log([0.05, 1, 1]),
     )
     blobs = np.concatenate([parts[[1 + side for side in (0, 1) if side not in without]], more])
-    return BodyImage(skin, skin, edges, directions, blobs, np.full(len(blobs), 1.5), mixtures)
+    return BodyImage(edges.shape, skin, skin, edges, directions, blobs, np.full(len(blobs), 1.5), mixtures)
 
 
 def scattered(n: int, random: np.random.Generator, spread: float = 0.3) -> BodyPoses:

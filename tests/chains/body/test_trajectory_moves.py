@@ -43,7 +43,15 @@ def test_moves_leave_the_density_between_past_and_future_as_it_is():
     samples = BodySamples.even(many.take(slice(300)), SIZE, random)
     past = Ancestors(start, np.ones(1), DT)
     poses = move_between(
-        DYNAMICS, exact, past, samples, repeated(later, n), LATER, log_likelihood, 12, random
+        DYNAMICS,
+        exact,
+        DYNAMICS.prediction(past),
+        samples,
+        repeated(later, n),
+        LATER,
+        log_likelihood,
+        12,
+        random,
     )
     before, after = (BODY.joints(each)[:, [3, 4, 6, 7]] for each in (exact, poses))
     changed = (before != after).any(axis=(1, 2))

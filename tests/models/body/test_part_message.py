@@ -40,7 +40,7 @@ def message(random: np.random.Generator, n_hypotheses: int) -> PartMessage:
 
 def of_image(said: GaussianMixtures) -> PartMessage:
     flat = np.zeros((20, 20), np.float32)
-    image = BodyImage(None, None, flat, flat, np.zeros((0, 2)), np.zeros(0), said)
+    image = BodyImage(flat.shape, None, None, flat, flat, np.zeros((0, 2)), np.zeros(0), said)
     return PartMessage(GaussianMixtures.uniform(3), image)
 
 
