@@ -131,7 +131,7 @@ class Body(Application[BodyJob]):
     def bytes_needed(self, source: Source) -> tuple[float, float]:
         """Memory of the samples, and of the frames that wait to be smoothed."""
         lag = self._lag(source)
-        kept = lag + BLOCK if lag else 0
+        kept = lag + 2 * BLOCK if lag else 0
         return BODY + KEPT_IMAGE * kept, self.job.samples * (SAMPLE + KEPT_SAMPLE * kept)
 
     def _lag(self, source: Source) -> int:
@@ -157,10 +157,12 @@ class Body(Application[BodyJob]):
         self._flesh = FleshTracker(body)
         self._pose = ArticulatedPose(body, job.samples, seed=job.seed)
         engine = RecursiveBP(MultiChain().connect(self._flesh, parts).connect(self._pose, parts))
-        self._smoothing = FixedLag(BodyDynamics(body), self._lag(source), seed=job.seed)
+        smoothing = FixedLag(BodyDynamics(body), self._lag(source), seed=job.seed)
         if memory is not None and start.resumed:
-            self._smoothing.waiting = replace(self._smoothing.waiting, past=memory["answered"])
-        return Smoother(engine, start.state(engine.model), self._smoothing, self._pose, parts, job.seed)
+            smoothing.waiting = replace(smoothing.waiting, past=memory["answered"])
+        state = start.state(engine.model)
+        self._smoother = Smoother(engine, state, smoothing, self._pose, parts, job.seed)
+        return self._smoother
 
     def _find_person(self, start: Start) -> BodyStart:
         """Detect a person in the first frame that is not blank, and in others."""
@@ -265,7 +267,7 @@ class Body(Application[BodyJob]):
         return {
             "person": SavedPerson.of(self._start),
             "draws": self._draws,
-            "answered": self._smoothing.waiting.past,
+            "answered": self._smoother.answered,
         }
 
     def finish(self, log: RowLog) -> dict[str, Any]:

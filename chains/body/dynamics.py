@@ -157,8 +157,7 @@ class BodyDynamics:
 
     def _heights(self, dt: float) -> Array:
         """`(3,)`: peak of an arm's density without a jump, probability of one, least exponent."""
-        _, concentrations, jump = self._rates(dt)
-        return np.array([(1 - jump) * _peak(concentrations).prod(), jump, LEAST_EXPONENT])
+        return self._step(dt)[2]
 
     def log_step(self, poses: BodyPoses, before: BodyPoses, dt: float) -> Array:
         """`(n,)` nats: log p(x | x') of each pose given its own one `dt` seconds before, as `log_density`."""
@@ -251,8 +250,16 @@ class BodyDynamics:
 
     def turn_step(self, dt: float) -> tuple[Array, Array]:
         """Return decay factors and noise standard deviations `(6,)` of `BodyPoses.turns` after `dt` s."""
+        return self._step(dt)[:2]
+
+    @lru_cache(maxsize=64)  # noqa: B019 - films have few different steps
+    def _step(self, dt: float) -> tuple[Array, Array, Array]:
+        """Return what `turn_step` and `_heights` do."""
         times = np.repeat([self.torso_time, self.neck_time], 3)
-        return np.exp(-dt / times), self.turn_stds * np.sqrt(-np.expm1(-2 * dt / times))
+        decay, stds = np.exp(-dt / times), self.turn_stds * np.sqrt(-np.expm1(-2 * dt / times))
+        _, concentrations, jump = self._rates(dt)
+        heights = np.array([(1 - jump) * _peak(concentrations).prod(), jump, LEAST_EXPONENT])
+        return decay, stds, heights
 
     def _rates(self, dt: float) -> tuple[float, Array, float]:
         """Return standard deviation of the position (px), concentrations of the arms, jump probability."""

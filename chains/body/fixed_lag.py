@@ -9,8 +9,9 @@ using Markov chain Monte Carlo" (2013), move each pose x_t where it is
 
 from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Annotated, Protocol, TypeVar
 
 import numpy as np
@@ -26,6 +27,7 @@ from ...models.body.upper_body import BodyPoses
 from ...models.core.checks import CountFrom0, at_least, checked
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
+from ...models.numerics.threads import Background
 from .dynamics import Ancestors, BodyDynamics, Prediction, arm_concentrations
 from .flesh_state import FleshTracks
 from .hand_labelling import NO_EVIDENCE, ExchangeEvidence, Labelling, exchange_evidence, label_hands
@@ -491,6 +493,8 @@ class SmoothedBelief(Belief):
 class Smoother:
     """Engine that filters frame after frame and returns each with fixed-lag smoothing.
 
+    Frames are smoothed in the background while the next ones are filtered, and returned `BLOCK` frames later.
+
     Parameters
     ----------
     engine
@@ -503,6 +507,13 @@ class Smoother:
         the chain of the poses, and its feature node.
     seed
         of the smoother's draws.
+
+    Attributes
+    ----------
+    state
+        after the last frame that was returned.
+    answered
+        that frame, smoothed: what `smoothing` continues from; `None` at the beginning.
     """
 
     def __init__(
@@ -514,9 +525,11 @@ class Smoother:
         parts: BodyParts,
         seed: int,
     ) -> None:
-        self.model, self.state, self.smoothing = engine.model, state, smoothing
+        self.model, self.state, self.answered = engine.model, state, smoothing.waiting.past
         self._engine, self._newest, self._pose, self._parts, self._seed = engine, state, pose, parts, seed
         self._waiting: deque[SmoothedBelief] = deque()
+        self._smoothing, self._background = smoothing, Background()
+        self._begun: deque[Future[tuple[list[TimedSamples], WaitingFrame | None]]] = deque()
 
     def step(self, frame: Frame) -> list[Belief]:
         """Filter a frame, and return the beliefs of the frames that are smoothed by now."""
@@ -524,14 +537,33 @@ class Smoother:
         self._newest = belief.state
         # without messages, which are large
         self._waiting.append(SmoothedBelief(belief.frame, belief.state, None))
-        self._begin_draws(frame.number)
         image = belief.evidence(self._parts).image
-        return self._beliefs(self.smoothing.add(belief.frame, belief[self._pose], image))
+        self._begun.append(
+            self._background.begin(partial(self._add, belief.frame, belief[self._pose], image))
+        )
+        return self._answers(BLOCK if self._smoothing.lag else 0)
 
     def flush(self) -> list[Belief]:
         """Return the beliefs of the last frames, after which there are fewer."""
+        beliefs = self._answers(0)
         self._begin_draws(0)
-        return self._beliefs(self.smoothing.flush())
+        beliefs += self._beliefs(self._smoothing.flush())
+        self.answered = self._smoothing.waiting.past
+        return beliefs
+
+    def _add(
+        self, frame: Frame, samples: BodySamples, image: BodyImage | None
+    ) -> tuple[list[TimedSamples], WaitingFrame | None]:
+        self._begin_draws(frame.number)
+        return self._smoothing.add(frame, samples, image), self._smoothing.waiting.past
+
+    def _answers(self, most: int) -> list[Belief]:
+        """Return the beliefs that are smoothed when at most so many frames are still to be added."""
+        beliefs = []
+        while len(self._begun) > most:
+            poses, self.answered = self._begun.popleft().result()
+            beliefs += self._beliefs(poses)
+        return beliefs
 
     def _beliefs(self, poses: Sequence[TimedSamples]) -> list[Belief]:
         beliefs: list[Belief] = []
@@ -544,4 +576,4 @@ class Smoother:
     def _begin_draws(self, number: int) -> None:
         """Seed the draws by the frame: a resumed run adds some frames again."""
         random = np.random.default_rng((self._seed, number))
-        self.smoothing.waiting = replace(self.smoothing.waiting, random=random)
+        self._smoothing.waiting = replace(self._smoothing.waiting, random=random)

@@ -260,31 +260,32 @@ def guided_values(hands, chosen, walks, completions, sides, means, precisions, h
     `(k + 1,)`: share of the draws times peak of the density; at last the share of those without target;
     `closeness` `(k, n_ancestors)` as of `closeness_to`; `values` `(n,)` filled in.
     """
-    n = len(hands)
-    totals, limits = np.empty(n), np.empty(n)
-    gains, xs, ys = np.empty((2, n)), np.empty((2, n)), np.empty((2, n))
-    for i in range(n):
+    n_targets = len(sides)
+    # row after row for vector units
+    table = np.empty((6, n_targets))
+    for k in range(n_targets):
+        table[0, k], table[1, k], table[2, k] = means[k, 0], means[k, 1], precisions[k, 0, 0]
+        table[3, k], table[4, k], table[5, k] = 2.0 * precisions[k, 0, 1], precisions[k, 1, 1], heights[k]
+    xs, ys, xx, xy, yy, high = table[0], table[1], table[2], table[3], table[4], table[5]
+    near = np.empty((closeness.shape[1], n_targets))
+    for k in range(n_targets):
+        for j in range(len(near)):
+            near[j, k] = closeness[k, j]
+    for i in range(len(hands)):
         left, right = completions[i, 0] - walks[i, 0], completions[i, 1] - walks[i, 1]
         peak = max(max(left, right), 0.0)
-        totals[i] = heights[len(sides)] * np.exp(-peak)
-        gains[0, i], gains[1, i] = np.exp(left - peak), np.exp(right - peak)
-        limits[i] = 2.0 * peak + 90.0  # of farther ones all digits are lost
-        xs[0, i], ys[0, i], xs[1, i], ys[1, i] = (
-            hands[i, 0, 0],
-            hands[i, 0, 1],
-            hands[i, 1, 0],
-            hands[i, 1, 1],
-        )
-    for k in range(len(sides)):
-        side, x0, y0 = sides[k], means[k, 0], means[k, 1]
-        xx, xy, yy = precisions[k, 0, 0], precisions[k, 0, 1], precisions[k, 1, 1]
-        for i in range(n):
-            x, y = xs[side, i] - x0, ys[side, i] - y0
-            square = xx * x * x + 2 * xy * x * y + yy * y * y
-            near = falling(-0.5 * square) if square < limits[i] else 0.0
-            totals[i] += gains[side, i] * heights[k] * closeness[k, chosen[i]] * near
-    for i in range(n):
-        values[i] = 0.5 * limits[i] - 45.0 + np.log(totals[i]) + walks[i, 0] + walks[i, 1]
+        gain, other = np.exp(left - peak), np.exp(right - peak)
+        limit = 2.0 * peak + 90.0  # of farther ones all digits are lost
+        row = near[chosen[i]]
+        left_x, left_y, right_x, right_y = hands[i, 0, 0], hands[i, 0, 1], hands[i, 1, 0], hands[i, 1, 1]
+        total = heights[n_targets] * np.exp(-peak)
+        for k in range(n_targets):
+            is_left = sides[k] == 0
+            x, y = (left_x if is_left else right_x) - xs[k], (left_y if is_left else right_y) - ys[k]
+            square = xx[k] * x * x + xy[k] * x * y + yy[k] * y * y
+            value = falling(-0.5 * square) if square < limit else 0.0
+            total += (gain if is_left else other) * high[k] * row[k] * value
+        values[i] = peak + np.log(total) + walks[i, 0] + walks[i, 1]
 
 
 @helper
@@ -786,29 +787,36 @@ def arm_terms(joints, arms, scales, points, weights, torso, missing, out):
     """
     broad, above, blur = _f4(torso[0]), _f4(torso[1]), _f4(torso[2])
     across, down, hidden = _f4(scales[0]), _f4(scales[1]), _f4(missing)
+    count = points.shape[1]
+    worth, xs, ys, columns, rows, odds = np.empty((6, 4 * count), np.float32)
+    for place in range(4 * count):
+        worth[place] = weights[(place // count) % 2, place % count]
     for k in range(len(joints)):
         root_x, root_y = _f4(joints[k, 1, 0]), _f4(joints[k, 1, 1])
         axis_x, axis_y = _f4(joints[k, 2, 0] - joints[k, 5, 0]), _f4(joints[k, 2, 1] - joints[k, 5, 1])
         length = max(np.sqrt(axis_x * axis_x + axis_y * axis_y), _f4(1.0))
         axis_x, axis_y = axis_x / length, axis_y / length
+        for limb in range(4):
+            first = 2 + 3 * (limb // 2) + limb % 2
+            x, y = _f4(joints[k, first, 0]), _f4(joints[k, first, 1])
+            along_x, along_y = _f4(joints[k, first + 1, 0]) - x, _f4(joints[k, first + 1, 1]) - y
+            for j in range(count):
+                xs[limb * count + j] = x + _f4(points[limb % 2, j]) * along_x
+                ys[limb * count + j] = y + _f4(points[limb % 2, j]) * along_y
+        for place in range(len(xs)):
+            columns[place] = (xs[place] + _f4(0.5)) * across - _f4(0.5)
+            rows[place] = (ys[place] + _f4(0.5)) * down - _f4(0.5)
+        for place in range(len(xs)):
+            odds[place] = _at(arms, columns[place], rows[place])
         total = _f4(0.0)
-        for side in range(2):
-            for part in range(2):
-                first = 2 + 3 * side + part
-                x, y = _f4(joints[k, first, 0]), _f4(joints[k, first, 1])
-                along_x, along_y = _f4(joints[k, first + 1, 0]) - x, _f4(joints[k, first + 1, 1]) - y
-                for j in range(points.shape[1]):
-                    share = _f4(points[part, j])
-                    here_x, here_y = x + share * along_x, y + share * along_y
-                    off_x, off_y = here_x - root_x, here_y - root_y
-                    beside = abs(off_x * axis_x + off_y * axis_y) - broad * length
-                    over = off_x * axis_y - off_y * axis_x - above * length
-                    outside = min(max(max(beside, over) / blur, _f4(-20.0)), _f4(20.0))
-                    column = (here_x + _f4(0.5)) * across - _f4(0.5)
-                    row = (here_y + _f4(0.5)) * down - _f4(0.5)
-                    odds = _at(arms, column, row) / (_f4(1.0) + exponential(-outside))
-                    odds *= _in_picture(column, row, arms, blur * across)
-                    total += _f4(weights[part, j]) * _seen_or_not(odds, hidden)
+        for place in range(len(xs)):
+            off_x, off_y = xs[place] - root_x, ys[place] - root_y
+            beside = abs(off_x * axis_x + off_y * axis_y) - broad * length
+            over = off_x * axis_y - off_y * axis_x - above * length
+            outside = min(max(max(beside, over) / blur, _f4(-20.0)), _f4(20.0))
+            share = _in_picture(columns[place], rows[place], arms, blur * across)
+            share /= _f4(1.0) + exponential(-outside)
+            total += worth[place] * _seen_or_not(share * odds[place], hidden)
         out[k] += total
 
 

@@ -380,7 +380,7 @@ class UpperBody:
         within_limits(poses.torsos, poses.necks, poses.arms, *self.limits, allowed)
         return allowed
 
-    @property
+    @cached_property
     def limits(self) -> tuple[float, float, float, Array, Array]:
         """Half the shoulders' width, lengths of the arm, limits and torso, as `within_limits` takes them."""
         torso = np.array([self.shoulder_width, self.torso_width, self.torso_height, 0.45 * self.head_height])

@@ -1,4 +1,4 @@
-"""Work that threads share: bands of rows, and pieces that do not wait for each other.
+"""Work that threads share: bands of rows, pieces that do not wait for each other, work in the background.
 
 It pays where kernels release the interpreter's lock. OpenCV's own threads are another matter: most calls here
 are too short for them, so that it has one in all commands.
@@ -8,7 +8,7 @@ import itertools
 import os
 import sys
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import partial
 from itertools import pairwise
 from typing import TypeVar
@@ -53,6 +53,23 @@ def set_threads(count: int) -> None:
 def thread_count() -> int:
     """Return the number of threads that kernels use."""
     return _settings["threads"]
+
+
+class Background:
+    """Pieces of work that are done one after the other beside the caller's, if there are threads for it."""
+
+    def __init__(self) -> None:
+        self._worker: ThreadPoolExecutor | None = None
+
+    def begin(self, work: Callable[[], Result]) -> "Future[Result]":
+        """Begin a piece of work after those before, and return what will have its result."""
+        if self._worker is None and thread_count() > 1:
+            self._worker = ThreadPoolExecutor(1, thread_name_prefix="rsmcm-background")
+        if self._worker is not None:
+            return self._worker.submit(work)
+        done: Future[Result] = Future()
+        done.set_result(work())
+        return done
 
 
 def over_bands(work: Callable[[int, int], None], n_rows: int, *, worth: bool = True) -> None:
