@@ -95,6 +95,22 @@ def even(n: int) -> Array:
     return np.full(n, -np.log(n))
 
 
+@dataclass
+class InTwoTerms:
+    """A likelihood of two terms, of which the second one takes back a part of the first."""
+
+    likelihood: LogDensity
+
+    def __call__(self, poses: BodyPoses) -> Array:
+        return self.likelihood(poses)
+
+    def first(self, poses: BodyPoses) -> Array:
+        return 1.5 * self.likelihood(poses)
+
+    def rest(self, poses: BodyPoses) -> Array:
+        return -0.5 * self.likelihood(poses)
+
+
 def tempered(past: Past, likelihood: LogDensity, n: int, seed: int) -> Tempered:
     """Each sample moves under the prior of its own ancestor; together they are of the same mixture."""
     random = np.random.default_rng(seed)
@@ -106,7 +122,8 @@ def tempered(past: Past, likelihood: LogDensity, n: int, seed: int) -> Tempered:
     return temper(past.dynamics, poses, log_weights, past.log_steps(chosen), likelihood, n, random)
 
 
-def test_posterior_and_evidence_are_those_of_importance_sampling() -> None:
+@pytest.mark.parametrize("staged", [False, True])
+def test_posterior_and_evidence_are_those_of_importance_sampling(staged: bool) -> None:
     """Hands' means and covariances over runs, and those of weighted draws of the prior in 20 pieces."""
     past = Past(0, jumps=0.5)
     random = np.random.default_rng(100)
@@ -121,7 +138,8 @@ def test_posterior_and_evidence_are_those_of_importance_sampling() -> None:
     expected = summary(draws, weights / weights.sum())
     error = np.std(parts, axis=0) / np.sqrt(len(parts))
 
-    runs = [tempered(past, likelihood, 1000, number) for number in range(RUNS)]
+    by_which = InTwoTerms(likelihood) if staged else likelihood
+    runs = [tempered(past, by_which, 1000, number) for number in range(RUNS)]
     means = np.stack([summary(one.poses, np.exp(one.log_weights)) for one in runs])
     bar = SIGMAS * np.hypot(means.std(axis=0, ddof=1) / np.sqrt(RUNS), error)
     std = np.sqrt(expected[6:][np.cumsum([0, 6, 5, 4, 3, 2])])

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from rsmcm.models.numerics.threads import over_bands, set_threads, side_by_side, thread_count
+from rsmcm.models.numerics.threads import Background, over_bands, set_threads, side_by_side, thread_count
 
 needs_fork = pytest.mark.skipif(
     "fork" not in multiprocessing.get_all_start_methods(), reason="the system has no fork"
@@ -66,6 +66,22 @@ def test_what_one_piece_raises_comes_out(count: int) -> None:
     with pytest.raises(ValueError, match="two"):
         side_by_side([partial(work, number) for number in range(4)])
     assert {0, 1} <= set(ended)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_work_in_the_background_is_done_in_order(threads: int) -> None:
+    set_threads(threads)
+    background, done = Background(), []
+    begun = [background.begin(partial(done.append, number)) for number in range(20)]
+    assert [each.result() for each in begun] == [None] * 20
+    assert done == list(range(20))
+
+
+def test_an_error_in_the_background_is_raised_for_its_result() -> None:
+    set_threads(2)
+    begun = Background().begin(partial(int, "one"))
+    with pytest.raises(ValueError, match="one"):
+        begun.result()
 
 
 def in_forked_processes(work: Callable[[Any], Any], arguments: list[Any]) -> list[Any]:
