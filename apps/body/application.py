@@ -331,16 +331,35 @@ def lengths(body: UpperBody) -> dict[str, float]:
 def seen_probabilities(body: UpperBody, tracks: FleshTracks, smoothed: TimedSamples) -> Array:
     """`(3,)`: probability that head, left and right hand are visible, hands near the posterior's mean.
 
-    That of the head is the probability of the hypotheses in which it was detected. Samples of a hand are
-    about as far apart as frames tell that are not independent: their scale is known up to a factor, the
-    square of which is `SPREAD` over an exponential variable. The true hand of a Gaussian posterior then has
-    Student's t distribution of two degrees of freedom.
+    That of the head is the probability of the hypotheses in which it was detected; see `hands_are_seen`.
     """
     samples, log_odds = smoothed.samples, smoothed.hand_log_odds
     probabilities = np.asarray(tracks.weights @ (tracks.since == 0), np.float64)
     if log_odds is not None:
         hands = body.parts(samples.poses)[:, 1:]
-        apart = np.linalg.norm(hands - np.einsum("n,nhx->hx", samples.weights, hands), axis=2)
-        near = np.exp(-SPREAD * np.square(apart / (NEAR_MEAN * body.head_height)))
-        probabilities[1:] = samples.weights @ (near * expit(log_odds))
+        away = hands - np.einsum("n,nhx->hx", samples.weights, hands)
+        probabilities[1:] = samples.weights @ hands_are_seen(*apart_and_shared(body, hands, away), log_odds)
     return probabilities
+
+
+def apart_and_shared(body: UpperBody, hands: Array, away: Array) -> tuple[Array, Array]:
+    """How far hands are `away` `(..., 2, 2)` px over `NEAR_MEAN`, `(..., 2)`, and the share of both discs.
+
+    That share is `(..., 1)`, of the disc of a left hand in that of a right one, at `hands` `(..., 2, 2)` px.
+    """
+    apart = np.linalg.norm(away, axis=-1) / (NEAR_MEAN * body.head_height)
+    between = np.linalg.norm(hands[..., 0, :] - hands[..., 1, :], axis=-1, keepdims=True)
+    half = np.minimum(between / (2 * body.hand), 1)
+    return apart, 2 / np.pi * (np.arccos(half) - half * np.sqrt(1 - half**2))
+
+
+def hands_are_seen(apart: Array, shared: Array, log_odds: Array, spread: float = SPREAD) -> Array:
+    """`(..., 2)`: probability that hands are visible, and near the mean, given a sample of both.
+
+    Samples of a hand are about as far `apart` from the mean as frames tell that are not independent: their
+    scale is known up to a factor, the square of which is `spread` over an exponential variable. The true hand
+    of a Gaussian posterior then has Student's t distribution of two degrees of freedom. The skin that both
+    hands would show is rather that of one: each has half of it, as far as the other one is visible at all.
+    """
+    shown = expit(log_odds)
+    return np.asarray(np.exp(-spread * apart**2) * shown * (1 - 0.5 * shared * shown[..., ::-1]))

@@ -68,12 +68,14 @@ class SignerFilm:
     parts: BodyParts
 
     @classmethod
-    def of(cls, **settings: Any) -> Self:
-        """Return the scene of these settings of `signer`; skin is learned from it as from any clip."""
+    def of(cls, rows: int | None = None, **settings: Any) -> Self:
+        """Return the scene of these settings of `signer`; skin is learned from it as from any clip.
+
+        Its pictures end after so many `rows`.
+        """
         scene = signer(**settings)
-        frames = list(scene)
-        images = [frame.image for frame in frames if frame.image is not None]
-        parts = BodyParts.learned(images, scene.detector)
+        frames = [replace(frame, image=frame.required_image()[:rows].copy()) for frame in scene]
+        parts = BodyParts.learned([frame.required_image() for frame in frames], scene.detector)
         return cls(scene, frames, replace(parts, head_height=scene.body.head_height))
 
 

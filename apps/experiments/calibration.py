@@ -17,7 +17,6 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.special import expit
 from scipy.stats import chi2
 
 from ...chains.body.dynamics import BodyDynamics
@@ -32,7 +31,7 @@ from ...models.core.frame import Frame
 from ...models.core.gaussian_message import squared_distances
 from ...models.numerics.rotations import logarithm
 from ..background.application import build_model
-from ..body.application import NEAR_MEAN, SPREAD, run_body
+from ..body.application import NEAR_MEAN, SPREAD, apart_and_shared, hands_are_seen, run_body
 from ..body.job import BodyJob
 from ..body.measures import HANDS, LEAST_VARIANCE, PLACES
 from ..evaluation.tracks import box_overlap, match_boxes
@@ -40,7 +39,7 @@ from ..io.ground_truth import Kind
 from ..io.point_files import read_shapes
 from ..io.sources.open_source import open_source
 from ..scenes import cylinder, face, signer, sleeping_man, turntable
-from ..scenes.signing.signer import Sleeves
+from ..scenes.signing.signer import SignerScene, Sleeves
 from ..scenes.street import mottle
 from ..trackers.body import BodyTracker
 from ..trackers.face import FaceTracker, TrackedFace
@@ -363,14 +362,32 @@ def nobody(seed: int) -> Statements:
     return statements
 
 
-def generated_signer(sleeves: Sleeves, seed: int) -> Statements:
+SIGNERS: Mapping[str, Sleeves] = {
+    "generated signer": "long",
+    "generated signer in short sleeves": "short",
+    "generated head and shoulders": "long",
+}
+BELOW = (0.3, 1.0)  # head heights below the shoulders at which pictures of head and shoulders end
+
+
+def rows_of(kind: str, scene: SignerScene) -> int:
+    """Return how many rows of a scene's pictures are shown."""
+    rows = scene.size[1]
+    if kind == "generated head and shoulders":
+        below = np.random.default_rng(scene.seed).uniform(*BELOW) * scene.body.head_height
+        rows = min(rows, int(np.median(scene.joints[:, 1, 1]) + below))
+    return rows
+
+
+def generated_signer(kind: str, seed: int) -> Statements:
     """Places of the hands of a signer, and whether they are seen."""
-    scene = signer(N_FRAMES, seed, sleeves=sleeves)
-    head = scene.body.head_height
+    scene = signer(N_FRAMES, seed, sleeves=SIGNERS[kind])
+    head, rows = scene.body.head_height, rows_of(kind, scene)
     x, y = scene.joints[0, 0, :2]
     box = f"{x - 0.4 * head:.0f},{y - 0.5 * head:.0f},{0.8 * head:.0f},{head:.0f}"
     truth = scene.joints[:, PLACES[HANDS], :2]
-    images = (frame.image for frame in scene)
+    truth[truth[..., 1] >= rows] = np.inf
+    images = (frame.required_image()[:rows] for frame in scene)
     return hands_of(images, truth, 2 * NEAR * head, seed, head=box, hidden=scene.hidden[:, 1:])
 
 
@@ -462,21 +479,22 @@ TRIED = tuple(product((1.5, 2.0, 2.5, 3.0, 3.5), (3.0, 4.0, 5.0, 6.0, 7.0)))
 PRIOR = np.log(HAND_DETECTED / (1 - HAND_DETECTED))  # nats: of a signer's hand, without evidence
 OF_CONSTANTS = (
     "Constants of the probability that a hand is seen: those with which tenths of what is stated differ "
-    "least from what is observed, in the mean square, on generated signers in long and short sleeves of "
+    "least from what is observed, in the mean square, on all kinds of generated signers, of "
     f"{len(SEEDS_OF_CONSTANTS)} seeds that are judged nowhere; standard deviation over {DRAWS} draws of them."
 )
 
 Constants = tuple[float, float]
-Evidence = tuple[Numbers, Numbers, Mask]
+Evidence = tuple[Numbers, Numbers, Numbers, Mask]
 
 
-def evidence_of_hands(sleeves: Sleeves, seed: int) -> dict[str, Evidence]:
+def evidence_of_hands(kind: str, seed: int) -> dict[str, Evidence]:
     """Return what statements about the hands of a signer rest on, and whether they would be right.
 
-    How far samples `(n_frames, n_samples, 2)` are from their mean, over the distance at which a hand is
-    elsewhere; their nats of skin; whether a hand is seen and near the mean, `(n_frames, 2)`.
+    Of samples `(n_frames, n_samples, 2)`, see `apart_and_shared`, and their nats of skin; whether a hand is
+    seen and near the mean, `(n_frames, 2)`.
     """
-    film = SignerFilm.of(n_frames=N_FRAMES, seed=seed, sleeves=sleeves)
+    rows = rows_of(kind, signer(N_FRAMES, seed, sleeves=SIGNERS[kind]))
+    film = SignerFilm.of(rows, n_frames=N_FRAMES, seed=seed, sleeves=SIGNERS[kind])
     scene = film.scene
     model, pose = RSMCM.connected(film)
     engine, state, found = RecursiveBP(model), RunState(), []
@@ -489,15 +507,16 @@ def evidence_of_hands(sleeves: Sleeves, seed: int) -> dict[str, Evidence]:
     hands = np.array([scene.body.parts(each.samples.poses)[:, 1:] for each in found])
     nats = (np.array([each.hand_log_odds for each in found]) - PRIOR) / SEEN
     mean, near = hands.mean(axis=1), NEAR_MEAN * scene.body.head_height
-    off = np.linalg.norm(mean - scene.joints[:, PLACES[HANDS], :2], axis=2)
-    apart = np.linalg.norm(hands - mean[:, None], axis=3)
-    return {"hands": (apart / near, nats, (off < near) & ~scene.hidden[:, 1:])}
+    truth = scene.joints[:, PLACES[HANDS], :2]
+    seen = (truth[..., 1] < rows) & ~scene.hidden[:, 1:]
+    apart, shared = apart_and_shared(scene.body, hands, hands - mean[:, None])
+    return {"hands": (apart, shared, nats, seen & (np.linalg.norm(mean - truth, axis=2) < near))}
 
 
 def reliability(constants: Constants, evidence: Evidence) -> Reliability:
     """Return that of what would be stated with other constants."""
-    (spread, factor), (apart, nats, right) = constants, evidence
-    stated = np.exp(-spread * apart**2) * expit(PRIOR + factor * nats)
+    (spread, factor), (apart, shared, nats, right) = constants, evidence
+    stated = hands_are_seen(apart, shared, PRIOR + factor * nats, spread)
     return Reliability.of_probabilities(stated.mean(axis=1), right)
 
 
@@ -509,9 +528,8 @@ def best_constants(made: Mapping[Constants, Sequence[Reliability]], films: Itera
 
 def constants_of_hands() -> Table:
     """Compare constants of the statement with the best ones."""
-    kinds: list[Sleeves] = ["long", "short"]
-    films = by_seed("constants", evidence_of_hands, kinds, SEEDS_OF_CONSTANTS)
-    evidence = [each for kind in kinds for each in films[kind]["hands"]]
+    films = by_seed("constants", evidence_of_hands, list(SIGNERS), SEEDS_OF_CONSTANTS)
+    evidence = [each for kind in SIGNERS for each in films[kind]["hands"]]
     made = {constants: [reliability(constants, each) for each in evidence] for constants in TRIED}
     draws = np.random.default_rng(0).integers(len(evidence), size=(DRAWS, len(evidence)))
     spread = np.std([best_constants(made, draw) for draw in draws], axis=0)
@@ -535,8 +553,7 @@ CASES: Mapping[str, Callable[[int], Statements]] = {
     WITH_FACE: partial(faces_of_films, WITH_FACE),
     WITHOUT: partial(faces_of_films, WITHOUT),
     "random texture": nobody,
-    "generated signer": partial(generated_signer, "long"),
-    "generated signer in short sleeves": partial(generated_signer, "short"),
+    **{kind: partial(generated_signer, kind) for kind in SIGNERS},
     "real people": real_signers,
     "jaws with noise": noisy_shape,
 }

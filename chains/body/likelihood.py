@@ -140,7 +140,7 @@ HEAD_WINDOWS = (0.5, 1.2)  # half widths and heights of the head: standard devia
 HEAD_SCORES = (5.0, 0.2)
 """Nats of a place with all the skin of a head, where no face is detected; probability of a head without."""
 
-NECK_RADIUS, NO_NECK = 0.28, -9.0  # head heights: of bare skin above the shoulders; of none
+NECK_RADIUS = 0.28  # head heights: of bare skin above the shoulders
 BLOB_COST = 4.0  # nats of a blob that looks like a hand and that no part explains
 LEAST_COST = 0.1  # nats of a place below which its skin costs nothing
 BLOB_REACH = (0.6, 0.35, 0.35, 0.25)  # head heights: within which parts and bare arms explain skin
@@ -317,7 +317,6 @@ class ImageLikelihood:
         """Nats of hands and blobs `(n,)`, log of the mixture of bare and covered forearms; of each hand."""
         body, image = self.body, self.image
         parts, elbows = joints[:, PART_JOINTS], joints[:, [3, 6]]
-        neck_radius = NECK_RADIUS if image.moving_skin is image.skin else NO_NECK
         scales = _scales(skin[0], image)
         if image.bare:
             places, costs = self._skin_by_area
@@ -328,7 +327,7 @@ class ImageLikelihood:
         for bare, probability in ((False, 1 - image.bare), (True, image.bare)):
             if probability > 0:
                 ratio, nats = np.full(len(parts), np.log(probability)), np.empty((len(parts), 2))
-                hand = hand_model(body, neck_radius, bare, image.faces)
+                hand = hand_model(body, bare, image.faces)
                 hand_terms(parts, roots, elbows, *skin, scales, hand, bare, ratio, nats)
                 unexplained_terms(joints, places, costs, reach, bare, ratio)
                 if bare:
@@ -341,10 +340,8 @@ class ImageLikelihood:
         return total, np.einsum("bn,bnh->nh", np.exp(ratios - total), by_case)
 
 
-def hand_model(
-    body: UpperBody, neck_radius: float = NECK_RADIUS, bare: bool = False, faces: Array | None = None
-) -> HandModel:
-    """Return the model of this body's hands, in sleeves or not; the neck's radius is in head heights.
+def hand_model(body: UpperBody, bare: bool = False, faces: Array | None = None) -> HandModel:
+    """Return the model of this body's hands, in sleeves or not.
 
     `faces` `(m, 4)` px: ellipses of detected faces, centre and half axes.
     """
@@ -352,7 +349,7 @@ def hand_model(
         body.hand,
         body.hand * np.array(WINDOWS),
         0.5 * np.array([body.head_width, body.head_height]),
-        neck_radius * body.head_height,
+        NECK_RADIUS * body.head_height,
         np.array(BARE_HAND_SCORES if bare else SKIN_SCORES),
         np.array([body.forearm, 0.25 * (body.forearm_width + body.wrist_width)]),
         np.array(BARE_SCORES),

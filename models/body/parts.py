@@ -245,7 +245,7 @@ class BodyParts:
         """Learn the person's clothes from images, given the face in each, `(n, 4)` px."""
         if self.skin is None:
             return self
-        heads = boxes[:, :2] + boxes[:, 2:] * (0.5, CENTRE_OF_BOX)
+        heads = _centres(boxes)
         clothes = ClothesColour.learned(images, heads, self.head_height, self.skin)
         dressed = replace(self, bare=self.bare_forearms(images, boxes), clothes=clothes)
         return replace(dressed, static_skin=dressed._without_resting_hands(images, heads))
@@ -263,7 +263,7 @@ class BodyParts:
         height, radius = self.head_height, HAND_RADIUS * self.head_height
         rate, arms = 0.0, []
         for image, head in zip(images, heads, strict=True):
-            ellipses = [_ellipses(head[None], shape, height) for shape in (HEAD_ELLIPSE, NECK_ELLIPSE)]
+            ellipses = _face_and_neck(head[None], height)
             colours = smoothed(image)
             skin = self.skin.log_odds_of(colours)
             blobs = skin_blobs(self._moving(skin, ellipses[0]), radius, np.concatenate(ellipses))
@@ -274,7 +274,7 @@ class BodyParts:
         arm = cv2.resize(np.mean(arms, axis=0), self.static_skin.shape[::-1])
         still = np.where(self.static_skin > 0, self.static_skin, np.float32(-HIGHEST))
         centre = np.median(heads, axis=0)[None]
-        ellipses = [_ellipses(centre, shape, height) for shape in (HEAD_ELLIPSE, NECK_ELLIPSE)]
+        ellipses = _face_and_neck(centre, height)
         things, kept = skin_blobs(still, radius, np.concatenate(ellipses)), self.static_skin.copy()
         rows, columns = np.ogrid[: still.shape[0], : still.shape[1]]
         for (x, y), log_weight in zip(things.means, things.log_weights, strict=True):
@@ -290,8 +290,7 @@ class BodyParts:
             return 0.0
         height, areas = self.head_height, []
         for image, box in zip(images, boxes, strict=True):
-            centre = box[None, :2] + box[None, 2:] * (0.5, CENTRE_OF_BOX)
-            ellipses = [_ellipses(centre, shape, height) for shape in (HEAD_ELLIPSE, NECK_ELLIPSE)]
+            ellipses = _face_and_neck(_centres(box[None]), height)
             skin = self._moving(self.skin.log_odds(image), ellipses[0])
             areas.append(hand_area(skin, np.concatenate(ellipses), HAND_RADIUS * height, height))
         return bare_probability(areas)
@@ -327,7 +326,7 @@ class BodyParts:
             partial(self._arms, colours),
         ]
         faces, (edges, directions), arms = side_by_side(works)
-        centres = faces[:, :2] + faces[:, 2:] * (0.5, CENTRE_OF_BOX)
+        centres = _centres(faces)
         if skin is not None:
             centres = _recentred(centres, skin, height)
         of_head = np.diag(np.square(np.array(HEAD_STD) * height))
@@ -341,11 +340,8 @@ class BodyParts:
             false += self.others.density(faces[:, :2] + 0.5 * faces[:, 2:])
         if skin is not None:
             known = centres if near.any() else np.concatenate([centres, known_head])
-            faces_there = _ellipses(known, HEAD_ELLIPSE, height)
-            moving = self._moving(skin, faces_there)
-            bare = (
-                [faces_there] if moving is not skin else [faces_there, _ellipses(known, NECK_ELLIPSE, height)]
-            )
+            bare = _face_and_neck(known, height)
+            moving = self._moving(skin, bare[0])
             hands = skin_blobs(moving, HAND_RADIUS * height, np.concatenate(bare))
             if not len(faces):
                 heads, detected = skin_blobs(skin, HEAD_BLOB * height), HEAD_DETECTED
@@ -367,10 +363,11 @@ class BodyParts:
             points = SeenKeypoints.of(frame.keypoints, heads_known, height)
         if points is not None:
             mixtures = mixtures * points.mixtures(hands.means, heads.means)
+        shown = faces[near] if len(known_head) else faces
         seen = BodyImage(
             image.shape[:2], skin, moving, edges, directions,
             hands.means, hands.log_weights, mixtures, points, self.bare, arms,
-            face_ellipses(faces[near] if len(known_head) else faces),
+            np.concatenate([face_ellipses(shown), _face_and_neck(_centres(shown), height)[1]]),
         )  # fmt: skip
         return PartMessage(self.uniform().stacked, seen)
 
@@ -468,9 +465,15 @@ def _hands_below(images: Sequence[NDArray[np.uint8]], boxes: Array, faces: Seque
     return total / len(images)
 
 
-def _ellipses(heads: Array, shape: tuple[float, ...], height: float) -> Array:
-    """`(k, 4)` px: ellipses of heads `(k, 2)`."""
-    return np.hstack([heads, np.zeros_like(heads)]) + height * np.array(shape)
+def _centres(faces: Array) -> Array:
+    """Centres of heads `(k, 2)` px whose faces have boxes `(k, 4)`."""
+    return np.asarray(faces[:, :2] + faces[:, 2:] * (0.5, CENTRE_OF_BOX))
+
+
+def _face_and_neck(heads: Array, height: float) -> tuple[Array, Array]:
+    """Ellipses of the skin of heads `(k, 2)` px and of their necks: `(k, 4)` px, centre and half axes."""
+    still = np.hstack([heads, np.zeros_like(heads)])
+    return still + height * np.array(HEAD_ELLIPSE), still + height * np.array(NECK_ELLIPSE)
 
 
 def _recentred(centres: Array, skin: NDArray[np.float32], height: float) -> Array:
