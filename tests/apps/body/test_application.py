@@ -7,6 +7,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.apps.body import application
 from rsmcm.apps.body import page as body_page
@@ -15,6 +17,8 @@ from rsmcm.apps.body.application import (
     N_DRAWN,
     NEAR_MEAN,
     SPREAD,
+    apart_and_shared,
+    hands_are_seen,
     read_head,
     seen_probabilities,
 )
@@ -31,6 +35,7 @@ from rsmcm.chains.body.start import SavedPerson, start_from_faces, start_from_he
 from rsmcm.models import Frame
 from rsmcm.models.body.parts import HEAD_OF_BOX
 from rsmcm.models.body.upper_body import JOINTS, PARTS, UpperBody
+from scipy.special import expit
 from scipy.stats import multivariate_t
 
 from ...conftest import Command, names, summary_of
@@ -418,6 +423,20 @@ def test_where_only_a_face_is_in_view_no_hand_is_seen(
     poses = poses_of(tmp_path / "out")
     assert poses["seen_probability"][:, 1:].max() < 0.5
     assert np.linalg.norm(poses["joints_2d"][:, HEAD] - (160, 110), axis=1).max() < 40
+
+
+@given(st.floats(0, 2.5), st.floats(-20, 20), st.floats(-20, 20), st.integers(0, 2**32 - 1))
+def test_skin_of_both_hands_is_that_of_one(apart: float, left: float, right: float, seed: int) -> None:
+    """The share of two discs by Monte Carlo; a hand that is not visible has none."""
+    body, random, n = UpperBody.from_head(80.0), np.random.default_rng(seed), 20_000
+    hands = np.array([[100.0, 100.0], [100.0 + apart * body.hand, 100.0]])
+    away, shared = apart_and_shared(body, hands, np.zeros((2, 2)))
+    disc = body.hand * np.sqrt(random.random(n)) * np.exp(2j * np.pi * random.random(n))
+    expected = np.mean(np.abs(disc - apart * body.hand) < body.hand)
+    assert shared == pytest.approx(expected, abs=5.5 * np.sqrt(0.25 / n))
+    np.testing.assert_array_equal(away, 0)
+    stated, visible = hands_are_seen(away, shared, np.array([left, right])), expit([left, right])
+    np.testing.assert_allclose(stated, visible * (1 - 0.5 * shared * visible[::-1]))
 
 
 def test_doubt_of_a_gaussian_posterior_is_that_of_students_distribution() -> None:

@@ -1,5 +1,7 @@
 """What images say of head and hands."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -167,3 +169,20 @@ def test_faces_are_sought_about_the_head(monkeypatch: pytest.MonkeyPatch) -> Non
         faces = node._faces(Frame(image, 0.0, number), heads)
         np.testing.assert_allclose(faces, np.reshape([[279.5, 114.5, 60, 60]] * found, (-1, 4)))
         assert shown == [size]
+
+
+@pytest.mark.parametrize("still", [False, True])
+def test_the_neck_of_a_detected_face_explains_its_skin(still: bool) -> None:
+    """Also where the scene has skin-coloured things."""
+    node, neck = learned(BOX), HEAD + np.array([0.0, 0.62 * HEIGHT])
+    if still:
+        node = replace(node, static_skin=np.zeros((240, 320), np.float32))
+    seen = node.evidence(Frame(picture(hands=(neck, RIGHT)), 0.0, 1), node.uniform()).image
+    assert seen is not None
+    within = (np.square((neck - seen.faces[:, :2]) / seen.faces[:, 2:]).sum(axis=1) < 1).sum()
+    assert within == 1
+    hand, at_neck = (
+        seen.blob_log_weights[np.hypot(*(seen.blobs - place).T) < 0.3 * HEIGHT].max(initial=-np.inf)
+        for place in (RIGHT, neck)
+    )
+    assert at_neck < hand - 1
