@@ -217,7 +217,7 @@ def closeness_to(hands, sides, means, precisions, least, choice, closeness):
         xx, xy, yy = precisions[k, 0, 0], precisions[k, 0, 1], precisions[k, 1, 1]
         for i in range(len(hands)):
             x, y = hands[i, side, 0] - x0, hands[i, side, 1] - y0
-            near = np.exp(-0.5 * (xx * x * x + 2 * xy * x * y + yy * y * y)) + least
+            near = falling(-0.5 * (xx * x * x + 2 * xy * x * y + yy * y * y)) + least
             closeness[k, i] = near
             total += choice[i] * near
         for i in range(len(hands)):

@@ -28,6 +28,7 @@ from ...models.body.upper_body import (
     swivels,
 )
 from ...models.core.gaussian_mixtures import GaussianMixtures
+from ...models.numerics.threads import over_bands
 from .dynamics import Ancestors, BodyDynamics
 from .kernels import choose, closeness_to, completion_terms, guided_values
 from .tempering import Strata
@@ -37,6 +38,7 @@ Array = NDArray[np.float64]
 MOST_ROUNDS = 40  # of rejection sampling of possible poses, whose density changes by a constant only
 AT_ELBOWS = 0.4  # share of draws of a bare arm whose elbow, too, is drawn where a hand may be
 LEAST_COSINES = 1e-12  # of a limb across the line of sight, whose density is 0
+WORTH_THREADS = 2000  # poses from which several threads are faster than one
 LEAST_DEPTH = 1.0  # px: half range of a hand's depth at least, so that a stretched arm has a density
 
 
@@ -324,12 +326,17 @@ def _log_drawn(
 ) -> Array:
     """`(n,)` nats: log density of the arms of a draw given its ancestor, up to factors that all share."""
     joints = body.joints(poses)
-    completions = np.empty((len(poses), 2))
-    completion_terms(
-        joints, poses.arms, chosen, hidden.depths, hidden.swivels, hidden.step,
-        np.array([hidden.concentration, 2 * np.pi * i0e(hidden.concentration)]), ANYWHERE,
-        np.array([body.upper_arm, body.forearm]), LEAST_DEPTH, REFERENCE, completions,
-    )  # fmt: skip
+    completions, values = np.empty((len(poses), 2)), np.empty(len(poses))
+    concentration = np.array([hidden.concentration, 2 * np.pi * i0e(hidden.concentration)])
+    lengths = np.array([body.upper_arm, body.forearm])
+
+    def complete(first: int, end: int) -> None:
+        completion_terms(
+            joints[first:end], poses.arms[first:end], chosen[first:end], hidden.depths, hidden.swivels,
+            hidden.step, concentration, ANYWHERE, lengths, LEAST_DEPTH, REFERENCE, completions[first:end],
+        )  # fmt: skip
+
+    over_bands(complete, len(poses), worth=len(poses) >= WORTH_THREADS)
     for side in (0, 1):
         if targets.at_elbows > 0 and (targets.sides == side).any():
             elbows = targets.log_mean_density(side, joints[:, HANDS[side] - 1, :2])
@@ -338,12 +345,16 @@ def _log_drawn(
             )
     precisions = np.linalg.inv(targets.covariances)
     heights = targets.shares * np.sqrt(np.linalg.det(precisions)) / (2 * np.pi)
-    values = np.empty(len(poses))
-    guided_values(
-        np.ascontiguousarray(joints[:, HANDS, :2]), chosen, walks, completions,
-        targets.sides, targets.means, precisions, np.append(heights, 1.0 - targets.shares.sum()),
-        closeness, values,
-    )  # fmt: skip
+    heights = np.append(heights, 1.0 - targets.shares.sum())
+    hands = np.ascontiguousarray(joints[:, HANDS, :2])
+
+    def guided(first: int, end: int) -> None:
+        guided_values(
+            hands[first:end], chosen[first:end], walks[first:end], completions[first:end], targets.sides,
+            targets.means, precisions, heights, closeness, values[first:end],
+        )  # fmt: skip
+
+    over_bands(guided, len(poses), worth=len(poses) >= WORTH_THREADS)
     return values
 
 
