@@ -21,7 +21,7 @@ from ....models.core.short_repr import short_repr
 from ....models.numerics.rotations import exponential
 from ...optimisation import Damping, levenberg_marquardt
 from ..factor_analysis.observations import Array, SparseObservations
-from .kernels import CAMERA, eliminate_points
+from .kernels import CAMERA, eliminate_points, sum_products
 
 HEAVIEST, LIGHTEST = 3.0, 100.0  # degrees of freedom: Cauchy's distribution, and as good as normal
 HARDLY = 0.1  # share of its weight that is left to an outlier: at 5 deviations with the heaviest tails
@@ -301,28 +301,25 @@ def normal_equations(
     listed: SparseObservations, weights: Array, cameras: PerspectiveCameras, shape: Array
 ) -> NormalEquations:
     """Return normal equations at the weights `(n,)` of observations."""
-    by_camera, by_place, by_focal, seen = _jacobians(cameras.of(listed.other), shape[listed.own])
-    errors = np.array([listed.x, listed.y]).T - seen
-    both = np.concatenate([by_camera, by_focal[:, :, None]], axis=2)
-    weighted = weights[:, None, None] * both
+    *jacobians, seen = _jacobians(cameras.of(listed.other), shape[listed.own])
+    errors = np.stack([listed.x, listed.y], axis=1) - seen
     n, n_frames, last = len(weights), len(cameras.scales), CAMERA
-    of_points = _sums_of_points(listed)
-    of_frames = csr_array((np.ones(n), (listed.other, np.arange(n))), shape=(n_frames, n))
-    blocks = (of_frames @ (weighted.mT @ both).reshape(n, -1)).reshape(n_frames, last + 1, last + 1)
-    vectors = of_frames @ np.einsum("nci,nc->ni", weighted, errors)
-    mixed = by_place.mT @ weighted
-    by_place_weighted = weights[:, None, None] * by_place
-    squares = by_place_weighted.mT @ by_place
+    blocks, vectors = np.zeros((n_frames, last + 1, last + 1)), np.zeros((n_frames, last + 1))
+    points, point_vector = np.zeros((len(shape), 3, 3)), np.zeros((len(shape), 3))
+    mixed, mixed_border = np.zeros((n, 3, last)), np.zeros((len(shape), 3))
+    sum_products(
+        listed, weights, *jacobians, errors, blocks, vectors, points, point_vector, mixed, mixed_border
+    )
     return NormalEquations(
         cameras=blocks[:, :last, :last],
         camera_vector=vectors[:, :last],
         border=blocks[:, :last, last],
         corner=float(blocks[:, last, last].sum()),
         corner_vector=float(vectors[:, last].sum()),
-        points=(of_points @ squares.reshape(n, -1)).reshape(-1, 3, 3),
-        point_vector=of_points @ np.einsum("nci,nc->ni", by_place_weighted, errors),
-        mixed=np.ascontiguousarray(mixed[:, :, :last]),
-        mixed_border=of_points @ mixed[:, :, last],
+        points=points,
+        point_vector=point_vector,
+        mixed=mixed,
+        mixed_border=mixed_border,
     )
 
 

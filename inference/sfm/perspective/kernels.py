@@ -1,4 +1,4 @@
-"""The loop of bundle adjustment: points eliminated from the normal equations of cameras and focal length."""
+"""Loops of bundle adjustment: normal equations, and points eliminated from those of cameras and focal."""
 
 import numpy as np
 
@@ -7,6 +7,36 @@ from ....models.numerics.compiled import compiled
 CAMERA = 6
 
 _at = np.uint64  # a number that is no index from the end, which loops would have to ask of each
+
+
+@compiled
+def sum_products(
+    by_point, weights, by_camera, by_place, by_focal, errors,
+    blocks, vectors, points, point_vector, mixed, mixed_border,
+):  # fmt: skip
+    """Add w J^T J and w J^T r of all observations to their blocks; q comes after the numbers of a camera."""
+    edges, _, other, _, _, _ = by_point
+    row = np.empty(CAMERA + 1)
+    for i in range(edges.size - 1):
+        for k in range(edges[i], edges[i + 1]):
+            block, vector = blocks[other[k]], vectors[other[k]]
+            for c in range(2):
+                for m in range(CAMERA):
+                    row[m] = by_camera[k, c, m]
+                row[CAMERA] = by_focal[k, c]
+                for m in range(CAMERA + 1):
+                    weighted = weights[k] * row[m]
+                    vector[m] += weighted * errors[k, c]
+                    for n in range(CAMERA + 1):
+                        block[m, n] += weighted * row[n]
+                for m in range(3):
+                    weighted = weights[k] * by_place[k, c, m]
+                    point_vector[i, m] += weighted * errors[k, c]
+                    mixed_border[i, m] += weighted * row[CAMERA]
+                    for n in range(3):
+                        points[i, m, n] += weighted * by_place[k, c, n]
+                    for n in range(CAMERA):
+                        mixed[k, m, n] += weighted * row[n]
 
 
 @compiled

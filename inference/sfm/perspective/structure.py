@@ -326,10 +326,11 @@ Start = tuple[PerspectiveCameras, Array]
 
 FOCAL_STARTS = (0.8, 1.5, 3.0, 6.0)  # focal lengths to grow with, in widths of the picture: 64 to 10 degrees
 AFFINE_STARTS = (1.0, 2.0)  # and those for an affine structure, which may need them for either mirror image
-TRIAL_STEPS = 15  # steps of bundle adjustment in each of two rounds after which starts are compared
-FINALISTS = 2  # starts that go on after that
+TRIAL_STEPS = 15  # of bundle adjustment, twice: after the first ones the better half of starts goes on
+FINALISTS = 2  # starts that go on after both
 MOST_ROUNDS = 6  # of bundle adjustment and new points, at the end
 SETTLED = 3.0  # nats: a round that gains less is the last
+SHORT_ROUNDS, SHORT_STEPS = 3, 8  # before these, where points are added: they go far, which steps do slowly
 
 
 def affine_starts(metric: Euclidean, principal: Array, width: float, focal: float | None) -> Iterable[Start]:
@@ -362,17 +363,15 @@ def best_bundle(
     Of an unknown focal length the sign is free, too: a negative one is that of the mirrored shape.
     """
     fit = partial(_round, listed, focal_known=focal_known, outliers=outliers)
-    trials = side_by_side([partial(_tried, fit, start) for start in starts])
-    if not trials:
-        return None
-    trials.sort(key=lambda each: -each.log_likelihood)
-    ends = side_by_side([partial(_settled, fit, trial) for trial in trials[:FINALISTS]])
-    return max(ends, key=lambda each: each.log_likelihood)
-
-
-def _tried(fit: Callable[..., Bundle], start: Start) -> Bundle:
-    found = fit(start, most_steps=TRIAL_STEPS)
-    return fit((found.cameras, found.shape), most_steps=TRIAL_STEPS)
+    trials: list[Bundle] = []
+    going_on = list(starts)
+    for most in (max(len(going_on) // 2, FINALISTS), FINALISTS):
+        trials = side_by_side([partial(fit, start, most_steps=TRIAL_STEPS) for start in going_on])
+        trials.sort(key=lambda each: -each.log_likelihood)
+        del trials[most:]
+        going_on = [(trial.cameras, trial.shape) for trial in trials]
+    ends = side_by_side([partial(_settled, fit, trial) for trial in trials])
+    return max(ends, key=lambda each: each.log_likelihood, default=None)
 
 
 def _settled(fit: Callable[..., Bundle], bundle: Bundle) -> Bundle:
@@ -537,7 +536,10 @@ def perspective_structure(
         return None
     if not np.array_equal(searched, affine.points):
         found = replace(found, shape=retriangulated(listed, found), log_likelihood=-math.inf)
-        found = _settled(partial(_round, listed, focal_known=fixed, outliers=outliers), found)
+        fit = partial(_round, listed, focal_known=fixed, outliers=outliers)
+        for _ in range(SHORT_ROUNDS):
+            found = fit((found.cameras, found.shape), most_steps=SHORT_STEPS)
+        found = _settled(fit, found)
     # a point of one frame has a direction, and the depth of all others
     found = _upright(found, affine.points)
     found = replace(found, shape=retriangulated(everything, found))
