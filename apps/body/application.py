@@ -85,7 +85,7 @@ the end because of it. `joint_names (8,)`, `part_names (3,)` (of `seen`), `angle
 left is the person's own."""
 
 NEAR_MEAN = 0.5  # head heights: a hand that is farther from its stated position is elsewhere
-SPREAD = 2.5
+SPREAD = 4.0
 """Square of the factor, typically, by which hands lie farther from the posterior's mean than its samples do.
 Measured by `rsmcm reproduce calibration`."""
 

@@ -475,7 +475,7 @@ SEEDS_OF_CONSTANTS = range(100, 108)  # of other scenes than those on which stat
 DRAWS = 100  # of scenes, with replacement
 NAMES = ("spread of the hands", "factor of the skin's nats")
 USED = (SPREAD, SEEN)
-TRIED = tuple(product((1.5, 2.0, 2.5, 3.0, 3.5), (3.0, 4.0, 5.0, 6.0, 7.0)))
+TRIED = tuple(product((2.0, 3.0, 3.5, 4.0, 4.5, 5.0), (4.0, 6.0, 7.0, 8.0, 9.0)))
 PRIOR = np.log(HAND_DETECTED / (1 - HAND_DETECTED))  # nats: of a signer's hand, without evidence
 OF_CONSTANTS = (
     "Constants of the probability that a hand is seen: those with which tenths of what is stated differ "

@@ -129,7 +129,7 @@ BARE_SCORES, BARE_HAND_SCORES = (14.0, -4.0, 0.2), (8.0, -1.0, 0.2)
 hand at its end. Skin counts less for that hand, since a longer forearm would show two thirds of it: otherwise
 hidden hands would be drawn to their wrists."""
 
-SEEN = 6.0
+SEEN = 7.0
 """Factor of a hand's nats of skin in the odds that it is seen: by the scores above a hand without skin is
 little evidence, since dependent frames have none. Measured by `rsmcm reproduce calibration`."""
 
