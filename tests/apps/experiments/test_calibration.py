@@ -58,8 +58,10 @@ def test_rotations_are_compared_whatever_the_axes_of_the_world() -> None:
 def test_constants_are_found_with_which_statements_were_made() -> None:
     random = np.random.default_rng(6)
     apart, nats = random.uniform(0, 1.2, (N, 1, 2)), random.uniform(-1.5, 1.5, (N, 1, 2))
-    for true in ((1.5, 6.0), (3.0, 3.0)):
-        stated = np.exp(-true[0] * apart**2) / (1 + np.exp(-PRIOR - true[1] * nats))
+    shared = random.uniform(0, 1, (N, 1, 1))
+    for true in ((2.0, 7.0), (4.0, 4.0)):
+        shown = 1 / (1 + np.exp(-PRIOR - true[1] * nats))
+        stated = np.exp(-true[0] * apart**2) * shown * (1 - 0.5 * shared * shown[..., ::-1])
         right = random.uniform(size=(N, 2)) < stated[:, 0]
-        made = {each: [reliability(each, (apart, nats, right))] for each in TRIED}
+        made = {each: [reliability(each, (apart, shared, nats, right))] for each in TRIED}
         np.testing.assert_allclose(best_constants(made, [0]), true, atol=1)
