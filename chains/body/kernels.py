@@ -557,7 +557,6 @@ def move_blocks(
 
 
 NECK = 0.62  # of the way from the head's centre to the root: middle of the neck's skin
-OWN_FACE = 0.5  # half axes of a head from its own face at most: 1.4 to 2.5 of `parts.HEAD_STD`
 FOREARM_POINTS = 4  # places between elbow and wrist at which skin is looked up
 
 
@@ -623,12 +622,13 @@ class HandModel(NamedTuple):
     scores: NDArray[np.float64]
     forearm: NDArray[np.float64]  # `(2,)` px: its length from the elbow to the hand, and half its width
     bare_scores: NDArray[np.float64]  # `(3,)`: the scores of a bare forearm that is seen in its full length
-    faces: NDArray[np.float64]  # `(m, 4)` px: centre and half axes of detected faces, whose skin is no hand's
+    faces: NDArray[np.float64]  # `(m, 4)` px: ellipses of detected heads and necks, whose skin is no hand's
+    own: float  # half axes of a head within which a detected one is its own, and explains nothing more
 
 
 @helper
 def _explained(x, y, parts, roots, k, hand, spread):
-    """Share of a Gaussian window at x, y that head and neck of pose k, or faces of other heads, cover."""
+    """Share of a Gaussian window at x, y that head and neck of pose k, or detected ones, cover."""
     wide, high = _f4(hand.head[0]), _f4(hand.head[1])
     radius = np.sqrt(wide * high)
     neck_x = x - _f4(parts[k, 0, 0] + NECK * (roots[k, 0] - parts[k, 0, 0]))
@@ -641,8 +641,8 @@ def _explained(x, y, parts, roots, k, hand, spread):
     for face in hand.faces:
         away_x = (_f4(parts[k, 0, 0]) - _f4(face[0])) / _f4(hand.head[0])
         away_y = (_f4(parts[k, 0, 1]) - _f4(face[1])) / _f4(hand.head[1])
-        if away_x * away_x + away_y * away_y < _f4(OWN_FACE * OWN_FACE):
-            continue  # this head explains it
+        if away_x * away_x + away_y * away_y < _f4(hand.own * hand.own):
+            continue
         wide, high = _f4(face[2]), _f4(face[3])
         radius = np.sqrt(wide * high)
         off_x, off_y = (x - _f4(face[0])) / wide, (y - _f4(face[1])) / high

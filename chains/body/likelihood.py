@@ -141,6 +141,7 @@ HEAD_SCORES = (5.0, 0.2)
 """Nats of a place with all the skin of a head, where no face is detected; probability of a head without."""
 
 NECK_RADIUS = 0.28  # head heights: of bare skin above the shoulders
+OWN_HEAD = 0.5  # half axes of a head from its detection at most: 1.4 to 2.5 of `parts.HEAD_STD`
 BLOB_COST = 4.0  # nats of a blob that looks like a hand and that no part explains
 LEAST_COST = 0.1  # nats of a place below which its skin costs nothing
 BLOB_REACH = (0.6, 0.35, 0.35, 0.25)  # head heights: within which parts and bare arms explain skin
@@ -296,8 +297,9 @@ class ImageLikelihood:
     def hand_log_odds(self, poses: BodyPoses) -> Array:
         """`(n, 2)` nats: log odds that left and right hand are seen where poses have them.
 
-        Of skin and of key points. Without them the odds are those of a detected hand as far as it is in the
-        image, or, if no clothes of a trunk are in view, of a hand among the false ones of an image.
+        Of skin that no detected head or neck explains, and of key points. Without them the odds are those of
+        a detected hand as far as it is in the image, or, if no clothes of a trunk are in view, of a hand
+        among the false ones of an image.
         """
         joints = self.body.joints(poses)[:, :, :2]
         parts = joints[:, PART_JOINTS]
@@ -307,13 +309,15 @@ class ImageLikelihood:
         with np.errstate(divide="ignore"):
             log_odds: Array = np.log(known / (FALSE_HANDS if self.image.arms is None else 1 - known))
         if self.skin is not None:
-            log_odds += SEEN * self._skin_terms(self.skin, joints, poses.roots)[1]
+            log_odds += SEEN * self._skin_terms(self.skin, joints, poses.roots, own=0.0)[1]
         if self.image.keypoints is not None:
             none = np.zeros((0, 2))
             log_odds += self.image.keypoints.mixtures(none, none).log_values(parts)[:, 1:]
         return log_odds
 
-    def _skin_terms(self, skin: tuple[Map, Map], joints: Array, roots: Array) -> tuple[Array, Array]:
+    def _skin_terms(
+        self, skin: tuple[Map, Map], joints: Array, roots: Array, own: float = OWN_HEAD
+    ) -> tuple[Array, Array]:
         """Nats of hands and blobs `(n,)`, log of the mixture of bare and covered forearms; of each hand."""
         body, image = self.body, self.image
         parts, elbows = joints[:, PART_JOINTS], joints[:, [3, 6]]
@@ -327,7 +331,7 @@ class ImageLikelihood:
         for bare, probability in ((False, 1 - image.bare), (True, image.bare)):
             if probability > 0:
                 ratio, nats = np.full(len(parts), np.log(probability)), np.empty((len(parts), 2))
-                hand = hand_model(body, bare, image.faces)
+                hand = hand_model(body, bare, image.faces, own)
                 hand_terms(parts, roots, elbows, *skin, scales, hand, bare, ratio, nats)
                 unexplained_terms(joints, places, costs, reach, bare, ratio)
                 if bare:
@@ -340,10 +344,13 @@ class ImageLikelihood:
         return total, np.einsum("bn,bnh->nh", np.exp(ratios - total), by_case)
 
 
-def hand_model(body: UpperBody, bare: bool = False, faces: Array | None = None) -> HandModel:
+def hand_model(
+    body: UpperBody, bare: bool = False, faces: Array | None = None, own: float = OWN_HEAD
+) -> HandModel:
     """Return the model of this body's hands, in sleeves or not.
 
-    `faces` `(m, 4)` px: ellipses of detected faces, centre and half axes.
+    `faces` `(m, 4)` px: ellipses of detected heads and necks, centre and half axes. They explain skin, but
+    for that of the pose's own head, which is within `own` of its half axes.
     """
     return HandModel(
         body.hand,
@@ -354,6 +361,7 @@ def hand_model(body: UpperBody, bare: bool = False, faces: Array | None = None) 
         np.array([body.forearm, 0.25 * (body.forearm_width + body.wrist_width)]),
         np.array(BARE_SCORES),
         np.zeros((0, 4)) if faces is None else faces,
+        own,
     )
 
 

@@ -367,7 +367,7 @@ class BodyParts:
         seen = BodyImage(
             image.shape[:2], skin, moving, edges, directions,
             hands.means, hands.log_weights, mixtures, points, self.bare, arms,
-            np.concatenate([face_ellipses(shown), _face_and_neck(_centres(shown), height)[1]]),
+            np.concatenate(_face_and_neck(_centres(shown), height)),
         )  # fmt: skip
         return PartMessage(self.uniform().stacked, seen)
 
