@@ -68,12 +68,13 @@ class SignerFilm:
     parts: BodyParts
 
     @classmethod
-    def of(cls, rows: int | None = None, **settings: Any) -> Self:
-        """Return the scene of these settings of `signer`; skin is learned from it as from any clip.
+    def of(cls, **settings: Any) -> Self:
+        """Return the scene of these settings of `signer`."""
+        return cls.of_scene(signer(**settings))
 
-        Its pictures end after so many `rows`.
-        """
-        scene = signer(**settings)
+    @classmethod
+    def of_scene(cls, scene: SignerScene, rows: int | None = None) -> Self:
+        """Return a scene whose pictures end after so many `rows`; skin is learned as from any clip."""
         frames = [replace(frame, image=frame.required_image()[:rows].copy()) for frame in scene]
         parts = BodyParts.learned([frame.required_image() for frame in frames], scene.detector)
         return cls(scene, frames, replace(parts, head_height=scene.body.head_height))

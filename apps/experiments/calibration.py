@@ -493,9 +493,9 @@ def evidence_of_hands(kind: str, seed: int) -> dict[str, Evidence]:
     Of samples `(n_frames, n_samples, 2)`, see `apart_and_shared`, and their nats of skin; whether a hand is
     seen and near the mean, `(n_frames, 2)`.
     """
-    rows = rows_of(kind, signer(N_FRAMES, seed, sleeves=SIGNERS[kind]))
-    film = SignerFilm.of(rows, n_frames=N_FRAMES, seed=seed, sleeves=SIGNERS[kind])
-    scene = film.scene
+    scene = signer(N_FRAMES, seed, sleeves=SIGNERS[kind])
+    rows = rows_of(kind, scene)
+    film = SignerFilm.of_scene(scene, rows)
     model, pose = RSMCM.connected(film)
     engine, state, found = RecursiveBP(model), RunState(), []
     smoothing = FixedLag(BodyDynamics(scene.body), LAG, seed=seed)

@@ -176,10 +176,8 @@ def bodies() -> Findings:
         ]
 
     steps, early = {threads: tracker(film, threads) for threads in (1, 2)}, TURN // 2
-    for step in steps.values():
-        for frame in film.frames[
-            :early
-        ]:  # so that frames are smoothed in the middle of a turn, and done then
+    for step in steps.values():  # so that frames are smoothed in the middle of a turn, and done then
+        for frame in film.frames[:early]:
             step(frame)
     spent = over_frames(steps, film.frames[early:], TURN, WARM_UP)
     return Findings("Bodies", [], over_rounds(judge, spent))
