@@ -25,7 +25,10 @@ BODY, SAMPLE = 180, 5_000
 """Bytes per pixel, and per sample."""
 
 KEPT_IMAGE, KEPT_SAMPLE = 24, 250
-"""Bytes per pixel and per sample of each frame that waits for later ones."""
+"""Bytes per pixel and per sample of each frame that waits for later ones.
+
+A picture of a small head; of one that fills a quarter of the height, a third is kept.
+"""
 
 GIGA = 1e9
 

@@ -16,12 +16,16 @@ AT_MOST, AT_LEAST = 1.15, 0.4
 """Of what is stated."""
 
 
-def film(folder: Path, images: list[np.ndarray], scale: int) -> tuple[Path, int]:
-    """A film whose pictures are magnified, and its pixels."""
+def film(folder: Path, images: list[np.ndarray], scale: int, magnified: bool) -> tuple[Path, int]:
+    """A film whose pictures are magnified, or show as much more beside, and its pixels."""
     path = folder / f"film{scale}"
     path.mkdir()
     for number, image in enumerate(images):
-        large = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+        if magnified:
+            large = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+        else:
+            beside = (scale - 1) * np.array(image.shape[:2])
+            large = cv2.copyMakeBorder(image, 0, beside[0], 0, beside[1], cv2.BORDER_REPLICATE)
         cv2.imwrite(str(path / f"{number}.jpg"), large)
     return path, large.shape[0] * large.shape[1]
 
@@ -34,7 +38,7 @@ def film(folder: Path, images: list[np.ndarray], scale: int) -> tuple[Path, int]
         ("background", ("--engine", "coordinate-ascent"), memory.BACKGROUND["gaussian"]),
         ("background", ("--config", "mixture.toml"), memory.BACKGROUND["mixture"]),
         ("structure", ("--stop", N_FRAMES), memory.STRUCTURE + N_FRAMES * memory.STRUCTURE_FRAME),
-        ("body", ("--head", "{0},{1},{2},{3}"), memory.BODY + N_FRAMES * memory.KEPT_IMAGE),
+        ("body", ("--head", "354,74,58,82"), memory.BODY + N_FRAMES * memory.KEPT_IMAGE),
         ("face", ("--landmarks", "landmarks{scale}.npy"), memory.FACE),
     ],
 )
@@ -44,11 +48,10 @@ def test_bytes_per_pixel(name: str, options: tuple[object, ...], stated: float, 
     images = list(turntable(N_FRAMES, (288, 360)).images if name == "structure" else scene.images())
     found = []
     for scale in SCALES:
-        path, pixels = film(tmp_path, images, scale)
+        path, pixels = film(tmp_path, images, scale, name != "body")  # a small head needs most
         if name == "face":
             np.save(tmp_path / f"landmarks{scale}.npy", (scene.vertices + 0.5) * scale - 0.5)
-        head = [scale * number for number in (354, 74, 58, 82)]
-        filled = [str(option).format(*head, scale=scale) for option in options]
+        filled = [str(option).format(scale=scale) for option in options]
         given = [tmp_path / each if each.endswith((".toml", ".npy")) else each for each in filled]
         for attempt in range(2):  # loops that are compiled need memory too, the first time
             done, peak = with_peak(name, path, "--out", tmp_path / f"out{scale}-{attempt}", *given)
@@ -74,7 +77,7 @@ def test_a_run_that_needs_more_than_there_is(
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    path, _ = film(tmp_path, list(signer(4, 2).images()), 1)
+    path, _ = film(tmp_path, list(signer(4, 2).images()), 1, True)
     monkeypatch.setattr(memory.psutil, "virtual_memory", lambda: SimpleNamespace(available=2_000_000))
     message = Command(name).complaint(capfd, path, "--out", tmp_path / "out", *options)
     assert f"{path}: a run on 640x360 px with these settings needs about" in message
