@@ -45,6 +45,7 @@ from .light import LightField, light_grid, share_of_blocks, track_light
 from .mirror import EVERY, mirroring, update_mirror
 from .second_colours import SETTLED, SecondColours, Settling, learn_second_colours, update_behind
 from .shade import shade_in, update_shade
+from .sleeping_blocks import Flags, blocks_in_turn
 from .sway import Sway, sway_reach, update_rates
 
 Planes = NDArray[np.float32]
@@ -167,6 +168,9 @@ class AdaptiveBackground:
         weight of the evidence of the surrounding 5 x 5 pixels in the log odds of a pixel.
     follow_light
         estimate a smooth field of light in every frame, so that clouds and lamps do not become foreground.
+    sleep
+        do not compare blocks of pixels that show what is expected, once the scene is known: see
+        `sleeping_blocks`.
     """
 
     prior: Probability = 0.95
@@ -177,6 +181,7 @@ class AdaptiveBackground:
     settle_time: PositiveOrInfinite = 3.0
     pooling: NotNegative = 0.3
     follow_light: bool = True
+    sleep: bool = True
     name: str = "background"
 
     @property
@@ -350,4 +355,10 @@ class AdaptiveBackground:
             sway=Sway(state.sway, sway_reach(state.size)),
             shade=shade_in(state.shade, state.size),
             mirroring=mirroring(state.mirror),
+            in_turn=self._in_turn(state),
         )
+
+    def _in_turn(self, state: BackgroundState) -> Flags:
+        """Return the blocks that do not sleep: all of them until their values and noises are known."""
+        in_turn = blocks_in_turn(state.size, state.age, state.elapsed)
+        return in_turn if self.sleep and state.age >= BOOTSTRAP_TIME else np.ones_like(in_turn)

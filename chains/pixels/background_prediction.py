@@ -21,6 +21,7 @@ from ...models.pixels import colour
 from ...models.pixels.background import ODDS_STEPS, SPAN, StoredPlanes, Subtraction, foreground_spans
 from ...models.pixels.colour import planes_of
 from .gaussians import (
+    CERTAIN,
     COARSE_STEPS,
     HIGHEST_NOISE,
     HIGHEST_VARIANCE,
@@ -35,6 +36,7 @@ from .gaussians import (
     FastPathThresholds,
     Gaussians,
     PixelModel,
+    is_sure,
     light_beside,
     log_evidence,
     mean_of,
@@ -52,6 +54,7 @@ from .light import LightField
 from .mirror import EVERY, find_axes, recall_mirrored
 from .second_colours import SecondColours, recall
 from .shade import Shade, recall_shaded
+from .sleeping_blocks import BLOCK_COLUMNS, BLOCK_ROWS, Flags, find_awake, sleep_through
 from .sway import LEAST_RATE, Sway, recall_moved
 
 _f4, _i4 = np.float32, np.int32
@@ -64,7 +67,6 @@ _UNSURE = np.int8(-128)  # where the log odds are not known yet
 _HIGHEST = HIGHEST_VARIANCE * VARIANCE_STEPS
 
 HALO = 2  # rows beyond a band that its smoothed log odds depend on
-BLOCK = 32  # rows that are worked on at a time: small enough to stay in the cache
 
 
 @inlined
@@ -82,17 +84,18 @@ def fast_update(distance, light, variance, noise, fast):
     narrower = min(max(narrower, _f4(LOWEST_VARIANCE * VARIANCE_STEPS)), _f4(_HIGHEST))
     noisier = noise + fast.noise_share * (distance - total)
     noisier = min(max(noisier, _f4(LOWEST_NOISE * NOISE_STEPS)), _f4(HIGHEST_NOISE * NOISE_STEPS))
-    bound = min(fast.offset + fast.slope * total, fast.offset_beyond + fast.slope_beyond * total)
-    sure = (distance <= bound) & (total <= fast.most)
-    return fast.step * gain, narrower, noisier, sure
+    return fast.step * gain, narrower, noisier, is_sure(distance, total, fast)
 
 
 @compiled
-def fast_rows_of_colour(first, end, pixels, before, light_field, fast, rounding, after, log_odds):
-    """Compare and update rows `first` to `end` of a colour picture where they surely show the background.
+def fast_rows_of_colour(
+    first, end, left, right, pixels, before, light_field, fast, rounding, after, log_odds
+):
+    """Compare and update pixels of a colour picture where they surely show the background.
 
-    Their `log_odds` are `_UNSURE` where they do not; what follows for the Gaussians holds only where they do.
-    (A loop over rows that is a function of its own keeps the constants of the inner one from being spilled: a
+    They are those of rows `first` to `end` and columns `left` to `right`. Their `log_odds`, which begin with
+    row `first`, are `_UNSURE` where they do not; what follows for the Gaussians holds only where they do. (A
+    loop over rows that is a function of its own keeps the constants of the inner one from being spilled: a
     third of the time.)
     """
     luma, red, blue = before.mean[0], before.mean[1], before.mean[2]
@@ -103,7 +106,7 @@ def fast_rows_of_colour(first, end, pixels, before, light_field, fast, rounding,
         upper, lower, below_share = light_beside(light_field, y)
         cut = rounding_along(rounding, y)
         base, base_odds = np.uint64(y * width), np.uint64((y - first) * width)
-        for x in range(np.uint64(width)):
+        for x in range(np.uint64(left), np.uint64(right)):
             i = base + x
             k = _THREE * i
             c0, c1, c2 = planes_of(pixels[k], pixels[k + _ONE], pixels[k + _TWO])
@@ -123,8 +126,8 @@ def fast_rows_of_colour(first, end, pixels, before, light_field, fast, rounding,
 
 
 @compiled
-def fast_rows_of_grey(first, end, pixels, before, light_field, fast, rounding, after, log_odds):
-    """Compare and update rows `first` to `end` of a grey picture, as `fast_rows_of_colour`."""
+def fast_rows_of_grey(first, end, left, right, pixels, before, light_field, fast, rounding, after, log_odds):
+    """Compare and update pixels of a grey picture, as `fast_rows_of_colour`."""
     luma, new_luma = before.mean[0], after.mean[0]
     variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
     width = light_field.rows.shape[1]
@@ -132,7 +135,7 @@ def fast_rows_of_grey(first, end, pixels, before, light_field, fast, rounding, a
         upper, lower, below_share = light_beside(light_field, y)
         cut = rounding_along(rounding, y)
         base, base_odds = np.uint64(y * width), np.uint64((y - first) * width)
-        for x in range(np.uint64(width)):
+        for x in range(np.uint64(left), np.uint64(right)):
             i = base + x
             light = upper[x] + below_share * (lower[x] - upper[x])
             m0 = _f4(luma[i])
@@ -147,14 +150,13 @@ def fast_rows_of_grey(first, end, pixels, before, light_field, fast, rounding, a
 
 
 @compiled
-def slow_rows(first, end, pixels, before, light_field, model, rounding, after, log_odds):
+def slow_rows(first, end, pixels, before, light_field, model, rounding, spans, work, after, log_odds):
     """Compare and update those spans of rows `first` to `end` in which not all is sure background.
 
     Gives the greatest variance there, as it is stored. A span is worked on in one array of its own: loops
     over many arrays find out first, each time, that they do not overlap.
     """
     channels, width = before.mean.shape[0], light_field.rows.shape[1]
-    spans, work = np.empty(width // SPAN + 1, np.int64), np.zeros(8 * SPAN, np.float32)
     most = _i4(0)
     for y in range(first, end):
         own = (y - first) * width
@@ -243,22 +245,39 @@ def _store_state(work, cut, before, after, here):
 
 
 @compiled
-def compare_rows(first, end, pixels, before, light_field, model, fast, rounding, after, log_odds):
+def compare_rows(first, end, pixels, before, light_field, model, fast, rounding, awake, after, log_odds):
     """Write log odds of background in rows `first` to `end`, of each pixel by itself, and the update.
 
     `fast` is what pixels need of the `model` that show background for sure, `rounding` what is added to
-    numbers before they are cut off. Returns the greatest variance from `first` to `end`, as it is stored.
+    numbers before they are cut off. In blocks that are not `awake` (see `sleeping_blocks`) all pixels
+    do, but where a span reaches into them; a row of blocks begins with `first`. Returns the greatest variance
+    of pixels that are not sure, as it is stored.
     """
     channels, width = before.mean.shape[0], light_field.rows.shape[1]
+    spans, work = np.empty(width // SPAN + 1, np.int64), np.zeros(8 * SPAN, np.float32)
     most = _i4(0)
-    for start in range(first, end, BLOCK):
-        stop = min(start + BLOCK, end)
+    for start in range(first, end, BLOCK_ROWS):
+        stop, blocks, block = min(start + BLOCK_ROWS, end), awake[start // BLOCK_ROWS], 0
         odds = log_odds[(start - first) * width : (stop - first) * width]
-        if channels == 3:
-            fast_rows_of_colour(start, stop, pixels, before, light_field, fast, rounding, after, odds)
-        else:
-            fast_rows_of_grey(start, stop, pixels, before, light_field, fast, rounding, after, odds)
-        most = max(most, slow_rows(start, stop, pixels, before, light_field, model, rounding, after, odds))
+        while block < blocks.size:
+            left, is_awake = block * BLOCK_COLUMNS, blocks[block]
+            while block < blocks.size and blocks[block] == is_awake:
+                block += 1
+            right = min(block * BLOCK_COLUMNS, width)
+            if is_awake == 0:
+                sleep_through(start, stop, left, right, width, before, fast.drift, rounding, after, odds)
+            elif channels == 3:
+                fast_rows_of_colour(
+                    start, stop, left, right, pixels, before, light_field, fast, rounding, after, odds
+                )
+            else:
+                fast_rows_of_grey(
+                    start, stop, left, right, pixels, before, light_field, fast, rounding, after, odds
+                )
+        most = max(
+            most,
+            slow_rows(start, stop, pixels, before, light_field, model, rounding, spans, work, after, odds),
+        )
     return most
 
 
@@ -274,8 +293,6 @@ class Compared(NamedTuple):
     mirror_seen: Planes  # see `find_axes`
     mirrored: NDArray[np.uint8] | None  # see `recall_mirrored`; none where nothing is
 
-
-CERTAIN = 6.0  # nats: the bound of the log odds of a pixel by itself
 
 CHORDS = (LOWEST_NOISE, 100.0, 1000.0)
 """Squared grey levels of variance, between which the bound of `FastPathThresholds` is linear."""
@@ -305,6 +322,7 @@ class BackgroundPrediction:
     sway: Sway  # how often pixels show what is beside them
     shade: Shade  # how often they stand in something's shade
     mirroring: NDArray[np.bool_]  # (block_columns,): which show what is above
+    in_turn: Flags  # blocks that are compared whatever they show (see `sleeping_blocks`)
     _compared: dict[int, tuple[NDArray[np.uint8], "Compared"]] = field(default_factory=dict)
 
     @property
@@ -394,15 +412,22 @@ class BackgroundPrediction:
         (height, width), tolerance, pooling = self.size, np.float32(self.tolerance), np.float32(self.pooling)
         sways, highest = bool(self.sway.rates.max() >= LEAST_RATE), []
 
-        def compare(first: int, end: int) -> None:
+        awake = self.in_turn
+        if not awake.all():
+            awake = find_awake(awake, self.frames, flat, self.pixels, light, fast)
+
+        def compare(first_block: int, end_block: int) -> None:
+            first, end = BLOCK_ROWS * first_block, min(BLOCK_ROWS * end_block, height)
             own = log_odds[first * width : end * width]
-            most = compare_rows(first, end, flat, self.pixels, light, self.model, fast, rounding, after, own)
+            most = compare_rows(
+                first, end, flat, self.pixels, light, self.model, fast, rounding, awake, after, own
+            )
             highest.append(most)
             recall(first * width, flat, self.second, tolerance, self.model, own)
             if sways:
                 recall_moved(first, flat, self.pixels, light, self.model, self.sway, own)
 
-        over_bands(compare, height)
+        over_bands(compare, len(awake))
         some_unknown = max(highest) > HIGHEST_VARIANCE * VARIANCE_STEPS
         mirror_seen, mirrored = np.zeros((2, self.mirroring.size), np.float32), None
         axes, shares = np.full(self.mirroring.size, -1), np.zeros(self.mirroring.size, np.float32)

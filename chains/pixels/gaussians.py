@@ -36,7 +36,8 @@ ROUNDING = 65536.0
 """In what is added before a number is cut off to whole steps: none is below 0 then, and 16 bits drop it."""
 
 ROUNDING_PERIOD = 256  # rows of pixels are rounded by one table, each from another place in it
-SURE = np.int8(6 * ODDS_STEPS)  # log odds at their bound, which only a pixel's own Gaussian gives
+CERTAIN = 6.0  # nats: the bound of the log odds of a pixel by itself
+SURE = np.int8(CERTAIN * ODDS_STEPS)  # log odds at their bound, which only a pixel's own Gaussian gives
 
 MOST_RECALLED = 5.95
 """Nats at most, of pixels that are background for another reason: a step less than `SURE`."""
@@ -60,7 +61,7 @@ class Light(NamedTuple):
 
 
 class FastPathThresholds(NamedTuple):
-    """Thresholds of `fast_update`, in the steps of the numbers that are stored, all float32.
+    """Thresholds of `is_sure` and `fast_update`, in the steps of the numbers that are stored, all float32.
 
     Log odds are at their bound of 6 nats where the squared distance does not exceed t (c - channels log t),
     t being its variance. That is concave in t, so that chords are below it: `offset` and `slope` of one that
@@ -150,6 +151,16 @@ def rounding_along(rounding, y):
 
 
 @inlined
+def is_sure(distance, total, thresholds):
+    """Return whether the log odds of background are at their bound; see `FastPathThresholds`."""
+    bound = min(
+        thresholds.offset + thresholds.slope * total,
+        thresholds.offset_beyond + thresholds.slope_beyond * total,
+    )
+    return (distance <= bound) & (total <= thresholds.most)
+
+
+@inlined
 def posterior(distance, light, variance, noise, model, channels):
     """Return a pixel's log odds of background, step of its mean per grey level, new variance and noise.
 
@@ -162,7 +173,7 @@ def posterior(distance, light, variance, noise, model, channels):
     odds = model.log_prior_odds - _f4(0.5) * (channels * logarithm(total) + distance * precision)
     # a value that is not known at all may be any colour, as an object's
     odds = odds if variance <= _f4(HIGHEST_VARIANCE) else model.label_odds
-    odds = min(max(odds, _f4(-6.0)), _f4(6.0))
+    odds = min(max(odds, _f4(-CERTAIN)), _f4(CERTAIN))
     weight = sigmoid(odds)
     gain = light * before * precision
     step = weight * gain

@@ -58,6 +58,7 @@ def scene(channels, seed=0, size=(23, 37), prior=0.9, **changes):
         "sway": Sway(np.zeros((3, 4), np.float32), 3),
         "shade": shade_in(np.zeros((3, 3, 4), np.float32), size),
         "mirroring": np.zeros(4, bool),
+        "in_turn": np.ones((3, 2), np.uint8),
     }
     image = np.clip(remembered + rng.normal(0, 6, shape), 0, 255)
     strange = image[5:15, 10:20]

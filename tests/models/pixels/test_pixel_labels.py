@@ -47,6 +47,7 @@ def background(channels=3, **changes):
         "sway": Sway(np.zeros((3, 4), np.float32), 3),
         "shade": shade_in(np.zeros((3, 3, 4), np.float32), SIZE),
         "mirroring": np.zeros(4, bool),
+        "in_turn": np.ones((4, 2), np.uint8),
     }
     return BackgroundPrediction(**{**values, **changes})
 
