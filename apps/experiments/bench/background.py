@@ -125,10 +125,12 @@ def speeds() -> Findings:
         set_threads(threads)
         pixels = PixelLabels()  # without the ground plane and a detector's rates
         pair = MultiChain().connect(build_chain("background", {}), pixels)
+        awake = MultiChain().connect(build_chain("background", {"background": {"sleep": False}}), pixels)
         steps = {
             "MOG2": subtracting(cv2.createBackgroundSubtractorMOG2(), threads),
             "KNN": subtracting(cv2.createBackgroundSubtractorKNN(), threads),
             "background alone with mask": in_steps(build_model("stand-alone")),
+            "no block asleep": in_steps(awake),
             "background and blobs": in_steps(pair.connect(build_chain("blobs", {}), pixels)),
             "feed-forward": in_steps(build_model("feed-forward")),
             "with the ground plane": in_steps(build_model()),
@@ -141,6 +143,7 @@ def speeds() -> Findings:
 def _of_speeds(at: str, wanted: Sequence[float], seconds: Mapping[str, float]) -> list[Expectation]:
     ours = ("background alone with mask", "background and blobs", "with the ground plane")
     mog2, three = seconds["MOG2"], seconds[ours[-1]]
+    alone, awake = seconds[ours[0]], seconds["no block asleep"]
     peer = min(mog2, seconds["KNN"])
     return [
         *(Expectation(f"{at}: {name}, ms a frame", 1e3 * seconds[name]) for name in ("MOG2", "KNN", *ours)),
@@ -148,6 +151,7 @@ def _of_speeds(at: str, wanted: Sequence[float], seconds: Mapping[str, float]) -
             Expectation(f"{at}: {name} over MOG2", seconds[name] / mog2, "<=", bound)
             for name, bound in zip(ours, wanted, strict=True)
         ),
+        Expectation(f"{at}: background alone over the same with no block asleep", alone / awake, "<=", 1.0),
         Expectation(f"{at}: with the ground plane over the faster of MOG2 and KNN", three / peer),
         Expectation(f"{at}: feedback over feed-forward", three / seconds["feed-forward"], "<=", 1.03),
     ]
