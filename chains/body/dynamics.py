@@ -11,7 +11,7 @@ from ...models.body.kernels import lean
 from ...models.body.upper_body import BodyPoses, UpperBody, arm_at
 from ...models.core.checks import NotNegative, Positive, Shape, checked
 from ...models.core.short_repr import short_repr
-from .kernels import (
+from .kernels.dynamics import (
     RAISED,
     arm_steps,
     crossings,

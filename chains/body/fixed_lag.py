@@ -31,7 +31,7 @@ from ...models.numerics.threads import Background
 from .dynamics import Ancestors, BodyDynamics, Prediction, arm_concentrations
 from .flesh_state import FleshTracks
 from .hand_labelling import NO_EVIDENCE, ExchangeEvidence, Labelling, exchange_evidence, label_hands
-from .kernels import choose_arms, chosen_arms
+from .kernels.proposals import choose_arms, chosen_arms
 from .likelihood import BodyLikelihood, ImageLikelihood, PoseLikelihood
 from .samples import LONGEST, BodySamples
 from .tempering import LogDensity, perturb

@@ -33,7 +33,7 @@ from ...models.body.upper_body import (
 from ...models.core.short_repr import short_repr
 from ...models.numerics.rotations import logarithm
 from .dynamics import BodyDynamics
-from .kernels import redraw_arms
+from .kernels.proposals import redraw_arms
 from .proposals import LEAST_DEPTH
 from .samples import BodySamples, weighted_moments
 from .tempering import LogDensity

@@ -14,19 +14,17 @@ from ...models.body.skin import HIGHEST
 from ...models.body.upper_body import PART_JOINTS, BodyPoses, UpperBody
 from ...models.core.gaussian_mixtures import GaussianMixtures
 from ...models.numerics.threads import over_bands
-from .kernels import (
-    LANES,
+from .kernels.image import (
     HandModel,
-    Solid,
     arm_terms,
     edge_features,
     forearm_terms,
     hand_terms,
     head_terms,
-    outline_terms,
     over_density,
     unexplained_terms,
 )
+from .kernels.outlines import LANES, Solid, outline_terms
 
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]

@@ -30,7 +30,7 @@ from ...models.body.upper_body import (
 from ...models.core.gaussian_mixtures import GaussianMixtures
 from ...models.numerics.threads import over_bands
 from .dynamics import Ancestors, BodyDynamics
-from .kernels import choose, closeness_to, completion_terms, guided_values
+from .kernels.proposals import choose, closeness_to, completion_terms, guided_values
 from .tempering import Strata
 
 Array = NDArray[np.float64]

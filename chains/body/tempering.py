@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...inference.smc import log_sum, normalised, systematic
 from ...models.body.upper_body import REFERENCE, BodyPoses, UpperBody
 from .dynamics import BodyDynamics
-from .kernels import NEVER, cut, move_blocks
+from .kernels.proposals import NEVER, cut, move_blocks
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
-from rsmcm.chains.body import kernels
-from rsmcm.chains.body.kernels import LANES, NUMBERS, ROW
+from rsmcm.chains.body.kernels import outlines
+from rsmcm.chains.body.kernels.outlines import LANES, NUMBERS, ROW
 from rsmcm.chains.body.likelihood import OUTLINE_PARTS, solid_of
 from rsmcm.models.body.upper_body import BodyPoses, UpperBody, transport
 from scipy.spatial.transform import Rotation
@@ -19,7 +19,7 @@ def _from_a_loop(function: Any) -> Any:
     return njit(lambda *arguments: function(*arguments))
 
 
-put_body, fronts, trace = map(_from_a_loop, (kernels.put_body, kernels.fronts, kernels.trace))
+put_body, fronts, trace = map(_from_a_loop, (outlines.put_body, outlines.fronts, outlines.trace))
 
 FAR = 1e9
 """Depth where a part is not."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
-from rsmcm.chains.body.kernels import choose, closeness_to, guided_values
+from rsmcm.chains.body.kernels.proposals import choose, closeness_to, guided_values
 from rsmcm.chains.body.proposals import ANYWHERE, AT_ELBOWS, GUIDED, Guided, draw_guided, half_range
 from rsmcm.models.body.upper_body import JOINTS, BodyPoses, UpperBody, log_volume, swivels
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.chains.body.kernels import (
+from rsmcm.chains.body.kernels.image import (
     FOREARM_POINTS,
     NECK,
     arm_terms,
