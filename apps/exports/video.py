@@ -17,6 +17,7 @@ from ..runs.progress import Progress
 from ..view.film import FILM, ROWS, Film, read_film
 from ..view.overlay import Draw, OverlayVideo, PointsOverlay, TracksOverlay, draw_face
 from .finished_run import SUMMARY, FinishedRun
+from .movement import POSES
 
 
 @checked
@@ -39,7 +40,7 @@ def to_video(run: str | Path, out: str | Path) -> str:
         raise ValueError(f"{finished.folder}: holds no film, expected {FILM} and {ROWS}")
     film = read_film(finished.folder)
     if finished.summary.get("relabelled"):
-        path, expected = finished.folder / "poses.npz", "expected the poses of a body"
+        path, expected = finished.folder / POSES, "expected the poses of a body"
         with fitting(path, expected):
             film = with_final_names(film, read_arrays(path, expected, most=path.stat().st_size))
     with fitting(finished.folder / SUMMARY, f"expected the summary of rsmcm {finished.application}"):

@@ -284,7 +284,7 @@ class ImageLikelihood:
         places = (np.stack(np.meshgrid(columns, rows), axis=2).reshape(-1, 2) + 0.5) / scales - 0.5
         costs = BARE_HAND_SCORES[0] / np.pi * share[np.ix_(rows, columns)].ravel().astype(np.float64)
         shown = costs > LEAST_COST
-        for x, y, half_width, half_height in self.image.faces:
+        for x, y, half_width, half_height in self.image.heads_and_necks:
             shown &= np.square((places - [x, y]) / [half_width, half_height]).sum(axis=1) > 1
         return places[shown], costs[shown]
 
@@ -329,7 +329,7 @@ class ImageLikelihood:
         for bare, probability in ((False, 1 - image.bare), (True, image.bare)):
             if probability > 0:
                 ratio, nats = np.full(len(parts), np.log(probability)), np.empty((len(parts), 2))
-                hand = hand_model(body, bare, image.faces, own)
+                hand = hand_model(body, bare, image.heads_and_necks, own)
                 hand_terms(parts, roots, elbows, *skin, scales, hand, bare, ratio, nats)
                 unexplained_terms(joints, places, costs, reach, bare, ratio)
                 if bare:
@@ -343,12 +343,12 @@ class ImageLikelihood:
 
 
 def hand_model(
-    body: UpperBody, bare: bool = False, faces: Array | None = None, own: float = OWN_HEAD
+    body: UpperBody, bare: bool = False, heads_and_necks: Array | None = None, own: float = OWN_HEAD
 ) -> HandModel:
     """Return the model of this body's hands, in sleeves or not.
 
-    `faces` `(m, 4)` px: ellipses of detected heads and necks, centre and half axes. They explain skin, but
-    for that of the pose's own head, which is within `own` of its half axes.
+    `heads_and_necks` `(m, 4)` px: ellipses of detected ones, centre and half axes. They explain skin, but for
+    that of the pose's own head, which is within `own` of its half axes.
     """
     return HandModel(
         body.hand,
@@ -358,7 +358,7 @@ def hand_model(
         np.array(BARE_HAND_SCORES if bare else SKIN_SCORES),
         np.array([body.forearm, 0.25 * (body.forearm_width + body.wrist_width)]),
         np.array(BARE_SCORES),
-        np.zeros((0, 4)) if faces is None else faces,
+        np.zeros((0, 4)) if heads_and_necks is None else heads_and_necks,
         own,
     )
 

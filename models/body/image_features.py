@@ -189,7 +189,9 @@ class BodyImage:
     # nats: log odds of a sleeve's colour, half as large as the image; `None` without known clothes
     arms: Annotated[NDArray[np.float32], Shape(None, None)] | None = None
     # px: ellipses of heads whose faces are detected and of their necks, centre x, y and half axes
-    faces: Annotated[NDArray[np.float64], Shape(None, 4)] = field(default_factory=lambda: np.zeros((0, 4)))
+    heads_and_necks: Annotated[NDArray[np.float64], Shape(None, 4)] = field(
+        default_factory=lambda: np.zeros((0, 4))
+    )
     _made: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def once(self, key: Hashable, make: Callable[["BodyImage"], Made]) -> Made:

@@ -75,7 +75,7 @@ class HandModel(NamedTuple):
     scores: NDArray[np.float64]
     forearm: NDArray[np.float64]  # `(2,)` px: its length from the elbow to the hand, and half its width
     bare_scores: NDArray[np.float64]  # `(3,)`: the scores of a bare forearm that is seen in its full length
-    faces: NDArray[np.float64]  # `(m, 4)` px: ellipses of detected heads and necks, whose skin is no hand's
+    heads_and_necks: NDArray[np.float64]  # `(m, 4)` px: ellipses of detected ones, whose skin is no hand's
     own: float  # half axes of a head within which a detected one is its own, and explains nothing more
 
 
@@ -91,14 +91,14 @@ def _explained(x, y, parts, roots, k, hand, spread):
     from_head = np.sqrt(off_x * off_x + off_y * off_y) * radius
     from_neck = np.sqrt(neck_x * neck_x + neck_y * neck_y)
     covered = max(_inside(from_head, radius, spread), _inside(from_neck, _f4(hand.neck_radius), spread))
-    for face in hand.faces:
-        away_x = (_f4(parts[k, 0, 0]) - _f4(face[0])) / _f4(hand.head[0])
-        away_y = (_f4(parts[k, 0, 1]) - _f4(face[1])) / _f4(hand.head[1])
+    for ellipse in hand.heads_and_necks:
+        away_x = (_f4(parts[k, 0, 0]) - _f4(ellipse[0])) / _f4(hand.head[0])
+        away_y = (_f4(parts[k, 0, 1]) - _f4(ellipse[1])) / _f4(hand.head[1])
         if away_x * away_x + away_y * away_y < _f4(hand.own * hand.own):
             continue
-        wide, high = _f4(face[2]), _f4(face[3])
+        wide, high = _f4(ellipse[2]), _f4(ellipse[3])
         radius = np.sqrt(wide * high)
-        off_x, off_y = (x - _f4(face[0])) / wide, (y - _f4(face[1])) / high
+        off_x, off_y = (x - _f4(ellipse[0])) / wide, (y - _f4(ellipse[1])) / high
         covered = max(covered, _inside(np.sqrt(off_x * off_x + off_y * off_y) * radius, radius, spread))
     return covered
 

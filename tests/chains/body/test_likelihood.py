@@ -110,7 +110,8 @@ def hand_scores(
     bare = elbows is not None
     elbows = np.zeros((len(parts), 2, 2)) if elbows is None else elbows
     nats = np.empty((len(parts), 2))
-    hand_terms(parts, roots, elbows, *skin, scales, hand_model(BODY, bare=bare, faces=faces), bare, out, nats)
+    hand = hand_model(BODY, bare=bare, heads_and_necks=faces)
+    hand_terms(parts, roots, elbows, *skin, scales, hand, bare, out, nats)
     return out
 
 

@@ -179,8 +179,8 @@ def test_the_neck_of_a_detected_face_explains_its_skin(still: bool) -> None:
         node = replace(node, static_skin=np.zeros((240, 320), np.float32))
     seen = node.evidence(Frame(picture(hands=(neck, RIGHT)), 0.0, 1), node.uniform()).image
     assert seen is not None
-    within = (np.square((neck - seen.faces[:, :2]) / seen.faces[:, 2:]).sum(axis=1) < 1).sum()
-    assert within == 1
+    middles, half_axes = np.split(seen.heads_and_necks, 2, axis=1)
+    assert (np.square((neck - middles) / half_axes).sum(axis=1) < 1).sum() == 1
     hand, at_neck = (
         seen.blob_log_weights[np.hypot(*(seen.blobs - place).T) < 0.3 * HEIGHT].max(initial=-np.inf)
         for place in (RIGHT, neck)
