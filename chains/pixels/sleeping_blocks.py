@@ -43,15 +43,16 @@ LONGEST_SLEEP = 1.0
 """s after which a block is compared in any case: variances have grown by a sixteenth of the lowest noise."""
 
 LONE = 2.0
-"""Nats for foreground of a pixel by which it wakes its block: of one that is alone there is more than that of
-those around it for background."""
+"""Nats for foreground of a pixel by which it wakes its block. With less, a lone one is no foreground either:
+the pixels around it say more for background."""
 
 RUN, MOST_DEVIATIONS = 4, 4.0
-"""Neighbours in a row whose luma together differs from the scene by more than noise; of a thousand blocks a
-few do by chance."""
+"""So many neighbours in a row wake their block if their mean luma is so far from the scene's; of a thousand
+blocks a few are by chance."""
 
 RESTLESS = 0.15
-"""Share of blocks that show something unexpected beyond which all are compared: hardly more than now."""
+"""Share of blocks that show something unexpected beyond which all are compared: hardly any would sleep, as
+those around them do not."""
 
 SHORT_GAP = 6  # blocks: going over them costs no more than ending a loop and beginning it again
 
