@@ -42,6 +42,7 @@ N_WATCHED, GROWN = 1500, 32.0
 SIZES = ((320, 240), (640, 480), (1280, 720), (1920, 1080), (3840, 2160))
 OF_CROWD = (1920, 1080)
 OBJECTS = (1, 3, 10, 30, 100, 300)
+ACTIVE_WARM_UP = 80  # frames, 25 a second: blocks of the background sleep after three seconds
 ACTIVE, OF_NOISE, SQUARE = (0.01, 0.03, 0.1, 0.3, 1.0), (768, 576), 32  # shares that change; px
 POINTS = (100, 1000, 10_000, 100_000)
 SAMPLES = (250, 1000, 4000, 16_000)
@@ -137,13 +138,13 @@ def _draw(panels: Mapping[str, Sequence[Curve]], canvas: "Figure") -> None:
 def over_pixels() -> list[Curve]:
     """Measure with four objects in pictures of any size."""
     films = ((w * h, list(crowd(4, WARM_UP + ROUNDS * TURN, (h, w)))) for w, h in SIZES)
-    return _beside_mog2("", "pixels", films)
+    return _beside_mog2("", "pixels", films, WARM_UP)
 
 
 def over_active_share() -> list[Curve]:
     """Measure where a share of the picture changes all the time, all over."""
     films = ((100 * share, _changing(share)) for share in ACTIVE)
-    return _beside_mog2(", noise that changes", "% of the picture", films)
+    return _beside_mog2(", noise that changes", "% of the picture", films, ACTIVE_WARM_UP)
 
 
 def _changing(share: float) -> list[Frame]:
@@ -153,22 +154,24 @@ def _changing(share: float) -> list[Frame]:
     squares = rng.random((size[0] // SQUARE, size[1] // SQUARE))
     active = np.kron(squares <= np.quantile(squares, share), np.ones((SQUARE, SQUARE))) > 0
     frames = []
-    for number in range(1, 1 + WARM_UP + ROUNDS * TURN):
+    for number in range(1, 1 + ACTIVE_WARM_UP + ROUNDS * TURN):
         image = scene + rng.standard_normal(scene.shape, np.float32)
-        if number > WARM_UP // 2:
+        if number > ACTIVE_WARM_UP - WARM_UP // 2:
             image[active] = rng.uniform(0, 255, (np.count_nonzero(active), 3))
-        frames.append(Frame(image.clip(0, 255).astype(np.uint8), number / 10, number))
+        frames.append(Frame(image.clip(0, 255).astype(np.uint8), number / 25, number))
     return frames
 
 
-def _beside_mog2(what: str, unit: str, films: Iterable[tuple[float, Sequence[Frame]]]) -> list[Curve]:
+def _beside_mog2(
+    what: str, unit: str, films: Iterable[tuple[float, Sequence[Frame]]], warm_up: int
+) -> list[Curve]:
     """The background alone, all chains and MOG2 on films by a size."""
     rounds: dict[str, dict[float, list[float]]] = {"background alone": {}, "all chains": {}, PEER: {}}
     for size, frames in films:
         mog2 = subtracting(cv2.createBackgroundSubtractorMOG2(), 1)
         methods = (in_steps(build_model("stand-alone")), in_steps(build_model()), mog2)
         steps = dict(zip(rounds, methods, strict=True))
-        for name, seconds in over_frames(steps, frames, TURN, WARM_UP).items():
+        for name, seconds in over_frames(steps, frames, TURN, warm_up).items():
             rounds[name][size] = seconds
     return [Curve.of(name + what, unit, each) for name, each in rounds.items()]
 
