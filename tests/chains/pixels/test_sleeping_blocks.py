@@ -81,11 +81,11 @@ def test_what_is_awake_is_compared_as_without_sleep(channels: int, seed: int) ->
     image = noisy(empty, QUIET, rng)
     image[20:40, 90:110] = 255 - image[20:40, 90:110]
     plain, sleeping = predicted(state, sleeping=False), predicted(state)
-    are_awake = of_pixels(awake(sleeping, image)).reshape(-1)
+    blocks = awake(sleeping, image)
+    are_awake, asleep = (of_pixels(each).reshape(-1) for each in (blocks, ~in_same_span(blocks)))
     assert 0.05 < are_awake.mean() < 0.6
     expected, got = plain.compare(image).log_odds, sleeping.compare(image).log_odds
     np.testing.assert_array_equal(got[are_awake], expected[are_awake])
-    asleep = ~of_pixels(awake(sleeping, image) | in_same_span(awake(sleeping, image))).reshape(-1)
     assert 0.2 < asleep.mean() < 0.9
     assert (got[asleep] == SURE).all()
     for before, without, after in zip(state.pixels, plain.update(image), sleeping.update(image), strict=True):
@@ -169,9 +169,8 @@ def test_gaps_that_are_short_are_closed() -> None:
 def test_masks_are_those_without_sleep(seed: int) -> None:
     rng, pixels = np.random.default_rng(seed), PixelLabels()
     empty = scene(3, seed)
-    runs = [
-        (RecursiveBP(MultiChain().connect(AdaptiveBackground(sleep=each), pixels)), each)
-        for each in (True, False)
+    engines = [
+        RecursiveBP(MultiChain().connect(AdaptiveBackground(sleep=each), pixels)) for each in (True, False)
     ]
     states = [RunState(), RunState()]
     differ, foreground = [], []
@@ -180,7 +179,7 @@ def test_masks_are_those_without_sleep(seed: int) -> None:
         left = number % 130
         image[30:46, left : left + 12] = noisy(255 - empty[30:46, left : left + 12], QUIET, rng)
         masks = []
-        for k, (engine, _) in enumerate(runs):
+        for k, engine in enumerate(engines):
             belief = engine.step(states[k], Frame(image=image, time=FRAME_TIME * number, number=number))
             states[k] = belief.state
             masks.append(belief["pixels"].foreground() > 0)
