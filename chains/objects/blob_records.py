@@ -392,10 +392,47 @@ def _are_pieces(one, other):
 
 
 @compiled
-def next_piece(blobs, first):
-    """Return the first blob from `first` on that is a piece of one before it, and that one."""
-    for k in range(first, blobs.size):
+def _hold(one, other):
+    """Let a blob's record hold a piece: its patch and box reach around both, but not its mask's sums."""
+    top, left = corner_of(one)
+    other_top, other_left = corner_of(other)
+    down, right = other_top - top, other_left - left
+    above, beside = max(-down, 0), max(-right, 0)
+    one_likely, other_likely = one.bottom > 0 and one.right > 0, other.bottom > 0 and other.right > 0
+    first, begin, last, end = other.top + down, other.left + right, other.bottom + down, other.right + right
+    if one_likely and other_likely:
+        first, begin = min(one.top, first), min(one.left, begin)
+        last, end = max(one.bottom, last), max(one.right, end)
+    elif one_likely:
+        first, begin, last, end = one.top, one.left, one.bottom, one.right
+    if one_likely or other_likely:
+        one.top, one.left, one.bottom, one.right = first + above, begin + beside, last + above, end + beside
+    one.rows = max(one.rows, down + other.rows) + above
+    one.columns = max(one.columns, right + other.columns) + beside
+    one.position[0] -= above
+    one.position[1] -= beside
+    if one.detected:
+        one.box_mean[0] += beside
+        one.box_mean[1] += above
+    if one.seen < FRESH:
+        x, y, width, height = one.origin
+        other_x, other_y, other_width, other_height = other.origin
+        one.origin[0], one.origin[1] = min(x, other_x), min(y, other_y)
+        one.origin[2] = max(x + width, other_x + other_width) - one.origin[0]
+        one.origin[3] = max(y + height, other_y + other_height) - one.origin[1]
+    one.seen = max(one.seen, other.seen)
+
+
+@compiled
+def gather_pieces(blobs, wholes):
+    """Write into `wholes` `(n,)` the index of the first blob that each is a piece of, or its own.
+
+    The records of the wholes hold their pieces (see `_hold`), which grow with each.
+    """
+    for k in range(blobs.size):
+        wholes[k] = k
         for j in range(k):
-            if _are_pieces(blobs[j], blobs[k]):
-                return k, j
-    return blobs.size, blobs.size
+            if wholes[j] == j and _are_pieces(blobs[j], blobs[k]):
+                wholes[k] = j
+                _hold(blobs[j], blobs[k])
+                break

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...models.objects.box_message import Newcomers, log_anywhere
-from .blob_records import FRESH, UNKNOWN_COLOUR, measured, next_piece
+from .blob_records import FRESH, UNKNOWN_COLOUR, gather_pieces, measured
 from .blob_scene import BlobScene
 from .blobs import Blob, Blobs, Map, Numbers, likely_size, union
 
@@ -212,35 +212,30 @@ def split_mask(blob: Blob, column: int) -> tuple[Map, Map]:
 
 
 def merge_pieces(blobs: Blobs) -> Blobs:
-    """Merge pieces of one object (see `next_piece`) into the blob that has been seen for longest."""
+    """Merge pieces of one object (see `gather_pieces`) into the blob that has been seen for longest."""
     table = blobs.table
     blobs = blobs.select(np.lexsort((table["identity"], -table["seen"], table["detected"] == 0)))
-    piece, one = next_piece(blobs.table, 1)
-    while piece < len(blobs):
-        rows = list(blobs)
-        rows[one] = merge_pair(rows[one], rows.pop(piece))
-        blobs = Blobs.of(rows, blobs.channels)
-        piece, one = next_piece(blobs.table, piece)
-    return blobs
+    grown, wholes = blobs.table.copy(), np.empty(len(blobs), np.int64)
+    gather_pieces(grown, wholes)
+    members = [np.flatnonzero(wholes == k).tolist() for k in np.unique(wholes).tolist()]
+    if len(members) == len(blobs):
+        return blobs
+    return Blobs.of(
+        [blobs[k] if not pieces else _painted(grown[k], blobs, [k, *pieces]) for k, *pieces in members],
+        blobs.channels,
+    )
 
 
-def merge_pair(one: Blob, other: Blob) -> Blob:
-    """Return one blob of two, with the identity and motion of the first."""
-    corners = np.array([one.corner, other.corner])
-    ends = corners + np.array([one.mask.shape, other.mask.shape])
-    first, shape = corners.min(axis=0), tuple(ends.max(axis=0) - corners.min(axis=0))
-    mask = np.zeros(shape, np.float32)
-    appearance = np.full((len(one.appearance), *shape), UNKNOWN_COLOUR, np.float32)
-    for blob in (other, one):
-        top, left = np.array(blob.corner) - first
+def _painted(record: np.void, blobs: Blobs, members: list[int]) -> Blob:
+    """Return the blob of a record that holds all `members`, with what is likeliest of their masks."""
+    shape = int(record["rows"]), int(record["columns"])
+    mask, appearance = np.zeros(shape, np.float32), np.empty((blobs.channels, *shape), np.float32)
+    appearance[:] = UNKNOWN_COLOUR
+    whole = Blob(record, mask, appearance)
+    for blob in (blobs[k] for k in reversed(members)):
+        top, left = np.subtract(blob.corner, whole.corner)
         window = (slice(top, top + blob.mask.shape[0]), slice(left, left + blob.mask.shape[1]))
         better = blob.mask > mask[window]
         mask[window][better] = blob.mask[better]
         appearance[:, *window][:, better] = blob.appearance[:, better]
-    return one.moved_patch(first - corners[0]).changed(
-        mask=mask,
-        appearance=appearance,
-        size=likely_size(mask),
-        seen=max(one.seen, other.seen),
-        origin=union(np.array([one.origin, other.origin])) if one.seen < FRESH else one.origin,
-    )
+    return whole.changed(mask, size=likely_size(mask))

@@ -238,3 +238,29 @@ def test_a_piece_that_touches_right_after_its_birth_is_joined():
     assert both.identity == 1
     assert both.box == pytest.approx((30, 28, 16, 42))
     assert len(merge_pieces(Blobs.of([body, blob(2, 60, 28, 8, 11, seen=0.0)], 3))) == 2
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(numbers((0, 60), (0, 60), (5, 25), (5, 25), (0, 1)), min_size=2, max_size=10))
+def test_what_is_merged_covers_what_its_pieces_did(given_parts):
+    # the picture reaches beyond the patches; what is seen is likeliest, whoever's it is
+    def painted(blobs):
+        picture = np.zeros((120, 120), F4)
+        for each in blobs:
+            top, left = np.add(each.corner, 20)
+            window = picture[top : top + each.mask.shape[0], left : left + each.mask.shape[1]]
+            np.maximum(window, each.mask, out=window)
+        return picture
+
+    old = (0.0, 2.0)
+    parts = [blob(k, x, y, w, h, seen=old[age]) for k, (x, y, w, h, age) in enumerate(given_parts, 1)]
+    for each, strength in zip(parts, np.linspace(0.6, 1, len(parts)), strict=True):
+        each.mask[:] *= F4(strength)
+    merged = merge_pieces(Blobs.of(parts, 3))
+    np.testing.assert_array_equal(painted(merged), painted(parts))
+    for each in merged:
+        rows, columns = (np.flatnonzero((each.mask > 0.45).any(axis=axis)) for axis in (1, 0))
+        top, left = each.position
+        assert each.box == (left + columns[0], top + rows[0], np.ptp(columns) + 1, np.ptp(rows) + 1)
+        assert tuple(each.size) == (np.ptp(rows) + 1, np.ptp(columns) + 1)
+        assert each.seen >= parts[each.identity - 1].seen
