@@ -641,14 +641,15 @@ class BlobScene:
         gather(self.picture.image, self.picture.log_odds, top, left, Patch(planes, odds, free))
         return float(mask[odds < 0].sum()) > 0.5 * float(mask.sum())
 
-    def cut_out(self, spot: Spot, blobs: Blobs) -> tuple[Numbers, Map, Map]:
+    def cut_out(self, spot: Spot, *tables: Blobs) -> tuple[Numbers, Map, Map]:
         """Return foreground in a spot and around it that no blob covers: top and left, mask, and planes."""
         top, left = spot[0] - MARGIN, spot[1] - MARGIN
         shape = (spot[2] + MARGIN - top, spot[3] + MARGIN - left)
-        planes = np.empty((blobs.channels, *shape), np.float32)
+        planes = np.empty((tables[0].channels, *shape), np.float32)
         odds, free = np.empty((2, *shape), np.float32)
         gather(self.picture.image, self.picture.log_odds, top, left, Patch(planes, odds, free))
-        cover_by(free, top, left, blobs.table, blobs.pools)
+        for blobs in tables:
+            cover_by(free, top, left, blobs.table, blobs.pools)
         mask = np.minimum(0.9, free / (1 + np.exp(odds))).astype(np.float32)
         return np.array([float(top), float(left)]), mask, planes
 

@@ -185,14 +185,17 @@ class BlobTracker:
             least_area,
             scene.elapsed,
         )
+        born = Blobs.none(kept.channels)
         for spot in find_spots(scene.picture.log_odds, kept, least_area):
-            corner, mask, planes = scene.cut_out(spot, kept)
+            corner, mask, planes = scene.cut_out(spot, kept, born)
             if float(mask.sum()) >= least_area:
                 new = Blob.newborn(
                     next(numbers), corner, mask, planes, self.initial_velocity_std, self.colour_variance
                 )
-                kept = kept.concatenate([new.changed(past_views=inherited_evidence(new, kept))])
-        return replace(state, blobs=kept, born=next(numbers) - 1, elapsed=0.0, left_behind=left)
+                evidence = min(inherited_evidence(new, kept), inherited_evidence(new, born))
+                born = born.concatenate([new.changed(past_views=evidence)])
+        blobs = kept.concatenate(list(born))
+        return replace(state, blobs=blobs, born=next(numbers) - 1, elapsed=0.0, left_behind=left)
 
     def _placed(self, state: BlobState, incoming: Incoming) -> tuple[Blobs, list[Blob], Blobs, LayerStack]:
         """Registered and corrected blobs, front to back; new ones; candidates; and the layers of both."""

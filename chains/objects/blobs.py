@@ -313,11 +313,14 @@ class Blobs:
     def sweep(self, number: int, least_area: float) -> list[Map]:
         """Free a mask of crumbs, in place: the table must be a new one; return those of `least_area` px."""
         mask = self[number].mask
-        crumbs = take_crumbs(mask)
-        if crumbs:
-            row = self.table[number : number + 1]
-            measure_all(row, self.pools, np.empty(5 * mask.shape[1], np.float32))
-        return [crumb for crumb in crumbs if crumb.sum() >= least_area]
+        before = mask.copy()
+        labels, numbers = take_crumbs(mask)
+        if not len(numbers):
+            return []
+        row = self.table[number : number + 1]
+        measure_all(row, self.pools, np.empty(5 * mask.shape[1], np.float32))
+        large = np.bincount(labels.ravel(), before.ravel())[numbers] >= least_area
+        return [np.where(labels == crumb, before, np.float32(0)) for crumb in numbers[large]]
 
     def select(self, which: NDArray[np.intp] | Mask) -> Self:
         """Return some of the blobs, by index or by whether to take them."""
@@ -435,14 +438,14 @@ def box_densities(identities: ArrayLike, boxes: ArrayLike) -> GaussianMessage:
     )
 
 
-def take_crumbs(mask: Map) -> list[Map]:
-    """Remove spots that are apart and under a tenth of the largest; return a mask of each."""
+def take_crumbs(mask: Map) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Remove spots that are apart and under a tenth of the largest; return labels of spots, and of these."""
     _, labels, boxes, _ = cv2.connectedComponentsWithStats((mask > COVERED).astype(np.uint8), connectivity=8)
-    areas = boxes[1:, cv2.CC_STAT_AREA]
-    numbers = 1 + np.flatnonzero(areas < CRUMB * areas.max(initial=0))
-    crumbs = [np.where(labels == number, mask, np.float32(0)) for number in numbers]
-    mask[np.isin(labels, numbers)] = 0
-    return crumbs
+    areas = boxes[:, cv2.CC_STAT_AREA]
+    is_crumb = areas < CRUMB * areas[1:].max(initial=0)
+    is_crumb[0] = False
+    mask[is_crumb[labels]] = 0
+    return np.asarray(labels), np.flatnonzero(is_crumb)
 
 
 def likely_size(mask: Map) -> Numbers:
