@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..models.core.checks import Count, NotNegative, checked
 from ..models.core.short_repr import short_repr
 from . import kernels as kalman_kernels
-from .kernels import ROUNDING, Block, inverse, remainder
+from .kernels import inverse
 
 Array = NDArray[np.float64]
 
@@ -205,55 +205,16 @@ def smooth(filtered: PointStates, times: ArrayLike, acceleration: ArrayLike) -> 
     steps = _checked_steps(times, n_points)
     if len(steps) != len(filtered):
         raise ValueError(f"times: got {len(steps)} for states in {len(filtered)} frames, expected as many")
-    means, covariances = (array.copy() for array in filtered.arrays)
-    noise = _per_point(acceleration, n_points)
-    for t in range(len(steps) - 2, -1, -1):
-        later = means[t + 1], covariances[t + 1]
-        means[t], covariances[t] = _step_back(means[t], covariances[t], *later, steps[t + 1], noise)
-    return PointStates(means, covariances)
-
-
-def _step_back(
-    mean: Array, covariance: Array, later_mean: Array, later: Array, dt: Array, noise: Array
-) -> tuple[Array, Array]:
-    """Smoothed states from filtered ones and the smoothed ones of `dt` s later, `(1,)` or `(n_points,)`.
-
-    The recursion as a sum of two covariances: with the motion undone, the later state is the earlier one plus
-    noise of covariance n, and is believed by k = p (p + n)^-1.
-    """
-    dt, noise = dt[:, None, None], noise[:, None, None]
-    far = dt * noise * np.eye(2)
-    near, cross = dt * dt / 3 * far, -0.5 * dt * far
-    added = np.block([[near, cross], [cross, far]])
-    # r = (p + n)^-1 by blocks
-    total = covariance + added
-    of_position, both = _inverse(total[:, :2, :2]), total[:, :2, 2:]
-    slope = of_position @ both
-    of_velocity = _matrices(inverse(remainder(_numbers(total[:, 2:, 2:]), _numbers(slope.mT @ both))))
-    mixed = -slope @ of_velocity
-    inverses = np.block([[of_position - mixed @ slope.mT, mixed], [mixed.mT, of_velocity]])
-    left = added @ inverses  # what remains of the earlier state's own error, n r = 1 - k
-    kept = np.eye(STATE) - left
-    back = np.eye(STATE) - dt * np.eye(STATE, k=2)
-    off = (back @ later_mean[..., None])[..., 0] - mean
-    grown = left @ covariance @ left.mT + kept @ (back @ later @ back.mT + added) @ kept.mT
-    grown = 0.5 * (grown + grown.mT)
-    grown[:, range(STATE), range(STATE)] *= 1 + ROUNDING
-    return mean + (kept @ off[..., None])[..., 0], grown
+    smoothed = _empty_like(filtered)
+    noise, each = _per_point(acceleration, n_points), _plain(np.broadcast_to(steps, (len(steps), n_points)))
+    kalman_kernels.smooth_states(*filtered.arrays, each, noise, *smoothed.arrays)
+    return smoothed
 
 
 def _inverse(matrices: Array) -> Array:
     """Inverses of symmetric, positive definite matrices `(..., 2, 2)`."""
-    return _matrices(inverse(_numbers(matrices)))
-
-
-def _numbers(matrices: Array) -> Block:
-    """The four numbers of matrices `(..., 2, 2)`, as blocks of loops have them."""
-    return matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 0], matrices[..., 1, 1]
-
-
-def _matrices(numbers: Block) -> Array:
-    return np.stack(numbers, axis=-1).reshape(*numbers[0].shape, 2, 2)
+    xx, xy, yx, yy = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 0], matrices[..., 1, 1]
+    return np.stack(inverse((xx, xy, yx, yy)), axis=-1).reshape(matrices.shape)
 
 
 def cavity(smoothed: PointStates, information: ArrayLike, vector: ArrayLike) -> tuple[Array, Array]:

@@ -67,12 +67,15 @@ def kalman_expectations() -> list[Expectation]:
         return states
 
     filtered = filter_tracks(prior, times, information, vector, ACCELERATION)
+    arrays = [each.swapaxes(0, 1) for each in filtered.arrays]
+    theirs = [(_filterpy_filter(places[:, k]), (arrays[0][k], arrays[1][k])) for k in range(FOLLOWED)]
     spent = in_turns(
         {
             "frame by frame": frame_by_frame,
             "filter": lambda: filter_tracks(prior, times, information, vector, ACCELERATION),
             "smoother": lambda: smooth(filtered, times, ACCELERATION),
             "filterpy": lambda: [_filterpy_filter(places[:, k]) for k in range(FOLLOWED)],
+            "filterpy's smoother": lambda: [one.rts_smoother(*states) for one, states in theirs],
         },
         rounds=7,
     )
@@ -88,6 +91,7 @@ def _of_filters(seconds: Mapping[str, float]) -> list[Expectation]:
         Expectation("RTS smoother, us a point and step", smoother),
         Expectation("filterpy over filter frame by frame", of["filterpy"] / one, ">=", 150),
         Expectation("filterpy over filter of whole tracks", of["filterpy"] / whole, ">=", 150),
+        Expectation("filterpy's smoother over RTS smoother", of["filterpy's smoother"] / smoother, ">=", 100),
     ]
 
 
