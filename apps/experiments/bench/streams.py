@@ -10,7 +10,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import cv2
@@ -20,10 +20,13 @@ from ..experiment import Findings
 from ..record import Expectation, Table
 from .background import image_of, preloaded
 
-CORES, RATES = (1, 2), (10, 25)
+RATES = (10, 25)
+PLACES = {"1 core": (1, False), "2 cores": (2, False), "2 cores, a Dask cluster of processes": (2, True)}
+"""Cores, and whether each camera has a worker of a cluster instead of a process of the batch."""
+
 SECONDS, START = 20.0, 8.0  # of pictures that count, after the first one, which programs start with
 MOST_DROPPED = 0.01  # share of the pictures, by which a machine carries its cameras
-FIRST, MOST = {10: 2, 25: 1}, 8  # cameras for each core that are tried first; and at most
+FIRST, MOST = {10: 2, 25: 1}, 8  # cameras for each core that are tried first; and at most of all
 
 
 class _Camera(http.server.BaseHTTPRequestHandler):
@@ -58,14 +61,25 @@ def _cameras(rate: int, pictures: Sequence[bytes]) -> Iterator[str]:
         server.shutdown()
 
 
-def _dropped(address: str, count: int, cores: int, rate: int) -> float:
+@contextmanager
+def _workers(count: int) -> Iterator[Sequence[str]]:
+    """Options of a batch for a Dask cluster of so many processes, which it has for itself."""
+    from distributed import LocalCluster
+
+    cluster = LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None)  # type: ignore[no-untyped-call]
+    with cluster:
+        yield "--dask", cluster.scheduler_address
+
+
+def _dropped(address: str, count: int, cores: int, rate: int, on_dask: bool) -> float:
     """Share of the pictures of so many cameras that are dropped by a batch on so many cores."""
-    with tempfile.TemporaryDirectory() as name:
+    place = _workers(count) if on_dask else nullcontext(("--jobs", str(count)))
+    with tempfile.TemporaryDirectory() as name, place as options:
         folder = Path(name)
         listed = (f'[[camera]]\nname = "c{k}"\nsource = "{address}/{k}"\n' for k in range(count))
         (folder / "cameras.toml").write_text("\n".join(listed))
         arguments = ["--threads", "1", "batch", "background", str(folder / "cameras.toml")]
-        arguments += ["--out", str(folder / "out"), "--jobs", str(count)]
+        arguments += ["--out", str(folder / "out"), *options]
         command = [sys.executable, "-m", "rsmcm.apps.command_line", *arguments]
         usable = sorted(os.sched_getaffinity(0))[:cores]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -78,21 +92,20 @@ def _dropped(address: str, count: int, cores: int, rate: int) -> float:
 
 
 def streams() -> Findings:
-    """Measure how many cameras one core and two carry, at the size of PETS."""
+    """Measure how many cameras one core, two, and a cluster on two carry, at the size of PETS."""
     pictures = [cv2.imencode(".jpg", image_of(frame))[1].tobytes() for frame in preloaded()]
     expectations, rows = list[Expectation](), list[tuple[object, ...]]()
-    for cores in CORES:
+    for place, (cores, on_dask) in PLACES.items():
         for rate in RATES:
             tried: dict[int, float] = {}
             with _cameras(rate, pictures) as address:
                 count = FIRST[rate] * cores
                 while 0 < count <= MOST and count not in tried:
-                    tried[count] = _dropped(address, count, cores, rate)
+                    tried[count] = _dropped(address, count, cores, rate, on_dask)
                     count += 1 if tried[count] <= MOST_DROPPED else -1
             carried = max((count for count, share in tried.items() if share <= MOST_DROPPED), default=0)
-            what = f"cameras, 768x576, {rate} frames a second, {cores} core{'s' if cores > 1 else ''}"
-            expectations.append(Expectation(what, carried))
-            rows += [(cores, rate, count, 100 * share) for count, share in sorted(tried.items())]
-    header = ("cores", "frames a second", "cameras", "dropped, %")
+            expectations.append(Expectation(f"cameras, 768x576, {rate} frames a second, {place}", carried))
+            rows += [(place, rate, count, 100 * share) for count, share in sorted(tried.items())]
+    header = ("on", "frames a second", "cameras", "dropped, %")
     caption = f"At most {DECODE_AHEAD} frames wait, which bounds the lag; the oldest of more is dropped."
     return Findings("Cameras side by side", [Table(header, rows, caption)], expectations)
