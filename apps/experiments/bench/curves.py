@@ -1,4 +1,7 @@
-"""Cost as curves: over pixels, what happens in them, objects, points, samples, experts, texels and frames."""
+"""Cost as curves: over pixels, what changes, objects, points, samples, experts, texels, threads and frames.
+
+Each is drawn beside its physical limit: the time in which its memory is copied, read once and written once.
+"""
 
 import itertools
 import math
@@ -15,6 +18,7 @@ import psutil
 from numpy.typing import NDArray
 
 from ....chains import ArticulatedPose, FleshTracker, PointTracker
+from ....chains.pixels.sleeping_blocks import BLOCK_ROWS
 from ....inference import MultiChain
 from ....models import Frame, PointTracks
 from ....models.numerics.threads import set_threads
@@ -27,7 +31,7 @@ from .background import in_steps, preloaded, subtracting
 from .people import EXPERTS as USUAL_EXPERTS
 from .people import FACE_FRAMES, SIZE, BodyFilm, seconds_a_frame
 from .people import TEXELS as USUAL_TEXELS
-from .timing import of_chains, over_frames
+from .timing import in_turns, of_chains, over_frames
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,7 +39,12 @@ if TYPE_CHECKING:
 LINEAR, CONSTANT = 1.1, 0.05
 """Largest powers of time: in the frames so far it is to stay constant."""
 
-PEER = "MOG2"
+PEER, LIMIT = "MOG2", "copying its memory"
+BYTES = {"pixel": 18, "point": 146, "sample": 104, "texel": 12}
+"""Of what one of them is read and written: picture, mean, variance, noise and second colour of a pixel; patch
+and place of a point, in a window of 11 x 11 px; 13 numbers of a pose; mean and variance of a texel of an
+expert, and the picture there."""
+
 N_WATCHED, GROWN = 1500, 32.0
 """Frames of the film over which time and memory are watched, and MB by which memory may grow."""
 
@@ -48,6 +57,7 @@ POINTS = (100, 1000, 10_000, 100_000)
 SAMPLES = (250, 1000, 4000, 16_000)
 EXPERTS = (1, 5, 20, 80)
 TEXELS = (1000, 4000, 16_000)
+THREADS = range(1, 1 + max(2, os.cpu_count() or 2))
 
 ROUNDS, TURN, WARM_UP, CROWD_WARM_UP = 7, 2, 16, 30
 """All but the first in frames; a crowd of many takes longer to be found."""
@@ -78,11 +88,19 @@ class Curve:
         degrees = len(self.points) - 2
         return power, float(np.sqrt(left @ left / degrees / (size @ size))) if degrees > 0 else math.nan
 
-    def expectation(self, bound: float | None) -> Expectation:
-        """Return the power, with its upper bound."""
+    @property
+    def bound(self) -> float | None:
+        """Upper bound that is wanted of the power; none of a peer, and over threads."""
+        if self.name.startswith(PEER) or self.unit == "threads":
+            return None
+        return CONSTANT if self.unit == "frames so far" else LINEAR
+
+    @property
+    def expectation(self) -> Expectation:
+        """The power, with its upper bound."""
         power, error = self.power
         what = f"{self.name}: power of time in {self.unit}"
-        return Expectation(what, power, "<=", bound, error, len(self.points), ratio=True)
+        return Expectation(what, power, "<=", self.bound, error, len(self.points), ratio=True)
 
 
 def curves() -> Findings:
@@ -91,15 +109,12 @@ def curves() -> Findings:
     over_time, grown = over_frames_of_a_film(N_WATCHED)
     found = [
         *over_pixels(), *over_active_share(), *over_objects(), over_time, over_points(), over_samples(),
-        of_face("experts", EXPERTS), of_face("texels", TEXELS),
+        of_face("experts", EXPERTS), of_face("texels", TEXELS), *over_threads(),
     ]  # fmt: skip
-    expectations = [
-        each.expectation(None if each.name.startswith(PEER) else CONSTANT if each is over_time else LINEAR)
-        for each in found
-    ]
+    expectations = [each.expectation for each in found]
     what = f"memory grown over the last four fifths of {N_WATCHED} frames, MB"
     expectations.append(Expectation(what, grown, "<=", GROWN))
-    return Findings("Cost as curves", [], expectations, [plot(found)])
+    return Findings("Cost as curves", [], expectations, [plot([*found, *limits()])])
 
 
 def plot(curves: Sequence[Curve]) -> Plot:
@@ -118,7 +133,8 @@ def _draw(panels: Mapping[str, Sequence[Curve]], canvas: "Figure") -> None:
     for axes, (unit, inside) in zip(all_axes, panels.items(), strict=False):
         for curve in inside:
             sizes, seconds = np.array(curve.points).T
-            axes.plot(sizes, 1e3 * seconds, "o-", markersize=3, label=curve.name)
+            style = {"linestyle": ":", "color": "grey"} if curve.name == LIMIT else {"marker": "o"}
+            axes.plot(sizes, 1e3 * seconds, markersize=3, label=curve.name, **style)
         axes.set(xscale="log", yscale="log")
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_minor_formatter(NullFormatter())
@@ -166,14 +182,62 @@ def _beside_mog2(
     what: str, unit: str, films: Iterable[tuple[float, Sequence[Frame]]], warm_up: int
 ) -> list[Curve]:
     """The background alone, all chains and MOG2 on films by a size."""
-    rounds: dict[str, dict[float, list[float]]] = {"background alone": {}, "all chains": {}, PEER: {}}
-    for size, frames in films:
-        mog2 = subtracting(cv2.createBackgroundSubtractorMOG2(), 1)
-        methods = (in_steps(build_model("stand-alone")), in_steps(build_model()), mog2)
-        steps = dict(zip(rounds, methods, strict=True))
-        for name, seconds in over_frames(steps, frames, TURN, warm_up).items():
-            rounds[name][size] = seconds
-    return [Curve.of(name + what, unit, each) for name, each in rounds.items()]
+    spent = {size: _spent_beside_mog2(frames, warm_up, 1) for size, frames in films}
+    return _curves_of(what, unit, spent)
+
+
+def _spent_beside_mog2(frames: Sequence[Frame], warm_up: int, threads: int) -> Mapping[str, Sequence[float]]:
+    steps = {
+        "background alone": in_steps(build_model("stand-alone")),
+        "all chains": in_steps(build_model()),
+        PEER: subtracting(cv2.createBackgroundSubtractorMOG2(), threads),
+    }
+    return over_frames(steps, frames, TURN, warm_up)
+
+
+def _curves_of(what: str, unit: str, spent: Mapping[float, Mapping[str, Sequence[float]]]) -> list[Curve]:
+    names = next(iter(spent.values()))
+    return [
+        Curve.of(name + what, unit, {size: of_size[name] for size, of_size in spent.items()})
+        for name in names
+    ]
+
+
+def over_threads() -> list[Curve]:
+    """Measure the film of PETS on one thread and more."""
+    frames, spent = preloaded(WARM_UP + ROUNDS * TURN), dict[float, Mapping[str, Sequence[float]]]()
+    for count in THREADS:
+        set_threads(count)
+        spent[count] = _spent_beside_mog2(frames, WARM_UP, count)
+    set_threads(1)
+    return _curves_of(", PETS2009", "threads", spent)
+
+
+def limits() -> list[Curve]:
+    """Return for each kind of size in how much time its memory is copied, on one thread."""
+    picture, of_crowd = math.prod(OF_NOISE), math.prod(OF_CROWD)
+    looked_at = picture * BYTES["pixel"] / BLOCK_ROWS  # of blocks that sleep
+    sizes: dict[str, dict[float, float]] = {
+        "pixels": {w * h: BYTES["pixel"] * w * h for w, h in SIZES},
+        "% of the picture": {100 * k: looked_at + k * picture * BYTES["pixel"] for k in ACTIVE},
+        "objects": dict.fromkeys(OBJECTS, BYTES["pixel"] * of_crowd),
+        "frames so far": dict.fromkeys((N_WATCHED // 10, N_WATCHED), BYTES["pixel"] * picture),
+        "points": {n: BYTES["point"] * n for n in POINTS},
+        "samples": {n: BYTES["sample"] * n for n in SAMPLES},
+        "experts": {n: BYTES["texel"] * n * USUAL_TEXELS for n in EXPERTS},
+        "texels": {n: BYTES["texel"] * n * USUAL_EXPERTS for n in TEXELS},
+        "threads": dict.fromkeys(THREADS, BYTES["pixel"] * picture),
+    }
+    return [
+        Curve.of(LIMIT, unit, {size: _copying(round(count)) for size, count in of_unit.items()})
+        for unit, of_unit in sizes.items()
+    ]
+
+
+def _copying(count: int) -> Sequence[float]:
+    """Seconds in which so many bytes are copied."""
+    source, target = np.ones(count, np.uint8), np.ones(count, np.uint8)
+    return in_turns({LIMIT: lambda: np.copyto(target, source)}, turn=5)[LIMIT]
 
 
 def over_objects() -> list[Curve]:
