@@ -267,8 +267,9 @@ def start() -> Findings:
             what = f"start, {kind}: s from the command to the {{}} frame answered"
             found.append(Expectation(what.format("first"), first, "<=", bound))
             found.append(Expectation(what.format(f"{FRAMES}th"), last))
-    command = [sys.executable, "-m", "rsmcm.apps.command_line", "--help"]
-    spent = in_turns({"help": lambda: subprocess.run(command, check=True, capture_output=True)}, WARM_ROUNDS)
+        command = [sys.executable, "-m", "rsmcm.apps.command_line", "--help"]
+        shown = partial(subprocess.run, command, check=True, capture_output=True, env=environment)
+        spent = in_turns({"help": shown}, WARM_ROUNDS)
     found.append(Expectation("start: s of rsmcm --help", statistics.median(spent["help"]), "<=", 0.5))
     return Findings("Time to the first frame", [], found)
 

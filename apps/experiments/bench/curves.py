@@ -139,6 +139,8 @@ def _draw(panels: Mapping[str, Sequence[Curve]], canvas: "Figure") -> None:
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_minor_formatter(NullFormatter())
         axes.tick_params(labelsize=8)
+        if sizes[-1] < 10 * sizes[0]:  # which decades alone do not tell
+            axes.set_xticks(sizes, [f"{size:g}" for size in sizes])
         axes.set_xlabel(unit, fontsize=9)
         axes.set_ylabel("ms", fontsize=9)
         axes.legend(fontsize=8, loc="upper left", handlelength=1, borderaxespad=0)
