@@ -136,11 +136,6 @@ class Blob:
         x, y, width, height = Blobs.of([self], len(self.appearance)).boxes[0].tolist()
         return x, y, width, height
 
-    def moved_patch(self, shift: NDArray[Any]) -> Self:
-        """Return the blob with its patch's corner shifted, px down and right; the mask must follow."""
-        box_mean = self.box_mean - self.detected * np.array([shift[1], shift[0], 0, 0])
-        return self.changed(position=self.position + shift, box_mean=box_mean)
-
     def resampled(self, shape: Sequence[int]) -> Self:
         """Return the blob with a patch of `shape` (columns, rows)."""
         mask = cv2.resize(self.mask, shape, interpolation=cv2.INTER_LINEAR)
