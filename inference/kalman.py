@@ -189,8 +189,8 @@ def filter_tracks(
     filtered = PointStates(
         np.empty((len(steps), n_points, STATE)), np.empty((len(steps), n_points, STATE, STATE))
     )
-    noise, each = _per_point(acceleration, n_points), _plain(np.broadcast_to(steps, (len(steps), n_points)))
-    kalman_kernels.filter_states(*prior.arrays, each, *measured, noise, *filtered.arrays)
+    noise = _per_point(acceleration, n_points)
+    kalman_kernels.filter_states(*prior.arrays, steps, *measured, noise, *filtered.arrays)
     return filtered
 
 
@@ -206,8 +206,8 @@ def smooth(filtered: PointStates, times: ArrayLike, acceleration: ArrayLike) -> 
     if len(steps) != len(filtered):
         raise ValueError(f"times: got {len(steps)} for states in {len(filtered)} frames, expected as many")
     smoothed = _empty_like(filtered)
-    noise, each = _per_point(acceleration, n_points), _plain(np.broadcast_to(steps, (len(steps), n_points)))
-    kalman_kernels.smooth_states(*filtered.arrays, each, noise, *smoothed.arrays)
+    noise = _per_point(acceleration, n_points)
+    kalman_kernels.smooth_states(*filtered.arrays, steps, noise, *smoothed.arrays)
     return smoothed
 
 
@@ -266,7 +266,7 @@ def _checked_states(states: PointStates, axes: int) -> int:
 
 
 def _checked_steps(times: ArrayLike, n_points: int) -> Array:
-    """s from the frame before, 0 in the first: `(n_frames, 1)`, or `(n_frames, n_points)`."""
+    """s from the frame before, 0 in the first, `(n_frames, n_points)`."""
     seconds = np.asarray(times, np.float64)
     columns = seconds[:, None] if seconds.ndim == 1 else seconds
     fits = columns.ndim == 2 and len(columns) and columns.shape[1] in (1, n_points)
@@ -276,7 +276,7 @@ def _checked_steps(times: ArrayLike, n_points: int) -> Array:
             f"times: got {seconds.shape}, expected seconds (n_frames,) or (n_frames, {n_points}) "
             "of one or more frames, in order"
         )
-    return steps
+    return _plain(np.broadcast_to(steps, (len(steps), n_points)))
 
 
 def _checked_measurements(

@@ -41,8 +41,8 @@ LINEAR, CONSTANT = 1.1, 0.05
 
 PEER, LIMIT = "MOG2", "copying its memory"
 BYTES = {"pixel": 18, "point": 146, "sample": 104, "texel": 12}
-"""Of what one of them is read and written: picture, mean, variance, noise and second colour of a pixel; patch
-and place of a point, in a window of 11 x 11 px; 13 numbers of a pose; mean and variance of a texel of an
+"""Of what one of them is read and written: picture, mean, variance, noise, second colour and its time of a
+pixel; patch of a point, and a window of 11 x 11 px; 13 numbers of a pose; mean and variance of a texel of an
 expert, and the picture there."""
 
 N_WATCHED, GROWN = 1500, 32.0
