@@ -9,22 +9,25 @@ from importlib import import_module
 from importlib.metadata import packages_distributions
 from typing import Any
 
-OF_LIBRARIES = ("OMP", "OPENBLAS", "MKL", "BLIS", "VECLIB_MAXIMUM", "NUMEXPR")
-"""Of linear algebra, that read a variable `..._NUM_THREADS` when they are loaded."""
+ONE_THREAD_EACH = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "BLIS_NUM_THREADS": "1",
+    "VECLIB_MAXIMUM_NUM_THREADS": "1",
+    "NUMEXPR_NUM_THREADS": "1",
+    "OPENCV_FOR_THREADS_NUM": "1",
+}
+"""Variables that libraries of linear algebra and OpenCV read when they are loaded.
 
-OF_OPENCV = "OPENCV_FOR_THREADS_NUM"
-"""The same of OpenCV."""
-
-
-def thread_limits(threads: int) -> dict[str, str]:
-    """Variables by which libraries that are loaded from now on have so many threads; OpenCV has one."""
-    return {**{f"{library}_NUM_THREADS": str(threads) for library in OF_LIBRARIES}, OF_OPENCV: "1"}
+How OpenBLAS rounds depends on the number of its threads, so it is not left to the user: results are the same
+bytes on any machine of a kind.
+"""
 
 
 def have_one_thread() -> None:
-    """Limit libraries that are not loaded yet to one thread each, but for what the user has set."""
-    for name, value in thread_limits(1).items():
-        os.environ.setdefault(name, value)
+    """Limit libraries that are not loaded yet to one thread each."""
+    os.environ.update(ONE_THREAD_EACH)
 
 
 EXPECTED = "opencv-python-headless"

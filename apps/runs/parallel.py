@@ -20,7 +20,7 @@ from joblib import cpu_count
 from joblib.externals.loky import ProcessPoolExecutor
 
 from ...models.numerics.threads import set_threads
-from ..options.libraries import thread_limits
+from ..options.libraries import ONE_THREAD_EACH
 from .interruption import Interruption
 from .messages import show_messages
 from .progress import Progress
@@ -175,7 +175,7 @@ def _executor(workers: Workers, tasks: int) -> Iterator[Executor]:
         min(workers.jobs, max(tasks, 1)),
         initializer=_settle,
         initargs=(os.getpid(),),
-        env=thread_limits(workers.threads),
+        env=ONE_THREAD_EACH,
     )
     completed = False
     try:

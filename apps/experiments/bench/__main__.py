@@ -19,7 +19,7 @@ from importlib import import_module
 from pathlib import Path
 
 from ...evaluation.text_tables import rounded
-from ...options.libraries import thread_limits
+from ...options.libraries import ONE_THREAD_EACH
 from ..experiment import publish
 from ..record import Expectation, Record, Stopwatch, Table
 
@@ -88,7 +88,7 @@ def _measured(chosen: Sequence[str]) -> int:
     for number, name in enumerate(chosen, start=1):
         print(f"\n--- {name}, {number} of {len(chosen)} ---\n", flush=True)
         command, watch = [sys.executable, "-m", str(__package__), "--here", name], Stopwatch()
-        code = subprocess.run(command, env={**os.environ, **thread_limits(1)}).returncode
+        code = subprocess.run(command, env={**os.environ, **ONE_THREAD_EACH}).returncode
         if code:
             failed += 1
             folder_of(name).mkdir(parents=True, exist_ok=True)
