@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from ...models.core.checks import NotNegative, Shape
 from ...models.core.short_repr import short_repr
 from ...models.numerics.compiled import compiled, inlined
+from ...models.numerics.threads import over_bands
 from ...models.pixels.background import SPAN, foreground_spans
 from ...models.pixels.colour import colour_gap, to_planes
 from ...models.pixels.layers import NO_LAYERS, Layer, LayerStack
@@ -90,11 +91,19 @@ class LeftBehind:
         known: Any = self.shown, self.before, self.time
         stays = np.zeros(self.time.shape, np.bool_)
         shown, before, time = after = self.shown.copy(), np.empty_like(self.before), np.empty_like(self.time)
-        flat, new_flat = (tuple(each.reshape(-1) for each in arrays) for arrays in (known, after))
-        sure = blobs.table[are_sure]
-        channels, spent = tuple(range(image.shape[2])), np.float32(elapsed)
-        follow_scene(image.reshape(-1), flat[1], flat[2], spent, *new_flat[1:])
-        follow(image, channels, blobs.table, sure, blobs.pools, spent, flat, new_flat, stays.reshape(-1))
+        sure, spent, channels = blobs.table[are_sure], np.float32(elapsed), tuple(range(image.shape[2]))
+
+        def look(first: int, end: int) -> None:
+            here = slice(first, end)
+            seen = image[here].reshape(-1)
+            now, then = ([each[here].reshape(-1) for each in arrays] for arrays in (known, after))
+            follow_scene(seen, now[1], now[2], spent, *then[1:])
+            follow(
+                first, image.shape[1], seen, channels, blobs.table, sure, blobs.pools, spent,
+                tuple(now), tuple(then), stays[here].reshape(-1),
+            )  # fmt: skip
+
+        over_bands(look, len(image))
         forget(ghosts.table, image, before, time, stays)
         return type(self)(shown, before, time, _large_parts(stays, least_area))
 
@@ -138,25 +147,25 @@ def follow_scene(pixels, empty, times, elapsed, new_empty, new_times):
 
 
 @compiled
-def follow(image, channels, blobs, sure, pools, elapsed, known, after, stays):
+def follow(first, width, image, channels, blobs, sure, pools, elapsed, known, after, stays):
     """Follow the colours of pixels that do not show the scene, `elapsed` s after the last frame.
 
-    `channels` are the numbers of its channels as a tuple: how many there are is known when this is compiled.
-    `blobs` and `sure` are the tables of all blobs, and of those that may leave something behind. `known` and
-    `after` are `shown`, `before` and `time` of `LeftBehind` before and after the frame, each in one row, and
-    `after` as if all showed the scene (see `follow_scene`); of `stays`, in one row, too, what stays becomes
-    true.
+    `image` is the part of a picture from row `first` on, in one row, as are all arrays. `channels` are the
+    numbers of its channels as a tuple: how many there are is known when this is compiled. `blobs` and `sure`
+    are the tables of all blobs, and of those that may leave something behind. `known` and `after` are
+    `shown`, `before` and `time` of `LeftBehind` before and after the frame, and `after` as if all showed the
+    scene (see `follow_scene`); of `stays` what stays becomes true.
     """
-    height, width, _ = image.shape
+    height = stays.size // width
     free, signs = np.empty((2, BAND * width), np.float32), np.empty(BAND * width, np.int8)
     spans = np.empty(signs.size // SPAN + 1, np.int64)
     for top in range(0, height, BAND):
         here = slice(top * width, min(top + BAND, height) * width)
         colours, size = slice(len(channels) * here.start, len(channels) * here.stop), here.stop - here.start
         free[:] = _f4(1)
-        cover_by(free[0, :size].reshape(-1, width), top, 0, blobs, pools)
-        cover_by(free[1, :size].reshape(-1, width), top, 0, sure, pools)
-        pixels, own, new_own = image.reshape(-1)[colours], known[0][colours], after[0][colours]
+        cover_by(free[0, :size].reshape(-1, width), first + top, 0, blobs, pools)
+        cover_by(free[1, :size].reshape(-1, width), first + top, 0, sure, pools)
+        own, new_own = known[0][colours], after[0][colours]
         empty, new_empty, times, new_times = (
             known[1][colours],
             after[1][colours],
@@ -164,8 +173,8 @@ def follow(image, channels, blobs, sure, pools, elapsed, known, after, stays):
             after[2][here],
         )
         _follow_others(
-            channels, pixels, own, empty, times, free, elapsed, signs[:size], spans, new_own, new_empty,
-            new_times, stays[here],
+            channels, image[colours], own, empty, times, free, elapsed, signs[:size], spans, new_own,
+            new_empty, new_times, stays[here],
         )  # fmt: skip
 
 

@@ -66,6 +66,8 @@ _UNSURE = np.int8(-128)  # where the log odds are not known yet
 
 _HIGHEST = HIGHEST_VARIANCE * VARIANCE_STEPS
 
+ASLEEP = 0.2  # of what it costs to compare and to smooth a block that is awake, what one asleep costs
+
 HALO = 2  # rows beyond a band that its smoothed log odds depend on
 
 
@@ -427,7 +429,8 @@ class BackgroundPrediction:
             if sways:
                 recall_moved(first, flat, self.pixels, light, self.model, self.sway, own)
 
-        over_bands(compare, len(awake))
+        busy = awake.sum(axis=1) + ASLEEP * awake.shape[1]
+        over_bands(compare, len(awake), costs=busy)
         some_unknown = max(highest) > HIGHEST_VARIANCE * VARIANCE_STEPS
         mirror_seen, mirrored = np.zeros((2, self.mirroring.size), np.float32), None
         axes, shares = np.full(self.mirroring.size, -1), np.zeros(self.mirroring.size, np.float32)
@@ -444,23 +447,22 @@ class BackgroundPrediction:
             top, bottom = max(first - HALO, 0), min(end + HALO, height)
             band, of_band = slice(first * width, end * width), np.zeros((3, *self.shade.log_odds.shape), int)
             shaded = log_odds[top * width : bottom * width].copy()
-            recall_shaded(
+            first_turned, end_turned = recall_shaded(
                 first, end, HALO, flat, self.pixels, light, self.model, self.shade, log_odds, shaded, of_band
             )
             counts.append(of_band)
             around = smoothed[top * width : bottom * width]
             smooth_log_odds(first - top, end - top, bottom - top, width, shaded, prior, pooling, around)
             unshaded[band] = smoothed[band]
-            changed = np.flatnonzero(shaded != log_odds[top * width : bottom * width]) // width + top
-            if changed.size:
-                rows = max(changed[0] - HALO, first), min(changed[-1] + HALO + 1, end)
+            if first_turned < end_turned:
+                rows = max(first_turned - HALO, first), min(end_turned + HALO, end)
                 smooth_log_odds(*rows, height, width, log_odds, prior, pooling, unshaded)
             if some_unknown:  # neighbours say nothing of an unknown value
                 unknown = variance[band] > HIGHEST_VARIANCE * VARIANCE_STEPS
                 for each in (smoothed, unshaded):
                     each[band][unknown] = np.int8(self.model.label_odds * np.float32(ODDS_STEPS))
 
-        over_bands(pool, height)
+        over_bands(pool, height, costs=np.repeat(busy, BLOCK_ROWS)[:height])
         subtraction = Subtraction(log_odds, smoothed, unshaded)
         return Compared(subtraction, after, np.sum(counts, axis=0), mirror_seen, mirrored)
 

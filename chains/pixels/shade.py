@@ -127,6 +127,7 @@ def recall_shaded(first, end, halo, pixels, before, light_field, model, shade, l
     That is in `shaded`, their log odds and those of `halo` rows on either side; `log_odds` are those of the
     whole picture without shade. `counts` `(3, block_rows, block_columns)` get how many pixels of the rows are
     not the plain scene, the sum of their probabilities of shade, and how many look like it, in `COUNT_STEPS`.
+    Returns the rows from the first to behind the last in which something was turned; none if nothing was.
     """
     height, width = light_field.positions.size, light_field.rows.shape[1]
     (block_rows, block_columns), around = shade.log_odds.shape, shade.around
@@ -138,6 +139,7 @@ def recall_shaded(first, end, halo, pixels, before, light_field, model, shade, l
     start, stop = max(top - reach, 0), min(bottom + reach, height)
     gains, spans = np.empty((stop - start) * width, np.float32), np.empty(width // SPAN + 1, np.int64)
     _find_gains(start, stop, pixels, before, light_field, model, log_odds, gains)
+    first_turned = end_turned = top
     for y in range(top, bottom):
         odds, out = log_odds[y * width : (y + 1) * width], shaded[(y - top) * width : (y - top + 1) * width]
         block_row, step = y * block_rows // height, COUNT_STEPS if first <= y < end else 0
@@ -166,3 +168,6 @@ def recall_shaded(first, end, halo, pixels, before, light_field, model, shade, l
                 ratio = min(ratio + model.label_odds, _f4(MOST_RECALLED))
                 if ratio > 0:
                     out[x] = max(out[x], np.int8(ratio * _f4(ODDS_STEPS)))
+                    first_turned = y if end_turned == top else first_turned
+                    end_turned = y + 1
+    return first_turned, end_turned

@@ -56,6 +56,8 @@ those around them do not."""
 
 SHORT_GAP = 6  # blocks: going over them costs no more than ending a loop and beginning it again
 
+WORTH_THREADS = 1 << 21  # bytes of a picture, of which so few rows are looked at
+
 Flags = NDArray[np.uint8]
 
 
@@ -87,7 +89,7 @@ def find_awake(
     def look(first: int, end: int) -> None:
         look_at_rows(first, end, offset, pixels, before, light, thresholds, surprised)
 
-    over_bands(look, len(in_turn))
+    over_bands(look, len(in_turn), worth=pixels.size > WORTH_THREADS)
     if surprised.mean() > RESTLESS:
         return np.ones_like(in_turn)
     awake = in_turn | np.asarray(cv2.dilate(surprised, np.ones((3, 3), np.uint8)), np.uint8)

@@ -11,7 +11,10 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import partial
 from itertools import pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 Result = TypeVar("Result")
 
@@ -72,14 +75,20 @@ class Background:
         return done
 
 
-def over_bands(work: Callable[[int, int], None], n_rows: int, *, worth: bool = True) -> None:
+def over_bands(
+    work: Callable[[int, int], None], n_rows: int, *, worth: bool = True, costs: NDArray[Any] | None = None
+) -> None:
     """Call `work(first_row, end_row)` on consecutive bands that together cover `n_rows` rows.
 
-    Where all of it takes less than about 0.2 ms, waking another thread is not `worth` it.
+    The bands have as many rows, or the same sum of `costs` `(n_rows,)`. Where all of it takes less than about
+    0.2 ms, waking another thread is not `worth` it.
     """
     count = min(_settings["threads"], n_rows) if worth else 1
     edges = [n_rows * k // count for k in range(count + 1)]
-    side_by_side([partial(work, first, end) for first, end in pairwise(edges)])
+    if costs is not None:
+        upto = np.cumsum(costs)
+        edges[1:-1] = np.searchsorted(upto, upto[-1] * np.arange(1, count) / count).tolist()
+    side_by_side([partial(work, first, end) for first, end in pairwise(edges) if first < end])
 
 
 def side_by_side(works: Sequence[Callable[[], Result]]) -> list[Result]:

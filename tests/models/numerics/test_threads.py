@@ -41,6 +41,20 @@ def test_bands_cover_all_rows_once(count: int, n_rows: int) -> None:
         set_threads(0)
 
 
+@pytest.mark.parametrize("costs", [[1, 1, 1, 1, 6, 2], [12, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 9]])
+def test_bands_cost_the_same_as_far_as_rows_can(costs: list[int]) -> None:
+    set_threads(2)
+    bands = list[tuple[int, int]]()
+    over_bands(lambda first, end: bands.append((first, end)), len(costs), costs=np.array(costs))
+    bands.sort()
+    assert bands[0][0] == 0
+    assert bands[-1][1] == len(costs)
+    assert all(first < end for first, end in bands)
+    assert [end for _, end in bands[:-1]] == [first for first, _ in bands[1:]]
+    dearest = max(sum(costs[first:end]) for first, end in bands)
+    assert dearest <= sum(costs) / 2 + max(costs)
+
+
 @pytest.mark.parametrize("count", [1, 3])
 def test_results_are_in_the_order_of_the_work(count: int) -> None:
     set_threads(count)
