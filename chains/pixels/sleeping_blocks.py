@@ -56,7 +56,7 @@ those around them do not."""
 
 SHORT_GAP = 6  # blocks: going over them costs no more than ending a loop and beginning it again
 
-WORTH_THREADS = 1 << 21  # bytes of a picture, of which so few rows are looked at
+WORTH_THREADS = 1 << 21  # bytes of a picture from which on several threads look at it faster
 
 Flags = NDArray[np.uint8]
 
