@@ -76,6 +76,7 @@ def show_runs() -> None:
             if index is not None:
                 opened.locator("#seek").fill(str(index))
                 opened.locator("#seek").blur()
+                opened.evaluate("scrollTo(0, 0)")  # filling may have scrolled
             opened.wait_for_timeout(1000)
             keep(opened.screenshot(), page)
 
