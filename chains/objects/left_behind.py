@@ -96,11 +96,11 @@ class LeftBehind:
         def look(first: int, end: int) -> None:
             here = slice(first, end)
             seen = image[here].reshape(-1)
-            now, then = ([each[here].reshape(-1) for each in arrays] for arrays in (known, after))
-            follow_scene(seen, now[1], now[2], spent, *then[1:])
+            old, new = (tuple(each[here].reshape(-1) for each in arrays) for arrays in (known, after))
+            follow_scene(seen, *old[1:], spent, *new[1:])
             follow(
-                first, image.shape[1], seen, channels, blobs.table, sure, blobs.pools, spent,
-                tuple(now), tuple(then), stays[here].reshape(-1),
+                first, image.shape[1], seen, channels, blobs.table, sure, blobs.pools, spent, old, new,
+                stays[here].reshape(-1),
             )  # fmt: skip
 
         over_bands(look, len(image))

@@ -84,10 +84,11 @@ def over_bands(
     0.2 ms, waking another thread is not `worth` it.
     """
     count = min(_settings["threads"], n_rows) if worth else 1
-    edges = [n_rows * k // count for k in range(count + 1)]
-    if costs is not None:
+    if costs is None:
+        edges = [n_rows * k // count for k in range(count + 1)]
+    else:
         upto = np.cumsum(costs)
-        edges[1:-1] = np.searchsorted(upto, upto[-1] * np.arange(1, count) / count).tolist()
+        edges = [0, *np.searchsorted(upto, upto[-1] * np.arange(1, count) / count).tolist(), n_rows]
     side_by_side([partial(work, first, end) for first, end in pairwise(edges) if first < end])
 
 

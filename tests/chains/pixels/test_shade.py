@@ -34,8 +34,11 @@ def recalled(first, end, pixels, image, odds, shade):
     light = LightField(np.ones(GRID, np.float32), SIZE).along_rows
     shaded, counts = odds[first:end].copy().reshape(-1), np.zeros((3, *GRID), np.int64)
     arguments = image.reshape(-1), pixels, light, MODEL, shade, odds.reshape(-1), shaded, counts
-    shades.recall_shaded(first, end, 0, *arguments)
-    return shaded.reshape(end - first, -1), counts / shades.COUNT_STEPS
+    rows = shades.recall_shaded(first, end, 0, *arguments)
+    shaded = shaded.reshape(end - first, -1)
+    turned = first + np.flatnonzero((shaded != odds[first:end]).any(axis=1))
+    assert rows == ((turned[0], turned[-1] + 1) if turned.size else (first, first))
+    return shaded, counts / shades.COUNT_STEPS
 
 
 @pytest.mark.parametrize("channels", [1, 3])
